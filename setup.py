@@ -141,6 +141,9 @@ PIXELS = Pybind11Extension(
 # No data of the package, but code, its sources, and what is compiled from them.
 NO_DATA = ('.cpp', '.hpp', '.py', '.so')
 DATA = [str(path.relative_to(NAME)) for path in files_below(NAME) if path.suffix not in NO_DATA]
+# Our message definitions, by which bags are written where no ROS is installed: a link to their one
+# home, which files_below() does not follow.
+DATA.append('bag/share/taxinet_msgs/msg/*.msg')
 
 setup(
     distclass=WithDataFiles,

@@ -4,6 +4,9 @@ import sys
 
 import taxinet_ros as tx
 
+if len(sys.argv) != 2:
+    print('usage: read_bag.py BAG, a folder', file=sys.stderr)
+    sys.exit(2)
 recording = tx.open_recording(sys.argv[1])
 for run in recording:  # a bag may hold several runs
     print(f'{run.run_id}: {run.scenario}')

@@ -4,6 +4,9 @@ import sys
 
 import taxinet_ros as tx
 
+if len(sys.argv) != 2:
+    print('usage: read_campaign.py CAMPAIGN, a folder', file=sys.stderr)
+    sys.exit(2)
 campaign = tx.open_campaign(sys.argv[1])
 print(campaign.rows[['run_id', 'outcome', 'rho', 'time_of_day_h', 'clouds']].to_string())
 for name, found in campaign.rates.items():

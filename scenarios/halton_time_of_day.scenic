@@ -6,8 +6,8 @@ once with `--set shadows=off`: what differs is the aircraft's shadow.
 """
 model runway_world
 
-param time_of_day = Range(6, 18)
+param time_of_day_h = Range(6, 18)
 param clouds = 'clear'
-param rain = 0
+param rain_percent = 0
 
 ego = new Plane at (0, 1000)

@@ -6,10 +6,10 @@ phi_always, which demands the centreline from the first moment.
 """
 model runway_world
 
-param time_of_day = Range(9.5, 11.5)
+param time_of_day_h = Range(9.5, 11.5)
 param clouds = Uniform('clear', 'cirrus', 'scattered')
-param rain = 0
+param rain_percent = 0
 
 # Weighted by length, so that every metre is equally likely.
-distance = Options({Range(950, 1150): 200, Range(1650, 1950): 300})
-ego = new Plane at (Range(-0.5, 0.5), distance), facing Range(-3, 3) deg
+distance_m = Options({Range(950, 1150): 200, Range(1650, 1950): 300})
+ego = new Plane at (Range(-0.5, 0.5), distance_m), facing Range(-3, 3) deg

@@ -2,11 +2,14 @@
 
 Scenic's axes: x to the RIGHT of the centreline and y past the threshold, in metres; a heading of 0
 looks along the runway and grows counter-clockwise, that is with the nose to the left.
-taxinet_ros has cross-track error positive to the LEFT, so `cross_track` is minus x. Distance and
+taxinet_ros has cross-track error positive to the LEFT, so `cross_track_m` is minus x. Distance and
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
-A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
-date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s].
+A program may set these parameters: time_of_day_h [h, local standard time], clouds (a word),
+rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
+wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
+gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
+positive], speed_mps [m/s], duration_s [s]. Short forms without the unit (time_of_day, rain, duration) mean the same.
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are
@@ -26,6 +29,9 @@ class Plane(Object):
     requireVisible: False
     # For requirements to refer to. Dynamic: `mutate` moves them too; final: only where the plane
     # stands says what they are. 0 - x, because -x turns a zero into a minus zero.
-    cross_track[dynamic, final]: 0 - self.position.x
-    distance[dynamic, final]: self.position.y
+    cross_track_m[dynamic, final]: 0 - self.position.x
+    distance_m[dynamic, final]: self.position.y
     heading_deg[dynamic, final]: self.heading * DEGREES_PER_RADIAN
+    # The short forms of the first two, for programs that have them.
+    cross_track[dynamic, final]: self.cross_track_m
+    distance[dynamic, final]: self.distance_m

@@ -5,7 +5,7 @@ within ten seconds.
 """
 model runway_world
 
-param time_of_day = Range(6, 18)
+param time_of_day_h = Range(6, 18)
 
 # Clouds and rain are drawn together: two times in three it is dry under any sky, else it rains
 # from a sky that can rain. Below 25 % X-Plane shows no rain.
@@ -14,6 +14,6 @@ weather = Options({
     (Uniform(*RAIN_CLOUDS), Range(25, 100)): 1,
 })
 param clouds = weather[0]
-param rain = weather[1]
+param rain_percent = weather[1]
 
 ego = new Plane at (Range(-8, 8), Range(0, 2000)), facing Range(-30, 30) deg

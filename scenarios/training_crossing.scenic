@@ -6,14 +6,14 @@ that has settled, the others are as wide as in training_full. To be added to a s
 """
 model runway_world
 
-param time_of_day = Range(6, 18)
+param time_of_day_h = Range(6, 18)
 
 weather = Options({
     (Uniform(*CLOUDS), 0): 2,
     (Uniform(*RAIN_CLOUDS), Range(25, 100)): 1,
 })
 param clouds = weather[0]
-param rain = weather[1]
+param rain_percent = weather[1]
 
 cross_track = Options({Range(-10, 10): 1, Range(-3, 3): 1})
 heading = Options({Range(-34, 34): 1, Range(-10, 10): 1})

@@ -7,10 +7,10 @@ that the network need not extrapolate at the rim.
 """
 model runway_world
 
-param time_of_day = Range(8.5, 12)
+param time_of_day_h = Range(8.5, 12)
 param clouds = Uniform('clear', 'cirrus', 'scattered', 'overcast')
-param rain = 0
+param rain_percent = 0
 
 # Weighted by length, so that every metre is equally likely.
-distance = Options({Range(0, 1300): 1300, Range(1600, 2400): 800})
-ego = new Plane at (Range(-9, 9), distance), facing Range(-32, 32) deg
+distance_m = Options({Range(0, 1300): 1300, Range(1600, 2400): 800})
+ego = new Plane at (Range(-9, 9), distance_m), facing Range(-32, 32) deg

@@ -14,19 +14,19 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign
+    from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
     from taxinet_ros.bag.errors import BagError
-    from taxinet_ros.bag.run.recording import Recording, open_recording
+    from taxinet_ros.bag.run.recording import Recording
     from taxinet_ros.core.controller import SteeringGains, SteeringLaw
     from taxinet_ros.core.mtl.specs import Spec
     from taxinet_ros.core.outcome import Outcome
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
-    from taxinet_ros.errors import InfraError, UsageError
-
-__version__ = '0.1.0'
+    from taxinet_ros.core.user_code import UserCodeError
+    from taxinet_ros.errors import InfraError, RecordError, UsageError
+    from taxinet_ros.version import __version__ as __version__
 
 __all__ = [
     'AircraftState',
@@ -35,6 +35,7 @@ __all__ = [
     'Counterexample',
     'InfraError',
     'Outcome',
+    'RecordError',
     'Recording',
     'Run',
     'Scenario',
@@ -44,6 +45,7 @@ __all__ = [
     'TaxiCommand',
     'TrackingError',
     'UsageError',
+    'UserCodeError',
     'falsify',
     'load_perception',
     'open_campaign',
@@ -54,17 +56,21 @@ __all__ = [
 ]
 
 _MODULES = {
-    'taxinet_ros.api.campaign': ('Campaign', 'Counterexample', 'open_campaign'),
+    'taxinet_ros.api.campaign': (
+        'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
+    ),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),
     'taxinet_ros.bag.errors': ('BagError',),
-    'taxinet_ros.bag.run.recording': ('Recording', 'open_recording'),
+    'taxinet_ros.bag.run.recording': ('Recording',),
     'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
     'taxinet_ros.core.mtl.specs': ('Spec',),
     'taxinet_ros.core.outcome': ('Outcome',),
     'taxinet_ros.core.scenario': ('Scenario',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
-    'taxinet_ros.errors': ('InfraError', 'UsageError'),
+    'taxinet_ros.core.user_code': ('UserCodeError',),
+    'taxinet_ros.errors': ('InfraError', 'RecordError', 'UsageError'),
+    'taxinet_ros.version': ('__version__',),
 }
 
 

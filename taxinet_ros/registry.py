@@ -20,13 +20,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from taxinet_ros import __version__
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.processes.interrupts import refuse_exits
+from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
 WORLDS, REQUIREMENTS = 'worlds', 'requirements'
 OURS = 'taxinet_ros'
+
+KMWH = 'kmwh'
+"""The world that is shipped: an aircraft on runway 04 of Grant County airport."""
 
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
@@ -49,7 +52,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {'kmwh': 'taxinet_ros.core.world:SimulatedWorld'},
+    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs', ('phi_always', 'phi_eventually', 'on_runway', 'usable')
     ),
@@ -172,7 +175,7 @@ def find(kind: str, name: str) -> Extension | None:
     Raises:
         UsageError: two packages provide it, or it is a name that nobody can be meant by.
     """
-    found = [one for one in _all(kind) if one.name == name]
+    found = [one for one in installed(kind) if one.name == name]
     if not found:
         return None
     if len(found) > 1:
@@ -185,9 +188,26 @@ def find(kind: str, name: str) -> Extension | None:
     return found[0]
 
 
+def origin_words(kind: str, name: str) -> str:
+    """``NAME of PACKAGE VERSION`` for what a package adds; '' for all else, whatever its name."""
+    found = None if name in RESERVED else find(kind, name)
+    if found is None or found.shipped:
+        return ''
+    return f'{found.name} of {found.distribution} {found.version}'
+
+
+def installed(kind: str) -> list[Extension]:
+    """All that have a name in an extension point, what is shipped first, whether usable or not."""
+    ours = [
+        Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
+        for name, target in SHIPPED[kind].items()
+    ]
+    return [*ours, *_foreign(kind)]
+
+
 def names(kind: str) -> list[str]:
     """The names that :func:`find` knows, what is shipped first."""
-    return list(dict.fromkeys(one.name for one in _all(kind)))
+    return list(dict.fromkeys(one.name for one in installed(kind)))
 
 
 def known(kind: str, *more: str) -> str:
@@ -249,14 +269,6 @@ class Extensions(Mapping[str, _T], Generic[_T]):
 
     def __len__(self) -> int:
         return len(names(self._kind))
-
-
-def _all(kind: str) -> list[Extension]:
-    ours = [
-        Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
-        for name, target in SHIPPED[kind].items()
-    ]
-    return [*ours, *_foreign(kind)]
 
 
 def _foreign(kind: str) -> tuple[Extension, ...]:

@@ -34,16 +34,16 @@ from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import SteeringGains, make_controller
+from taxinet_ros.core.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.controller import check_controller as controller_fingerprint
 from taxinet_ros.core.judge import check_specs
 from taxinet_ros.core.mtl import parse_formula, parse_spec, robustness, signal_names
+from taxinet_ros.core.perception.perception import UserPerception, make_perception
 from taxinet_ros.core.perception.perception import check_perception as perception_fingerprint
-from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.core.user_code import UserCodeError
-from taxinet_ros.core.world import Observation, find_world, last_step
+from taxinet_ros.core.user_code import UserCodeError, pair_of_numbers
+from taxinet_ros.core.world import Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
 
 MOST_CTE_M = 100.0
@@ -85,12 +85,13 @@ def check_perception(word: str) -> None:
     For frames (200, 360, 3) uint8 RGB of a runway, and for some that show nothing, it answers each
     with one :class:`.TrackingError` of plain floats, finite and in metres and radians or declared
     invalid; leaves the frame as it is; has nothing to say where it has nothing to go by; and
-    answers equally in each run and in each process.
+    answers equally in each run, whatever runs came before, and in each process. A function that
+    cannot tell says so by None or an estimate that is not ``valid``, never by a NaN.
 
     Raises:
         ContractError: it does not.
     """
-    with _Complaints(f'perception {word}') as complain:
+    with _Complaints('perception', word) as complain:
         found = make_perception(word)
         told = perception_fingerprint(word)
         complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
@@ -101,35 +102,35 @@ def check_perception(word: str) -> None:
             estimate = found.estimate(frame, truth)
             complain.unless(np.array_equal(frame, before), f'writes on frame {number}')
             _check_estimate(complain, number, estimate)
+        if isinstance(found, UserPerception):
+            _check_function(complain, found)
         found.begin()
         complain.unless(
             not found.estimate(None, None).usable, 'has an estimate without frame and truth'
         )
-        answers = _perceive(word)
-        complain.unless(answers == _perceive(word), 'answers differ from one making to the next')
-        complain.unless(answers == _elsewhere(_perceive, word), 'answers differ in a worker')
+        complain.unless_alike(_perceive, word)
 
 
 def check_controller(word: str) -> None:
     """See that a controller can take part in runs.
 
     It answers every estimate, also one that is not usable, with one :class:`.TaxiCommand` of finite
-    numbers: a nose-wheel angle in radians, left positive, and a speed of 0 m/s or more; and equally
-    in each run and in each process.
+    numbers: a nose-wheel angle in radians, left positive, and a speed of 0 m/s or more; does not
+    steer away from the centreline from either side, nor turn further away from its direction; and
+    answers equally in each run, whatever runs came before, and in each process.
 
     Raises:
         ContractError: it does not.
     """
-    with _Complaints(f'controller {word}') as complain:
+    with _Complaints('controller', word) as complain:
         found = make_controller(word, SteeringGains())
         told = controller_fingerprint(word)
         complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
         found.begin()
         for estimate in (*_TRUTHS, *_UNUSABLE):
             _check_command(complain, estimate, found.command(estimate))
-        answers = _steer(word)
-        complain.unless(answers == _steer(word), 'answers differ from one making to the next')
-        complain.unless(answers == _elsewhere(_steer, word), 'answers differ in a worker')
+        _check_signs(complain, found)
+        complain.unless_alike(_steer, word)
 
 
 def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
@@ -149,7 +150,7 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     Raises:
         ContractError: it does not.
     """
-    with _Complaints(f'sampler {name}') as complain:
+    with _Complaints('sampler', name) as complain:
         kind = SAMPLERS.get(name)
         complain.unless(kind is not None, 'is not installed')
         complain.unless(bool(kind and kind.meaning), 'does not say what it does (meaning)')
@@ -178,9 +179,8 @@ def check_world(name: str) -> None:
     Raises:
         ContractError: it does not.
     """
-    with _Complaints(f'world {name}') as complain:
+    with _Complaints('world', name) as complain:
         world = find_world(name).make(_SCENE)
-        complain.unless(world.last_seq == last_step(_SCENE), 'last_seq is not of the scenario')
         for seq in range(world.last_seq + 1):
             now = world.observe()
             _check_observation(complain, seq, now)
@@ -211,7 +211,7 @@ def check_requirement(name: str) -> None:
     Raises:
         ContractError: it does not.
     """
-    with _Complaints(f'requirement {name}') as complain:
+    with _Complaints('requirement', name) as complain:
         spec = parse_spec(name)
         complain.unless(spec.name == name, f'is named {spec.name}')
         complain.unless(parse_formula(spec.text) == spec.formula, 'is not read back as written')
@@ -228,8 +228,10 @@ def check_requirement(name: str) -> None:
 class _Complaints:
     """A context in which what is refused by anything becomes a complaint about one extension."""
 
-    def __init__(self, who: str) -> None:
-        self._who = who
+    def __init__(self, kind: str, name: str) -> None:
+        self._who = f'{kind} {name}'
+        if not isinstance(name, str):
+            raise ContractError(f'{self._who}: expected its name, got {type(name).__name__}')
 
     def __enter__(self) -> _Complaints:
         return self
@@ -237,11 +239,27 @@ class _Complaints:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, UsageError | UserCodeError | InfraError | ValueError):
             raise ContractError(f'{self._who}: {error}') from error
+        if isinstance(error, Exception) and not isinstance(error, ContractError):
+            raise ContractError(f'{self._who}: {type(error).__name__}: {error}') from error
 
     def unless(self, fine: bool, what: str) -> None:
         """Complain unless all is well."""
         if not fine:
             raise ContractError(f'{self._who}: {what}')
+
+    def unless_alike(self, work: Callable[..., list[Any]], word: str) -> None:
+        """Complain unless answers are the same however often it is made, and wherever it runs."""
+        answers = work(word)
+        self.unless(answers == work(word), 'answers differ from one making to the next')
+        after_others = work(word, True)
+        self.unless(
+            answers == after_others,
+            'answers depend on earlier runs: keep what it remembers in what is made for each run, '
+            'or forget it in reset()',
+        )
+        self.unless(
+            answers == _elsewhere(work, word, True), 'answers differ in a worker, after other runs'
+        )
 
 
 @functools.cache
@@ -275,6 +293,43 @@ def _check_estimate(complain: _Complaints, number: int, estimate: TrackingError)
         abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi,
         f'answers frame {number} with {estimate}: in metres and radians?',
     )
+
+
+def _check_function(complain: _Complaints, found: UserPerception) -> None:
+    """What somebody's function itself answers, of which runs take only what is usable."""
+    look = found.code.make()
+    for number, (frame, truth) in enumerate(_sights()):
+        given = frame.copy()
+        with found.code.running(UsageError):
+            answer = look(given if found.needs_image else truth)
+        complain.unless(
+            np.array_equal(given, frame), f'writes on frame {number}; let it write on a copy'
+        )
+        declared = isinstance(answer, TrackingError) and not answer.valid
+        pair = (answer.cte_m, answer.he_rad) if isinstance(answer, TrackingError) else answer
+        numbers = None if declared or answer is None else pair_of_numbers(pair)
+        complain.unless(
+            numbers is None or all(map(math.isfinite, numbers)),
+            f'answers frame {number} with {answer}, no two finite floats; where it cannot tell it '
+            'has to say None',
+        )
+
+
+def _check_signs(complain: _Complaints, found: Controller) -> None:
+    """A controller whose signs are swapped leaves the runway in each run, and no error is seen."""
+    for cte_m, he_rad, where in (
+        (5.0, 0.0, 'left of the centreline'), (0.0, 0.35, 'with its nose to the left'),
+    ):
+        angles_rad = []
+        for side in (1.0, -1.0):
+            found.begin()
+            estimate = TrackingError(cte_m=side * cte_m, he_rad=side * he_rad)
+            angles_rad.append(found.command(estimate).steering_rad)
+        complain.unless(
+            not angles_rad[0] > 0 > angles_rad[1],
+            f'steers by {angles_rad[0]:+.3g} rad, to the left, where it is {where}: positive is '
+            'left, for errors and for the nose wheel',
+        )
 
 
 def _check_command(complain: _Complaints, estimate: TrackingError, command: TaxiCommand) -> None:
@@ -355,17 +410,25 @@ def _plain(now: Observation) -> list[Any]:
 # What is done here and in a worker; numbers in JSON are exact.
 
 
-def _perceive(word: str) -> list[Any]:
+def _perceive(word: str, after_others: bool = False) -> list[Any]:
     found = make_perception(word)
+    if after_others:
+        found.begin()
+        for frame, truth in reversed(_sights()):
+            found.estimate(frame, truth)
     found.begin()
     answers = [found.estimate(frame, truth) for frame, truth in _sights()]
     return [[repr(value) for value in dataclasses.astuple(answer)] for answer in answers]
 
 
-def _steer(word: str) -> list[Any]:
-    found = make_controller(word, SteeringGains())
+def _steer(word: str, after_others: bool = False) -> list[Any]:
+    found, estimates = make_controller(word, SteeringGains()), (*_TRUTHS, *_UNUSABLE, *_TRUTHS)
+    if after_others:
+        found.begin()
+        for estimate in reversed(estimates):
+            found.command(estimate)
     found.begin()
-    answers = [found.command(estimate) for estimate in (*_TRUTHS, *_UNUSABLE, *_TRUTHS)]
+    answers = [found.command(estimate) for estimate in estimates]
     return [list(dataclasses.astuple(answer)) for answer in answers]
 
 

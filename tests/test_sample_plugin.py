@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -96,15 +98,28 @@ def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
     assert facts['extensions']['samplers']['name'] == 'corners'
     more = taxinet(site, *options, '--runs', '4', '--resume', cwd=tmp_path)
     assert more.returncode in (0, 1), more.stderr
-    with (site / 'taxinet_sample.py').open('a') as file:
-        file.write('\n# changed\n')
-    try:
+    with changed_text(site / 'taxinet_sample.py', lambda text: f'{text}\n# changed\n'):
         changed = taxinet(site, *options, '--runs', '5', '--resume', cwd=tmp_path)
-    finally:
-        text = (site / 'taxinet_sample.py').read_text()
-        (site / 'taxinet_sample.py').write_text(text.removesuffix('\n# changed\n'))
     assert changed.returncode == 2
-    assert 'was begun with extensions' in changed.stderr
+    told = facts['extensions']['samplers']['sha256'][:12]
+    assert (f'f was begun with sampler corners of taxinet-sample 0.1.0 (sha256 {told}…), which is '
+            'now of taxinet-sample 0.1.0 (sha256 ') in changed.stderr
+    assert changed.stderr.count(told) == 1
+    gone = taxinet(tmp_path, *options, '--runs', '5', '--resume', cwd=tmp_path)
+    assert gone.returncode == 2
+    assert (f'in f it was sampler corners of taxinet-sample 0.1.0 (sha256 {told}…), which is not '
+            'installed any more') in gone.stderr
+
+
+@contextlib.contextmanager
+def changed_text(path: Path, change: Callable[[str], str]) -> Iterator[None]:
+    """A file of the package as it is not meant to be; afterwards it is as before."""
+    before = path.read_text()
+    path.write_text(change(before))
+    try:
+        yield
+    finally:
+        path.write_text(before)
 
 
 def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of_there(
@@ -121,6 +136,49 @@ assert (there.steps[1].observation.state.z_m, list(there.rho)) == (1.55, ["gentl
 """
     done = python(site, '-c', code, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_follows_is_of_there(
+    site: Path, tmp_path: Path
+) -> None:
+    options = ('falsify', 'nominal', '--world', 'bicycle', '--perception', 'truth', '--spec',
+               'always(abs(cte) <= 0.01 m)', '--sampler', 'random', '--set', 'duration=1',
+               '--set', 'cross_track=2', '--out', 'f')
+    done = taxinet(site, *options, '--runs', '1', cwd=tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert 'world bicycle' in done.stdout
+    facts = json.loads((tmp_path / 'f' / 'campaign.json').read_text())
+    assert facts['world'] == facts['extensions']['worlds']['name'] == 'bicycle'
+    [bag] = [path for path in (tmp_path / 'f').iterdir() if (path / 'metadata.yaml').exists()]
+    info = taxinet(site, 'bag', 'info', str(bag), cwd=tmp_path)
+    assert 'world      bicycle of taxinet-sample 0.1.0, sha256 ' in info.stdout
+    elsewhere = [word for word in options if word not in ('--world', 'bicycle')]
+    other = taxinet(site, *elsewhere, '--runs', '2', '--resume', cwd=tmp_path)
+    assert other.returncode == 2
+    assert 'was begun with world "bicycle", not "kmwh"' in other.stderr
+    more = taxinet(site, *options, '--runs', '2', '--resume', '--workers', '2', cwd=tmp_path)
+    assert more.returncode == 1, more.stdout + more.stderr
+    # Made once more: in its own world, of which the bag tells.
+    again = taxinet(site, 'run', '--from', str(bag), cwd=tmp_path)
+    assert again.returncode == 0, again.stdout + again.stderr
+    shrunk = taxinet(site, 'shrink', str(bag), '--runs', '8', '--out', 's', cwd=tmp_path)
+    assert '--world bicycle' in shrunk.stdout, shrunk.stdout + shrunk.stderr
+    assert json.loads((tmp_path / 's' / 'campaign.json').read_text())['world'] == 'bicycle'
+    why = taxinet(site, 'localize', 'f', '--workers', '1', cwd=tmp_path)
+    assert why.returncode in (0, 1), why.stdout + why.stderr
+    assert 'another one' not in why.stdout
+
+
+def test_given_a_world_where_it_has_no_effect_then_it_is_refused_by_name(
+    site: Path, tmp_path: Path
+) -> None:
+    done = taxinet(site, 'run', '--from', 'bag', '--world', 'bicycle', cwd=tmp_path)
+    assert (done.returncode, 'already says --world' in done.stderr) == (2, True)
+    for command in ('run', 'falsify', 'up'):
+        words = () if command == 'up' else ('nominal',)
+        done = taxinet(site, command, *words, '--world', 'mars', cwd=tmp_path)
+        assert done.returncode == 2
+        assert "world: 'mars' is unknown; known: kmwh, bicycle" in ' '.join(done.stderr.split())
 
 
 def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_known(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from plugins import lay_down
@@ -53,6 +55,18 @@ PERCEPTIONS = {
     'hash order': ('return hash("a") / 2**60, 0.0', 'differ in a worker'),
     'three numbers': ('return 0, 0, 0', 'expected a pair'),
     'failure': ('return 1 / 0', 'ZeroDivisionError'),
+    'NaN': ('return float("nan"), 0.0', r'answers frame 0 with \(nan, 0.0\).*has to say None'),
+    'NaN within': (
+        'from taxinet_ros.core.types import TrackingError as E; return E(cte_m=1.0, he_rad=1e999)',
+        'no two finite floats; where it cannot tell it has to say None',
+    ),
+    'texts': ('return "0.1", "0.2"', 'expected a pair'),
+    'one text': ('return "12"', 'expected a pair'),
+    'writes': ('image[:] = 0; return 0.1, 0.2', 'writes on frame 0; let it write on a copy'),
+    'counts': (
+        'global COUNT; COUNT = globals().get("COUNT", 0) + 1; return COUNT / 100, 0.0',
+        'answers depend on earlier runs',
+    ),
 }
 
 
@@ -66,11 +80,53 @@ def test_given_a_wrong_perception_when_checked_then_it_is_told_how(
         check_perception(f'{tmp_path}/mine.py:look')
 
 
+SAYS_THAT_IT_CANNOT_TELL = {
+    'None': 'return None',
+    'not valid': 'return TrackingError(cte_m=float("nan"), he_rad=0.0, valid=False)',
+    'at times': 'return (0.1, 0.2) if image.mean() > 100 else None',
+    'numbers of numpy': 'import numpy; return numpy.float32([0.1, 0.2])',
+}
+
+
+@pytest.mark.parametrize('case', SAYS_THAT_IT_CANNOT_TELL)
+def test_given_a_perception_that_says_so_where_it_cannot_tell_when_checked_then_it_passes(
+    case: str, tmp_path: Path
+) -> None:
+    head = 'from taxinet_ros.core.types import TrackingError\n\ndef look(image):\n'
+    (tmp_path / 'mine.py').write_text(f'{head}    {SAYS_THAT_IT_CANNOT_TELL[case]}\n')
+    check_perception(f'{tmp_path}/mine.py:look')
+
+
+def test_given_a_package_that_remembers_the_first_frame_when_checked_then_it_is_told(
+    site: Path,
+) -> None:
+    code = (
+        'FIRST = []\n\ndef look(image):\n    FIRST.append(float(image.mean()))\n'
+        '    return FIRST[0] / 100, 0.0\n'
+    )
+    lay_down(site, 'first-sight', code, perceptions='first = look')
+    with pytest.raises(ContractError, match='perception first: answers differ in a worker, after'):
+        check_perception('first')
+
+
 CONTROLLERS = {
     'degrees': ('return 20.0, 5.0', 'in radians and m/s'),
     'backwards': ('return 0.0, -1.0', 'no aircraft can follow'),
     'passes NaN on': ('return -estimate.cte_m, 5.0', 'no aircraft can follow|in radians'),
     'no command': ('return None', 'expected a pair'),
+    'texts': ('return "0.1", "5"', 'expected a pair'),
+    'signs swapped': (
+        'return (0.05 * estimate.cte_m if estimate.usable else 0.0), 5.0',
+        r'steers by \+0.25 rad, to the left, where it is left of the centreline',
+    ),
+    'heading swapped': (
+        'return (estimate.he_rad - 0.1 * estimate.cte_m if estimate.usable else 0.0), 5.0',
+        'to the left, where it is with its nose to the left',
+    ),
+    'counts': (
+        'global COUNT; COUNT = globals().get("COUNT", 0) + 1; return COUNT / 1000, 5.0',
+        'answers depend on earlier runs',
+    ),
     'chance': ('import random; return random.random(), 5.0', 'differ from one making'),
 }
 
@@ -134,11 +190,21 @@ WORLDS = {
     'fails': ('1 / 0', 'world .* of world-fails 1.2: .*ZeroDivisionError'),
     'stands': ('pass', 'observed step 0, expected 1'),
 }
+MADE = {
+    'ends_early': ('self.last_seq -= 1', 'last_seq is 9; the scenario ends at step 10'),
+    'endless': ('del self.last_seq', 'AttributeError.*last_seq'),
+    'sees_nothing': ('self.observe = lambda picture=True: None', 'observed NoneType'),
+    'lists': (
+        'self.observe = lambda picture=True: dataclasses.replace(self.inner.observe(), image=[1])',
+        'the picture is list, no array',
+    ),
+}
 
 
-@pytest.mark.parametrize('case', WORLDS)
+@pytest.mark.parametrize('case', [*WORLDS, *MADE])
 def test_given_a_wrong_world_when_checked_then_it_is_told_how(case: str, site: Path) -> None:
-    body, said = WORLDS[case]
+    body, said = WORLDS.get(case, ('self.inner.advance(command); self.seq += 1', ''))
+    made, said = MADE.get(case, ('pass', said))
     code = f"""
 import dataclasses
 from taxinet_ros.core.world import SimulatedWorld
@@ -147,6 +213,7 @@ class Wrong:
     def __init__(self, scenario, *, pictures=True):
         self.inner, self.seq = SimulatedWorld(scenario, pictures=pictures), 0
         self.last_seq = self.inner.last_seq
+        {made}
     def observe(self, *, picture=True):
         seen = self.inner.observe(picture=picture)
         return dataclasses.replace(seen, seq=self.seq, stamp_ns=self.seq * 100_000_000)
@@ -164,6 +231,17 @@ def test_given_requirements_that_cannot_judge_when_checked_then_it_is_told_how(s
         check_requirement('late')
     with pytest.raises(ContractError, match=r'requirement nobody: .*unknown name'):
         check_requirement('nobody')
+
+
+@pytest.mark.parametrize('check', [
+    check_perception, check_controller, check_sampler, check_world, check_requirement,
+])
+@pytest.mark.parametrize('word', [None, 3])
+def test_given_no_name_when_checked_then_that_is_said(
+    check: Callable[[Any], None], word: Any
+) -> None:
+    with pytest.raises(ContractError, match=rf'\w+ {word}: expected its name, got '):
+        check(word)
 
 
 def test_given_the_kit_when_imported_then_pytest_is_not_needed() -> None:

@@ -9,12 +9,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taxinet_ros.arguments import PATH, takes
+from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.run import recording
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.past_runs import recorded_campaign
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import ProgramRate
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,6 +120,7 @@ class Campaign:
         return f'<Campaign {self.folder}: {len(self.recorded.rows)} runs>'
 
 
+@takes(path=PATH)
 def open_campaign(path: str | os.PathLike[str]) -> Campaign:
     """Read a campaign's folder; one that is under way gives the runs so far.
 
@@ -123,4 +130,32 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
     Raises:
         UsageError: it is no campaign, or its ledger is damaged.
     """
-    return Campaign(recorded=recorded_campaign.open_campaign(Path(path)))
+    folder = Path(path)
+    if not (folder / LEDGER_NAME).is_file():
+        if folder.suffix == f'.{STORAGE_ID}' or any(folder.glob(f'*.{STORAGE_ID}')):
+            raise UsageError(f'{folder}: a bag, no campaign; open it with tx.open_recording')
+        if not folder.exists():
+            raise UsageError(f'{folder}: no such folder; give that of a campaign')
+    return Campaign(recorded=recorded_campaign.open_campaign(folder))
+
+
+@takes(path=PATH)
+def open_recording(path: str | os.PathLike[str]) -> Recording:
+    """Open a bag, of one run or of several; its messages are read, in one pass.
+
+    Damage is no error here: what is sound is there, see :attr:`Recording.damage`.
+
+    Args:
+        path: a bag's folder or an ``.mcap`` file.
+
+    Raises:
+        UsageError: there is nothing at ``path``, it is a campaign, or a format that is not read.
+        BagError: there is nothing in it, it is no ROS 2 bag, or it cannot be read.
+    """
+    folder = Path(path)
+    if (folder / LEDGER_NAME).is_file():
+        raise UsageError(
+            f'{folder}: a campaign, no bag; open it with tx.open_campaign, or one of the folders '
+            'in it'
+        )
+    return recording.open_recording(folder)

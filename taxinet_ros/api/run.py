@@ -7,43 +7,96 @@ controller and requirements give the same trace, frames and robustness in both.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import os
+import re
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.arguments import (
+    FINITE,
+    FLAG,
+    NUMBER,
+    PATH,
+    TABLE,
+    TEXT,
+    TEXTS,
+    WHOLE,
+    WORD,
+    Kind,
+    a,
+    says_parameters,
+    takes,
+    told,
+)
+from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import STEERING, Controller, SteeringGains, make_controller
-from taxinet_ros.core.judging import parse_stop_on
-from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.mtl import offline
+from taxinet_ros.core.controller import (
+    STEERING,
+    Controller,
+    SteeringGains,
+    SteeringLaw,
+    UserController,
+    make_controller,
+)
+from taxinet_ros.core.judge import Judgement, check_specs
+from taxinet_ros.core.judging import Judging, parse_stop_on
+from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
+from taxinet_ros.core.mtl import offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
-from taxinet_ros.core.mtl.specs import Spec, parse_spec
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.mtl.lexer import RESERVED
+from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
+from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
+from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
+    GroundTruth,
+    NetworkPerception,
     Perception,
+    UserPerception,
     make_perception,
     read_estimate,
 )
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
+from taxinet_ros.core.topics import PARTICIPANTS
+from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _MOST_S = 1e9
+_DRAWS = 0, 0
+"""Seed and index by which a run that nobody numbers draws its latencies."""
+_SCENARIO = a('a tx.Scenario', Scenario)
+_POSE = Kind(
+    'None, (x_m, cte_m, he_rad) as finite numbers, or a tx.AircraftState of them',
+    lambda pose: pose is None or all(map(FINITE.has, dataclasses.astuple(pose)))
+    if pose is None or isinstance(pose, AircraftState)
+    else isinstance(pose, tuple | list | np.ndarray) and len(pose) == 3
+    and all(map(FINITE.has, pose)),
+)
+_NEEDS_GRAPH: Mapping[str, str] = MappingProxyType(dict.fromkeys(
+    ('free', 'real_time_factor', 'participants', 'foxglove', 'processes'),
+    'needs the graph of nodes; type taxinet run',
+))
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
 """A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. One with an attribute
@@ -60,28 +113,58 @@ class Run:
         scenario: initial condition and environment.
         perception: word of what estimated; ``python`` for a function.
         fingerprint: SHA-256 of its weights or file; '' for the truth and for a function given.
-        specs: the requirements, the headline first.
-        outcome: PASS, FAIL, or INFRA_ERROR where a sample could not be judged (a formula read an
-            estimate that was not there).
-        rho: robustness by the name of the requirement, in the unit of the predicate that decides;
-            > 0 satisfies it. An interval of some width is of a run that was stopped early, or that
-            could not be judged.
-        stopped_early: whether the run ended before its end because that was decided.
-        statistics: how far off, when settled, how wrong the estimates.
+        judging: what decided its outcome: requirements, rule to stop, what was vouched for.
+        timing: when answers took effect.
         steps: its control steps, without their frames.
-        make_world: makes the world that it took place in.
+        judgement: what the judge said at its end.
+        world: what it took place in.
+        nodes: what perception, controller and world would say of themselves as nodes of a graph.
     """
 
     scenario: Scenario
     perception: str
     fingerprint: str
-    specs: tuple[Spec, ...]
-    outcome: Outcome
-    rho: Mapping[str, RobustnessInterval]
-    stopped_early: bool
-    statistics: RunStatistics
+    judging: Judging
+    timing: Timing
     steps: tuple[Step, ...]
-    make_world: WorldMaker = SimulatedWorld
+    judgement: Judgement = field(repr=False)
+    world: ChosenWorld = field(repr=False)
+    nodes: tuple[NodeWords, ...] = field(repr=False)
+
+    @cached_property
+    def specs(self) -> tuple[Spec, ...]:
+        """The requirements, the headline first."""
+        return self.judging.parsed_specs
+
+    @property
+    def outcome(self) -> Outcome:
+        """PASS or FAIL; INFRA_ERROR where a sample could not be judged: :attr:`detail` says why."""
+        return outcome_of(self.judgement)
+
+    @cached_property
+    def detail(self) -> str:
+        """Why it could not be judged, in a line; '' where it was."""
+        return '' if self.outcome.judged else self._why_not_judged()
+
+    @cached_property
+    def rho(self) -> Mapping[str, RobustnessInterval]:
+        """Robustness by the name of the requirement, in the unit of the predicate that decides.
+
+        > 0 satisfies it. An interval of some width is of a run that was stopped early, or that
+        could not be judged.
+        """
+        readings = zip(self.specs, self.judgement.readings, strict=True)
+        return {spec.name: reading.interval for spec, reading in readings}
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether the run ended before its end because that was decided."""
+        return self.judgement.stopped_early
+
+    @property
+    def statistics(self) -> RunStatistics:
+        """How far off, when settled, how wrong the estimates."""
+        return self.judgement.statistics
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -94,6 +177,7 @@ class Run:
         """
         return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
+    @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
         """What the camera saw at a control step, (200, 360, 3) uint8 RGB.
 
@@ -102,7 +186,10 @@ class Run:
         """
         if not 0 <= seq < len(self.steps):
             raise UsageError(f'run: no control step {seq}; it has 0 to {len(self.steps) - 1}')
-        return next(self._driven_again(lambda now: now == seq))
+        found = next(picture for now, picture in self._driven_again((seq,)) if now == seq)
+        if found is None:
+            raise UsageError(f'run: world {self.world.name} gave no picture at step {seq}')
+        return found
 
     def frames(self) -> Iterator[Frame]:
         """What the camera saw, a frame for each control step in order; each is made when asked for.
@@ -110,23 +197,69 @@ class Run:
         Frames are not kept (216 kB each): the aircraft is driven again by the run's commands, which
         gives every byte as it was.
         """
-        return self._driven_again(lambda now: True)
+        driven = self._driven_again(range(len(self.steps)))
+        return (picture for _, picture in driven if picture is not None)
+
+    @takes(path=PATH, images=FLAG)
+    def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
+        """Save the run as a bag, which every ``taxinet`` command and ``tx.open_recording`` reads.
+
+        Its messages are those of the bag that the graph records of the same run, to the byte.
+
+        Args:
+            path: folder of the bag, named as the run; it must not exist.
+            images: whether camera frames go in; they are made again, and are most of a bag.
+
+        Returns:
+            The folder.
+
+        Raises:
+            UsageError: there is something at ``path``, or its name can be none of a run.
+            BagError: the disk refuses; nothing is left of the bag then.
+        """
+        folder = Path(path)
+        status = RunEnding(
+            outcome=self.outcome, perception=self.perception, fingerprint=self.fingerprint,
+            **({} if self.outcome.judged else NOT_JUDGED),
+        )
+        driven = self._driven_again(range(len(self.steps)))
+        write_run(
+            folder,
+            RunRequest(
+                run_id=folder.name, index=_DRAWS[1], program='', seed=_DRAWS[0],
+                scenario=self.scenario, judging=self.judging, participants=PARTICIPANTS,
+            ),
+            nodes=self.nodes, steps=self.steps, judgement=self.judgement, ending=status,
+            frames=(picture for _, picture in driven) if images else None,
+        )
+        return folder
 
     def __repr__(self) -> str:
         known = ', '.join(f'{name}: {interval.words()}' for name, interval in self.rho.items())
-        return f'<Run {self.outcome}, {len(self.steps)} steps, {known}>'
+        return f'<Run {self.outcome}, {len(self.steps)} steps, {self.detail or known}>'
 
-    def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        world = self.make_world(self.scenario)
+    def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
+        """Number and picture of each step; a picture where it is wanted and there is one."""
+        world = self.world.make(self.scenario)
+        commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
         for step in self.steps:
-            asked = wanted(step.observation.seq)
-            now = world.observe(picture=asked)
-            if asked and now.image is not None:
-                yield now.image
+            now = world.observe(picture=step.observation.seq in wanted)
+            yield now.seq, now.image
             if step is not self.steps[-1]:
-                world.advance(step.command)
+                world.advance(commands.at(now.seq, step.command))
+
+    def _why_not_judged(self) -> str:
+        for step in self.steps:
+            sample = step.sample
+            for spec, reading in zip(self.specs, step.readings, strict=True):
+                for name in () if reading.valid else signal_names(spec.formula):
+                    if not math.isfinite(sample.get(name, 0.0)):
+                        t_s = step.observation.stamp_ns / NS_PER_S
+                        return f'{spec.name} reads {name}, which is {sample[name]:g} at {t_s:g} s'
+        return NOT_JUDGED['detail']
 
 
+@takes(word_or_file=WORD)
 def load_perception(word_or_file: str) -> Perception:
     """A perception, loaded once for many runs.
 
@@ -144,11 +277,17 @@ def load_perception(word_or_file: str) -> Perception:
     return make_perception(word_or_file)
 
 
+@takes(
+    _NEEDS_GRAPH, scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS,
+    world=WORD,
+)
+@says_parameters
 def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
     specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS, stop_on: str = 'never',
-    world: str = KMWH,
+    bounds: str | Sequence[str] = (), rates: str | Sequence[str] = (),
+    latency: str | Sequence[str] = (), world: str = KMWH,
 ) -> Run:
     """Run one scenario to its end, in this process.
 
@@ -161,6 +300,11 @@ def run(
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
             :class:`Spec`; the first is the headline.
         stop_on: ``never``, or end as soon as the headline is ``violated`` or all is ``decided``.
+        bounds: what is vouched for of signals, such as ``cte=-25:25``, in the signal's unit; it
+            narrows intervals before the end.
+        rates: of their change per second, such as ``cte=3``.
+        latency: how late answers take effect [s], such as ``perception=0.15`` or
+            ``controller=uniform(0.1,0.3)``; other draws with ``draws=SEED.INDEX`` behind it.
         world: ``kmwh``, the simulated one, or what a package adds (docs/extending.md).
 
     Returns:
@@ -172,8 +316,14 @@ def run(
         UserCodeError: a function in a file failed; what a function given here raises comes through.
         InfraError: the simulator failed.
     """
-    eyes, make_world = _perception(perception), find_world(world).make
-    asked = tuple(map(parse_spec, spec_texts(specs)))
+    eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
+    judging = Judging(
+        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=_texts(bounds),
+        rates=_texts(rates),
+    )
+    timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
+    asked = judging.parsed_specs
+    check_specs(asked, scenario.duration_s)
     steps: list[Step] = []
 
     def keep(step: Step) -> None:
@@ -181,21 +331,56 @@ def run(
         steps.append(dataclasses.replace(step, observation=seen))
 
     judgement = run_closed_loop(
-        scenario, eyes, specs=asked, controller=_controller(controller),
-        stop_on=parse_stop_on(stop_on), on_step=keep, make_world=make_world,
+        scenario, eyes, specs=asked, controller=hands, stop_on=judging.stop_on,
+        assumptions=assumptions, on_step=keep, timing=timing, draws=_DRAWS, make_world=chosen.make,
     )
     return Run(
-        scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, specs=asked,
-        outcome=outcome_of(judgement),
-        rho={
-            spec.name: reading.interval
-            for spec, reading in zip(asked, judgement.readings, strict=True)
-        },
-        stopped_early=judgement.stopped_early, statistics=judgement.statistics, steps=tuple(steps),
-        make_world=make_world,
+        scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, judging=judging,
+        timing=timing, steps=tuple(steps), judgement=judgement, world=chosen,
+        nodes=_node_words(eyes, hands, chosen, timing),
     )
 
 
+def _node_words(
+    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
+) -> tuple[NodeWords, ...]:
+    """What the nodes of a graph say of themselves for such a run, as their bags have it."""
+    usual = dataclasses.asdict(SteeringGains())
+    tuned = {
+        name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
+    } if isinstance(hands, SteeringLaw) else {}
+    seen = topics.IMAGE if eyes.needs_image else topics.TRUTH
+    heard = topics.ODOMETRY, topics.TRUTH, topics.ESTIMATE, topics.COMMAND
+    nodes = [
+        NodeWords(
+            node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
+            listens=(topics.SCENARIO.name, seen.name),
+        ),
+        NodeWords(
+            node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
+            implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
+            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
+        ),
+        NodeWords(
+            node=topics.MTL_MONITOR,
+            listens=(topics.SCENARIO.name, *(topic.name for topic in heard)),
+        ),
+        NodeWords(node=topics.RECORDER),
+    ]
+    detail = '' if world.name == KMWH else world.name
+    if timing.words or detail:
+        nodes.append(NodeWords(
+            node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,
+            detail=detail,
+        ))
+    return tuple(nodes)
+
+
+def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
+    return (words,) if isinstance(words, str) else tuple(words)
+
+
+@takes(scenario=_SCENARIO, pose=_POSE, t_s=NUMBER)
 def render(
     scenario: Scenario, pose: AircraftState | tuple[float, float, float] | None = None, *,
     t_s: float = 0.0,
@@ -221,7 +406,7 @@ def render(
     if not isinstance(pose, AircraftState):
         start = scenario
         if pose is not None:
-            x_m, cte_m, he_rad = pose
+            x_m, cte_m, he_rad = map(float, pose)
             start = dataclasses.replace(
                 scenario, distance_m=x_m, cross_track_m=cte_m, heading_rad=he_rad
             )
@@ -229,6 +414,8 @@ def render(
     return Camera(scenario).render(pose, round(t_s * NS_PER_S))
 
 
+@takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
+@says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, whose last row is taken for its end.
 
@@ -237,7 +424,9 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         trace: a row per sample, in time. ``t_ns`` (integer nanoseconds) or else ``t_s`` says when.
             A formula reads the signals ``cte``, ``he``, ``x``, ``speed``, ``steering``,
             ``cte_estimate``, ``he_estimate``, ``estimate_gap`` and ``unusable_share`` of the
-            columns of :attr:`Run.trace`, and any column with numbers by its own name.
+            columns of :attr:`Run.trace`, which are in SI units and radians, and any column with
+            numbers by its own name, in whatever unit it has. Where ``attrs['units']`` says another
+            unit of a signal's column, it is refused.
 
     Returns:
         Signed distance from violation, in the unit of the predicate that decides; > 0 is satisfied.
@@ -252,9 +441,37 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if trace[name].dtype.kind in 'biuf'
     }
     signals = trace_signals(stamps_ns, numbers)
-    signals |= {name: column for name, column in numbers.items() if name.isidentifier()}
+    signals |= {
+        name: column for name, column in numbers.items()
+        if name.isidentifier() and name not in RESERVED
+    }
+    _check_read(spec, trace, signals)
     asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
     return offline.robustness(asked.formula, stamps_ns, signals)
+
+
+def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any]) -> None:
+    """Name columns that a formula reads and that hold no numbers: to its parser they are not there.
+
+    Raises:
+        UsageError: there is one, or a signal's column is in another unit than the signal.
+    """
+    text = spec.text if isinstance(spec, Spec) else SHIPPED[spec].text if spec in SHIPPED else spec
+    read = set(re.findall(r'[^\W\d]\w*', text))
+    for name in trace.columns:
+        if str(name) in read and str(name) not in {*signals, *RESERVED}:
+            kind = getattr(trace[name], 'dtype', 'several columns')
+            raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds {kind}, no '
+                             'numbers')
+    units = trace.attrs.get('units')
+    if not isinstance(units, Mapping):
+        return
+    for name, column in SIGNAL_COLUMNS.items():
+        unit = units.get(column, SIGNALS[name])
+        if name in read and column in trace.columns and unit != SIGNALS[name]:
+            raise UsageError(
+                f'trace: column {column} is in {unit}; signal {name} is in {SIGNALS[name]}'
+            )
 
 
 def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
@@ -290,7 +507,7 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
     asked = (specs,) if isinstance(specs, str | Spec) else specs
     if not isinstance(asked, list | tuple) or not all(isinstance(one, str | Spec) for one in asked):
         raise UsageError(
-            f'specs: got {specs!r:.60}; expected a requirement or a list of them, each a text, as '
+            f'specs: got {told(specs)}; expected a requirement or a list of them, each a text, as '
             'in specs=["phi_always", "slow=always(speed <= 6)"]'
         )
     if not asked:
@@ -301,49 +518,71 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
 def _perception(given: str | Perception | Look) -> Perception:
     if isinstance(given, str):
         return make_perception(given)
-    if hasattr(given, 'estimate'):
-        return cast('Perception', given)
-    if callable(given):
-        return _FunctionPerception(given)
-    raise UsageError(f'perception: {given!r:.60} is neither a word, a perception nor a function')
+    if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
+        return given
+    _check_answering('perception', given, 'estimate', 2)
+    return _FunctionPerception(given)
 
 
 def _controller(given: str | Controller | Steer) -> Controller:
     if isinstance(given, str):
         return make_controller(given, SteeringGains())
-    if hasattr(given, 'command'):
-        return cast('Controller', given)
-    if callable(given):
-        return _FunctionController(given)
-    raise UsageError(f'controller: {given!r:.60} is neither a word, a controller nor a function')
+    if isinstance(given, SteeringLaw | UserController):
+        return given
+    _check_answering('controller', given, 'command', 1)
+    return _FunctionController(given)
 
 
-def _reset(function: object) -> None:
-    reset = getattr(function, 'reset', None)
-    if reset is not None:
-        reset()
+def _check_answering(name: str, given: Any, method: str, arguments: int) -> None:
+    """See that it is a function of one argument, or has a method that answers."""
+    answer, count = getattr(given, method, None), arguments
+    if answer is None:
+        answer, count = given, 1
+    if isinstance(given, type) or not callable(answer):
+        told_words = given if isinstance(given, int | float) else told(given)
+        raise UsageError(f'{name}: {told_words} is neither a word, a {name} nor a function')
+    try:
+        inspect.signature(answer).bind(*range(count))
+    except TypeError as error:
+        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {error}') from None
+    except ValueError:  # of what is compiled nobody knows
+        pass
 
 
-class _FunctionPerception(Perception):
-    """A function of the caller's, called as one in a file is; what it raises comes through."""
+class _Function:
+    """A function of the caller's, or his own object; what it raises comes through."""
 
-    word = IMPLEMENTATION
-    fingerprint = ''
+    def __init__(self, given: Any) -> None:
+        self.word = str(getattr(given, 'word', IMPLEMENTATION))
+        self.fingerprint = str(getattr(given, 'fingerprint', ''))
+        self._given = given
 
-    def __init__(self, look: Look) -> None:
-        self._look = look
-        self.needs_image = bool(getattr(look, 'needs_image', True))
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Have it forget the run before, if it has a ``begin()`` or ``reset()``."""
+        for name in ('begin', 'reset'):
+            forget = getattr(self._given, name, None)
+            if forget is not None:
+                forget()
+                return
 
-    def begin(self) -> None:
-        """Have it forget the run before, if it has a ``reset()``."""
-        _reset(self._look)
+
+class _FunctionPerception(_Function, Perception):
+    """It looks at frames, or at the truth."""
+
+    def __init__(self, given: Any) -> None:
+        super().__init__(given)
+        self.needs_image = bool(getattr(given, 'needs_image', True))
 
     def estimate(self, image: Frame | None, truth: TrackingError | None) -> TrackingError:
         """What it answers."""
         if (image if self.needs_image else truth) is None:
             return NO_ESTIMATE
         # A copy, for it may write on what is its own.
-        answer = self._look(image.copy() if self.needs_image and image is not None else truth)
+        seen = image.copy() if self.needs_image and image is not None else None
+        if hasattr(self._given, 'estimate'):
+            answer = self._given.estimate(seen, None if self.needs_image else truth)
+        else:
+            answer = self._given(truth if seen is None else seen)
         found = read_estimate(answer)
         if found is None:
             raise UsageError(
@@ -352,22 +591,12 @@ class _FunctionPerception(Perception):
         return found
 
 
-class _FunctionController(Controller):
-    """A function of the caller's; what it raises comes through."""
-
-    word = IMPLEMENTATION
-    fingerprint = ''
-
-    def __init__(self, steer: Steer) -> None:
-        self._steer = steer
-
-    def begin(self) -> None:
-        """Have it forget the run before, if it has a ``reset()``."""
-        _reset(self._steer)
+class _FunctionController(_Function, Controller):
+    """It answers estimates with commands."""
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """What it answers."""
-        answer = self._steer(estimate)
+        answer = getattr(self._given, 'command', self._given)(estimate)
         pair = (answer.steering_rad, answer.speed_mps) if isinstance(answer, TaxiCommand) \
             else pair_of_numbers(answer)
         if pair is None or not (math.isfinite(pair[0]) and 0 <= pair[1] < math.inf):

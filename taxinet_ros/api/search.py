@@ -11,18 +11,39 @@ from pathlib import Path
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.api.campaign import Campaign, open_campaign
 from taxinet_ros.api.run import spec_texts
+from taxinet_ros.arguments import (
+    FLAG,
+    FROM_0,
+    FROM_1,
+    MAPPING,
+    NONE,
+    PATH,
+    WORD,
+    python_words,
+    says_parameters,
+    takes,
+)
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.loop_worker import loop_worker_command
 from taxinet_ros.campaign.options import DEFAULT_SPECS, make_options
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.errors import UsageError
+
+_CALLER = 4
+"""Frames from a warning to the caller, over those that check arguments and words."""
 
 
+@takes(
+    program=PATH, runs=FROM_1, seed=FROM_0, sampler=NONE | WORD, sampler_options=NONE | MAPPING,
+    perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, until=NONE | WORD,
+    workers=FROM_1, out=NONE | PATH, resume=FLAG,
+)
+@says_parameters
 def falsify(
     program: str | os.PathLike[str], *, runs: int = 100, seed: int = 0, sampler: str | None = None,
     sampler_options: Mapping[str, object] | None = None, perception: str = 'taxinet',
@@ -59,8 +80,6 @@ def falsify(
     Raises:
         UsageError: bad input, in one line; or no scene could be run.
     """
-    if not isinstance(runs, int) or runs < 1:
-        raise UsageError(f'runs: got {runs!r:.20}; expected a whole number from 1')
     check_perception(perception)  # none that only a graph could have
     check_controller(controller)
     options = make_options(
@@ -79,9 +98,11 @@ def falsify(
     )
     with search:
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
-            warnings.warn(line, stacklevel=2)
+            warnings.warn(python_words(line), stacklevel=_CALLER)
         sha256 = search.book.facts['controller_sha256']
-        command = loop_worker_command(search.options.campaign, sha256)
+        command = loop_worker_command(
+            search.options.campaign, sha256, recorded_world(search.book.facts)[1]
+        )
         with WorkerPool(command, workers, options.out / 'logs') as pool:
             run_search(search, pool)
         write_learned(search)

@@ -1,4 +1,4 @@
-"""Where things lie: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
+"""File layout: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
 
 This is the layout of rosbag2 (package rosbag2_cpp, ``SequentialWriter``), so ``ros2 bag`` accepts
 the folder. As there, ``metadata.yaml`` is written last: a folder without it was not finished.
@@ -66,11 +66,11 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         return tuple(files)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
-    raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
+    raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
 
 
 def _sqlite3(path: Path) -> BagForeign:
-    return BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
+    return BagForeign(f'{path}: an sqlite3 bag; convert it to MCAP: ros2 bag convert', path=path)
 
 
 def compressed(path: Path, mode: str) -> str:
@@ -88,7 +88,7 @@ def compressed(path: Path, mode: str) -> str:
     else:
         said = '"compression_mode: MESSAGE" and "compression_format: zstd"'
         how = f'ros2 bag reindex {folder}; {said} in its {METADATA_FILE}; {convert}'
-    return f'{path}: compressed by {mode}; make it plain: {how}'
+    return f'{path}: compressed by {mode}; decompress it: {how}'
 
 
 def _split_number(path: Path) -> tuple[int, str]:

@@ -2,7 +2,9 @@
 
 Definitions and hashes come from the installed interface packages, read as files; nothing is
 imported. A package's ``share/<package>/msg/`` holds the ``.msg`` text and, from Iron on, the
-``.json`` type description with the REP-2016 hashes.
+``.json`` type description with the REP-2016 hashes. Where no ROS is installed, our own definitions
+are those that came with this package, ROS's those that rosbags knows (without their comments), and
+hashes are computed: types, hashes and messages are the same.
 """
 
 from __future__ import annotations
@@ -15,14 +17,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import dump_yaml, load_yaml
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
 _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*')
 _HASH = re.compile(r'RIHS01_[0-9a-f]{64}')
+_OURS = Path(__file__).parent
+"""Prefix of the definitions that come with this package: ``share/taxinet_msgs/msg``."""
 _INFINITE = {'sec': 9223372036, 'nsec': 854775807}
 """How rosbag2 spells a duration without bound (RMW_DURATION_INFINITE)."""
 
@@ -140,10 +147,11 @@ def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -
 
     Args:
         type_name: e.g. ``sensor_msgs/msg/Image``.
-        prefixes: install prefixes to search; default ``AMENT_PREFIX_PATH``, then ``sys.prefix``.
+        prefixes: install prefixes to search; default ``AMENT_PREFIX_PATH``, ``sys.prefix``, and
+            then what works without ROS.
 
     Raises:
-        UsageError: the type, or one within it, is not installed.
+        UsageError: the type, or one within it, is not known there.
     """
     return _definition(type_name, _search_path(prefixes))
 
@@ -157,7 +165,7 @@ def _search_path(prefixes: Sequence[Path] | None) -> tuple[Path, ...]:
     if prefixes is not None:
         return tuple(prefixes)
     named = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    return tuple(Path(text) for text in [*filter(None, named), sys.prefix])
+    return (*(Path(text) for text in [*filter(None, named), sys.prefix]), _OURS)
 
 
 @lru_cache(maxsize=256)
@@ -179,6 +187,12 @@ def _definition(type_name: str, prefixes: tuple[Path, ...]) -> str:
 
 @lru_cache(maxsize=256)
 def _hash(type_name: str, prefixes: tuple[Path, ...]) -> str:
+    if _OURS in prefixes and _found(type_name, '.json', prefixes) is None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(_definition(type_name, prefixes), type_name))
+        return str(store.hash_rihs01(type_name))
     try:
         entries = json.loads(_read(type_name, '.json', prefixes))['type_hashes']
         return next(str(e['hash_string']) for e in entries if e['type_name'] == type_name)
@@ -203,12 +217,29 @@ def _inner_types(text: str, package: str) -> set[str]:
 def _read(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> str:
     if not is_type_name(type_name):
         raise UsageError(f'{type_name!r} is not of the form package/msg/Name')
+    file = _found(type_name, suffix, prefixes)
+    if file is not None:
+        return file.read_text(encoding='utf-8')
+    if _OURS in prefixes and type_name in _ros_types().fielddefs:
+        text, _ = _ros_types().generate_msgdef(type_name, ros_version=2)
+        return text.partition(_SEPARATOR.strip().partition('\n')[0])[0].rstrip('\n') + '\n'
     package, _, name = type_name.split('/')
-    for prefix in prefixes:
-        file = prefix / 'share' / package / 'msg' / (name + suffix)
-        if file.is_file():
-            return file.read_text(encoding='utf-8')
+    searched = os.pathsep.join(str(prefix) for prefix in prefixes if prefix is not _OURS)
     raise UsageError(
-        f'{type_name}: share/{package}/msg/{name}{suffix} is under none of '
-        f'{os.pathsep.join(map(str, prefixes))}; install package {package} or source its workspace'
+        f'{type_name}: share/{package}/msg/{name}{suffix} is under none of {searched}; '
+        f'install package {package} or source its workspace'
     )
+
+
+def _found(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> Path | None:
+    package, _, name = type_name.split('/')
+    files = (prefix / 'share' / package / 'msg' / (name + suffix) for prefix in prefixes)
+    return next(filter(Path.is_file, files), None)
+
+
+@lru_cache(maxsize=1)
+def _ros_types() -> Typestore:
+    # Only here: generating these takes a tenth of a second, and graphs have ROS's own.
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-import taxinet_ros
 from taxinet_ros.bag.description import NOT_STARTED_NS, BagContent, file_text, record_text
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
@@ -22,8 +21,9 @@ from taxinet_ros.bag.storage.writer import StorageFile
 from taxinet_ros.bag.topics import TopicInfo, check_topics
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder, write_atomically
+from taxinet_ros.version import __version__
 
-LIBRARY = f'taxinet_ros {taxinet_ros.__version__}'
+LIBRARY = f'taxinet_ros {__version__}'
 MANIFEST = 'manifest.json'
 RUN_METADATA = 'taxinet'
 FREE_RUN_METADATA = 'taxinet_free_run'
@@ -220,7 +220,7 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
 
 def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     if folder.exists() or folder.is_symlink():
-        text = 'exists already; nothing recorded is overwritten, name another folder'
+        text = 'already exists; nothing recorded is overwritten, name another folder'
         raise UsageError(f'{folder}: {text}')
     try:
         if make_parents:

@@ -25,9 +25,9 @@ from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.scenario_fields import CLOUDS
 
 SPACE = (
-    Dimension(name='time_of_day'), Dimension(name='clouds', weights=(1.0,) * 6),
-    Dimension(name='wet', weights=(1.0, 1.0)), Dimension(name='rain'),
-    Dimension(name='cross_track'), Dimension(name='distance'), Dimension(name='heading'),
+    Dimension(name='time_of_day_h'), Dimension(name='clouds', weights=(1.0,) * 6),
+    Dimension(name='wet', weights=(1.0, 1.0)), Dimension(name='rain_percent'),
+    Dimension(name='cross_track_m'), Dimension(name='distance_m'), Dimension(name='heading_deg'),
 )
 DAY, NIGHT = (6.0, 18.0), (0.0, 24.0)
 

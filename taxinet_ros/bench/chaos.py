@@ -52,7 +52,7 @@ runs: 3
 seed: 4
 sampler: halton
 perception: truth
-set: {duration: 1}
+set: {duration_s: 1}
 arms:
   shadows: {}
   no_shadows: {set: {shadows: off}}
@@ -75,7 +75,7 @@ class Subject:
     resumable: bool = True
 
 
-_RUN = ('--perception', 'truth', '--images', 'none', '--set', 'duration=1', '--seed', '4',
+_RUN = ('--perception', 'truth', '--images', 'none', '--set', 'duration_s=1', '--seed', '4',
         '--spec', 'tight=always(abs(cte) <= 0.3)')
 
 SUBJECTS: Mapping[str, Subject] = {

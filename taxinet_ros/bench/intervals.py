@@ -26,7 +26,6 @@ from taxinet_ros.processes.pool import process_pool
 
 RUNS = (100, 400, 1000)
 RATES = (0.5, 0.1, 0.01, 0.001)
-REPEATS = 500
 LOOK = 20
 """Runs between two looks of somebody who watches a search."""
 

@@ -1,8 +1,7 @@
-"""A plain campaign: the scenes are drawn from the program, one after the other.
+"""A plain campaign: scenes are drawn from the program one by one.
 
-A campaign's folder holds ``campaign.json`` (what was asked, and by which program text), one bag
-folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``runs.parquet``
-(derived from it).
+A campaign's folder holds ``campaign.json`` (options and program text), one bag folder per run,
+``ledger.jsonl`` (append-only, authoritative) and ``runs.csv``/``runs.parquet`` (derived from it).
 """
 
 from __future__ import annotations
@@ -17,25 +16,26 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_duration_s
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_scene
 from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2
-"""After so many infrastructure errors in a row the bench is broken, not the run; a plain campaign
-gives none a second chance."""
+"""Number of consecutive infrastructure errors that end a campaign; a plain campaign retries
+none.
+"""
 
 
 class Campaign:
-    """Asks for runs and takes their answers. A context manager that owns the Scenic child.
+    """Requests runs and takes their results. A context manager that owns the Scenic process.
 
     Attributes:
         rows: one row per run taken, in order.
-        notes: lines on what the program may mean otherwise than it is run; within the ``with``.
+        notes: warnings about the program; only within the ``with``.
         book: the campaign on disk.
-        check: what is said of the requirements before the first run; only within the ``with``.
+        check: result of checking the requirements; only within the ``with``.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Campaign:
         on_row: Callable[[RunRow], None] = lambda row: None,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
-        """Nothing is started or written before the ``with``.
+        """Create it; nothing is started or written before the ``with``.
 
         Args:
             options: what to do.
@@ -74,7 +74,7 @@ class Campaign:
         """
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
-            self.check = self.options.check(first_duration_s(self._source))
+            self.check = self.options.check(first_scene(self._source))
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
             opened.enter_context(self.book)
@@ -86,19 +86,19 @@ class Campaign:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of what there is, whatever happened."""
+        """Write the table of all runs so far, whatever happened."""
         self._opened.__exit__(kind, error, trace)
 
     @property
     def unfinished(self) -> bool:
-        """Whether there are runs left that it makes sense to try."""
+        """Whether there are runs left to try."""
         return (
             self._next < self.options.runs and self.book.broken_in_a_row < PATIENCE
             and not self._interrupted
         )
 
     def requests(self) -> Iterator[RunRequest]:
-        """The runs still to do, drawn one at a time; scenes that cannot be drawn become rows."""
+        """Yield the remaining runs, drawn one at a time; rejected scenes become rows."""
         while self._next < self.options.runs:
             index = self._next
             self._next += 1
@@ -112,14 +112,13 @@ class Campaign:
             yield self.book.begin_run(index, scenario)
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
-        """Keep one answer; False where the graph should be given up."""
+        """Record one result; False if the graph should be abandoned."""
         if result.outcome.judged:
             self._timing = result.timing if self._timing is None else self._timing
             if result.timing != self._timing:
                 raise UsageError(
-                    f'the graph has {timing_words(result.timing)} now, and the runs before had '
-                    f'{timing_words(self._timing)}: they are not counted together; begin another '
-                    'campaign'
+                    f'the graph now has {timing_words(result.timing)}, but earlier runs had '
+                    f'{timing_words(self._timing)}: they cannot be mixed; start another campaign'
                 )
         self._keep(self.book.finished_row(request, result))
         self._interrupted = result.outcome is Outcome.INTERRUPTED
@@ -132,10 +131,10 @@ class Campaign:
 
 
 def exit_code(rows: list[RunRow]) -> ExitCode:
-    """The exit code that a campaign's rows ask for.
+    """Exit code for a campaign's rows.
 
     Returns:
-        0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
+        0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
 
     Raises:
         UsageError: no scene could be run.

@@ -1,15 +1,15 @@
-"""Checks a whole folder of results, and mends what can be mended without losing a recorded byte.
+"""Check a folder of results, and repair it without losing a recorded byte.
 
 Looked at are, in the folder and in all below it: every journal (ledgers, trials, stages, rounds,
 finished images), every sealed JSON file and the files that it vouches for, a campaign's tables
 against its ledger, each bag against its row, each picture of a dataset against its label, what a
-study says that it has made, and drafts that a killed process has left. All else is named as not
-checked: nothing vouches for it, as for pages and pictures, which are made from the rest.
+study says that it has made, and drafts that a killed process has left. Everything else is listed as
+not checked, such as pages and plots, which are derived.
 
-Mending trusts the ledger. Tables and ``campaign.json`` are written anew from it. A journal with
-damaged lines is put aside as it is, and its sound lines are written into a new one. A table or
-``campaign.json`` that said anything else is put aside too, and what is missing from the ledger is
-put down in it, so that neither doctor nor gate takes it for whole.
+Repair trusts the ledger. Tables and ``campaign.json`` are written anew from it. A journal with
+damaged lines is kept as a copy, and its intact lines are written to a new one. A table or
+``campaign.json`` with different content is kept as a copy too, and losses are recorded in the
+ledger, so that neither doctor nor gate takes it for complete.
 
 Where ``campaign.json`` and the tables agree and the ledger is another campaign's, they are trusted.
 """
@@ -61,7 +61,7 @@ from taxinet_ros.files.journal import (
 from taxinet_ros.files.sealed_json import SealedJson, file_sha256, read_sealed
 
 MEND = 'taxinet doctor --mend {folder}'
-"""The command that mends, with the folder's path to be filled in."""
+"""Repair command; the folder's path is filled in."""
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
 _DATASET, _REQUEST, _STAGES = 'dataset.json', 'request.json', 'stages.jsonl'
@@ -72,13 +72,13 @@ _MOST_NAMED = 6
 
 @dataclass(kw_only=True)
 class Examination:
-    """What was looked at, and what came of it.
+    """Items checked, and findings.
 
     Attributes:
-        looked_at: how many there were, by what they are.
+        looked_at: number of items checked, by kind.
         findings: what is wrong.
-        notes: what is not wrong, and yet to be known.
-        checked: files, and folders of bags, that were compared with what vouches for them.
+        notes: remarks that are not errors.
+        checked: files and bag folders verified against a record.
         unchecked: all others.
     """
 
@@ -89,13 +89,13 @@ class Examination:
     unchecked: list[Path] = field(default_factory=list)
 
     def count(self, what: str, number: int = 1, path: Path | None = None) -> None:
-        """Count what was looked at."""
+        """Count items checked."""
         self.looked_at[what] = self.looked_at.get(what, 0) + number
         if path is not None:
             self.checked.add(path)
 
     def report(self, where: object, what: object, mend: str = '') -> None:
-        """Add a finding; words that begin with the place do not repeat it."""
+        """Add a finding; text that starts with the place does not repeat it."""
         text = str(what).removeprefix(f'{where}:').strip().partition('; ')[0]
         self.findings.append(Finding(where=str(where), what=text, mend=mend))
 
@@ -105,10 +105,10 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
 
     Args:
         folder: of a campaign, an experiment, a dataset, a study; anything that holds such.
-        on_bag: told each bag before it is looked at, which takes the time.
+        on_bag: called with each bag before it is checked, which takes time.
 
     Raises:
-        UsageError: there is nothing in it that could be checked.
+        UsageError: there is nothing to check in it.
     """
     found, places = Examination(), list(_places(folder))
     for place in places:
@@ -128,7 +128,8 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
         _check_drafts(place, found)
     if not found.looked_at:
         raise UsageError(
-            f'{folder}: no campaign, experiment, dataset or study: nothing here can be checked'
+            f'{folder}: contains no campaign, experiment, dataset or study, so there is nothing to '
+            'check'
         )
     for place in places:
         _name_unchecked(place, set(places), found)
@@ -136,13 +137,13 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
 
 
 def mend(folder: Path) -> list[str]:
-    """Mend the journals, tables and ``campaign.json`` of a folder and of all below it.
+    """Repair journals, tables and ``campaign.json`` in a folder and all folders below.
 
     Returns:
-        Lines on what was done.
+        Lines on what was repaired.
 
     Raises:
-        UsageError: somebody is at work there.
+        UsageError: the folder is in use.
     """
     done: list[str] = []
     for place in _places(folder):
@@ -181,7 +182,7 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
             files.append(path)
         else:
             found.count('entries that are no files')
-            found.report(path, 'is no regular file, and was not read')
+            found.report(path, 'is not a regular file, and was not read')
     return files
 
 
@@ -189,7 +190,7 @@ def _check_regular(place: Path) -> None:
     for path in sorted(place.iterdir()):  # a glob for a name skips links to nowhere
         known = path.suffix == '.jsonl' or path.name in (FACTS_NAME, CSV_NAME, PARQUET_NAME)
         if known and not path.is_file():
-            raise UsageError(f'{path}: is no regular file; move it away, then mend the rest')
+            raise UsageError(f'{path}: is not a regular file; move it away, then repair the rest')
 
 
 # Campaigns ---------------------------------------------------------------------------------------
@@ -290,7 +291,7 @@ def _check_bag(
     found.count('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
     if not bag.is_dir():
-        found.report(bag, f'is not there, and its run is {row.outcome}')
+        found.report(bag, f'is missing, but its run is {row.outcome}')
         return
     try:
         if row.outcome.judged and (wrong := check_bag(bag).findings):
@@ -311,13 +312,13 @@ def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> Non
         else:
             found.notes.append(f'{folder / LEDGER_NAME}: {line}')
     if content.unfinished:
-        said = f'run {ranges(content.unfinished)}: begun, without a result'
+        said = f'run {ranges(content.unfinished)}: started but has no result'
         if content.finished:
             found.report(folder / LEDGER_NAME, said, 'the command that made it, with --resume')
         else:
             found.notes.append(f'{folder / LEDGER_NAME}: {said}; --resume runs it again')
     if content.never_begun:
-        said = f'run {ranges(content.never_begun)}: a result, and nothing says that it was begun'
+        said = f'run {ranges(content.never_begun)}: has a result but no record of its start'
         found.report(folder / LEDGER_NAME, said)
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
@@ -358,9 +359,9 @@ def _check_sealed(place: Path, found: Examination) -> None:
         found.checked |= {place / name for name in sealed.files}
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
-                found.report(place / name, f'is not there, and {path.name} tells of it', mended)
+                found.report(place / name, f'is missing, but listed in {path.name}', mended)
             elif file_sha256(place / name) != digest:
-                found.report(place / name, f'is not the file that {path.name} tells of', mended)
+                found.report(place / name, f'is not the file recorded in {path.name}', mended)
         for name, ended in sealed.journals.items():
             journal = place / name
             data = journal.read_bytes() if journal.is_file() else b''
@@ -388,11 +389,11 @@ def _check_experiment(place: Path, found: Examination) -> None:
     if left or gone or (not missing and len(counts) == 1):
         why = f'{", ".join(there)} have had their runs' if not gone else 'an arm is gone'
         why = f'{left[0]} is there' if left else why
-        found.report(index, f'does not vouch for the experiment, and {why}', _RESUME)
+        found.report(index, f'has no record of the experiment, although {why}', _RESUME)
     else:
         # One that was interrupted between two arms looks just so; what --resume makes is the same.
         which = f', without {" and ".join(missing)}' if missing else ''
-        found.notes.append(f'{place}: an experiment that is not finished{which}; --resume goes on')
+        found.notes.append(f'{place}: an unfinished experiment{which}; continue with --resume')
 
 
 def _arms(place: Path) -> dict[str, LedgerContent | None]:
@@ -421,10 +422,10 @@ def _check_pictures(place: Path, found: Examination) -> None:
     """Whether a dataset's pictures are those of its labels."""
     if not (place / _LABELS).is_file():
         if (place / _REQUEST).is_file() and not (place / _DATASET).is_file():
-            found.notes.append(f'{place}: a dataset that is not finished; --resume goes on')
+            found.notes.append(f'{place}: an unfinished dataset; continue with --resume')
         return
     if not (place / _DATASET).is_file():
-        found.report(place / _LABELS, f'nothing vouches for it: {_DATASET} is not there', _RESUME)
+        found.report(place / _LABELS, f'cannot be verified: {_DATASET} is not there', _RESUME)
     import pandas as pd
 
     try:
@@ -435,9 +436,9 @@ def _check_pictures(place: Path, found: Examination) -> None:
         path = place / str(name)
         found.count('pictures', path=path)
         if not path.is_file():
-            found.report(path, f'is not there, and {_LABELS} has it')
+            found.report(path, f'is missing, but listed in {_LABELS}')
         elif file_sha256(path) != digest:
-            found.report(path, f'is not the picture that {_LABELS} tells of')
+            found.report(path, f'is not the image recorded in {_LABELS}')
 
 
 def _check_stages(path: Path, found: Examination) -> None:
@@ -451,13 +452,13 @@ def _check_stages(path: Path, found: Examination) -> None:
             output = path.parent / name
             found.checked.add(output)
             if not output.is_file():
-                found.report(output, f'is not there, and stage {stage} has made it', _RESUME)
+                found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
             elif file_sha256(output) != digest:
-                found.report(output, f'is not the file that stage {stage} has made', _RESUME)
+                found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
 def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
-    """Tell of all in a folder that nothing vouches for."""
+    """Report all files in a folder that cannot be verified."""
     told = {Path(one.where) for one in found.findings}
     left = [
         path for path in sorted(place.iterdir())
@@ -466,7 +467,7 @@ def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
     found.unchecked += left
     derived = [path for path in left if path.suffix in _DERIVED]
     for names, what in ((derived, 'made from the rest'), (
-        [path for path in left if path not in derived], 'nothing vouches for it'
+        [path for path in left if path not in derived], 'no record to verify against'
     )):
         if names:
             more = len(names) - _MOST_NAMED
@@ -481,7 +482,7 @@ def _check_drafts(place: Path, found: Examination) -> None:
     for folder in (place, *sorted(bags)):
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
             mended = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
-            found.report(path, 'left by a process that was killed; nothing reads it', mended)
+            found.report(path, 'left by a killed process; not used', mended)
 
 
 # Mending -----------------------------------------------------------------------------------------
@@ -520,7 +521,7 @@ def _write_anew(path: Path, events: list[dict[str, Any]], damaged: list[int], as
     shutil.copyfile(path, aside)
     write_atomically(path, b''.join(_chained(events)[0]))
     lost = f'; lost: line {ranges(damaged)}' if damaged else ''
-    return f'{path}: kept as it was as {aside.name}; its sound lines were written anew{lost}'
+    return f'{path}: copied to {aside.name}; its intact lines were rewritten{lost}'
 
 
 def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
@@ -540,7 +541,7 @@ def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[st
     events = possible_events(sound, trusted.values if trusted else {})
     if len(events) < len(sound):
         why.append(
-            f"{len(sound) - len(events)} lines say what cannot be, or are another campaign's"
+            f'{len(sound) - len(events)} lines are invalid or belong to another campaign'
         )
     foreign = any(event['event'] == 'campaign' and event not in events for event in sound)
     if restored := _with_facts(events, facts):
@@ -550,7 +551,7 @@ def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[st
     end = _end_trouble(content, events, ended)
     missing = _missing_runs(path.parent, events)
     if ended is None and (why or _needs_tables(path.parent, events)):
-        why.append(f'no {FACTS_NAME} said where it had ended, so its end is unverified')
+        why.append(f'no {FACTS_NAME} recorded its end, so its end is unverified')
     if missing:
         why.append(f'without a result that was in the tables: run {ranges(missing)}')
     why += [end] if end else []
@@ -558,7 +559,7 @@ def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[st
         return []
     incomplete = bool(missing or foreign or (end and not _known_to_tables(path.parent, events)))
     aside = _free_name(path)
-    said = f'{"; ".join(why)}; as it was it is kept as {aside.name}'
+    said = f'{"; ".join(why)}; the original is kept as {aside.name}'
     events.append(lost_event(said, missing, incomplete=incomplete))
     return [_write_anew(path, events, damaged, aside)]
 
@@ -652,7 +653,7 @@ def _mend_campaign(folder: Path) -> list[str]:
     if content.campaign:
         write_facts(folder, content.campaign)
     write_tables(content.rows, folder, list(content.campaign.get('specs', {})))
-    return [*done, f'{folder}: {FACTS_NAME}, {CSV_NAME} and {PARQUET_NAME} written anew']
+    return [*done, f'{folder}: {FACTS_NAME}, {CSV_NAME} and {PARQUET_NAME} rewritten']
 
 
 def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
@@ -675,7 +676,7 @@ def _back_up(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
     for path in changed:
         aside = _free_name(path)
         shutil.copyfile(path, aside)
-        done.append(f'{path}: put aside as {aside.name}')
+        done.append(f'{path}: copied to {aside.name}')
     return done
 
 
@@ -704,5 +705,5 @@ def _locked(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UsageError(f'{path}: somebody is at work on it; wait for its end') from error
+            raise UsageError(f'{path}: in use by another process; wait until it ends') from error
         yield

@@ -1,7 +1,7 @@
-"""Confirmation experiments as files: a program, and arms that differ in what is under suspicion.
+"""Confirmation experiments as files: a program, and arms that differ in the suspected cause.
 
 The paper confirms a suspected cause by running the same scenes with and without it (its Fig. 7: the
-aircraft's shadow). A file says that in YAML::
+aircraft's shadow). The YAML format:
 
     program: halton_time_of_day     # shipped, or a .scenic file, also beside this one
     runs: 120
@@ -11,7 +11,7 @@ aircraft's shadow). A file says that in YAML::
     controller: my_file.py:steer    # steering, the handwritten law, where left out
     specs: [phi_eventually]         # the first is the headline
     set: {clouds: clear}            # for all arms, as --set of taxinet run
-    over: time_of_day               # what the picture is drawn over; found out where left out
+    over: time_of_day_h             # what the picture is drawn over; found out where left out
     arms:                           # two or more; each has its own set, perception or controller
       shadows: {}
       no_shadows: {set: {shadows: off}}
@@ -43,7 +43,7 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
@@ -154,6 +154,7 @@ def read_experiment(path: Path) -> Experiment:
         raise top.wrong(f'expected one of the arms ({names}), got {compare_to}', 'compare_to')
     sampler, options = _sampler(top)
     over = top.text('over', '', empty=True)
+    over = SHORT_FORMS.get(over, over)
     if over and over not in HUMAN_KEYS:
         raise top.wrong(f'expected one of {", ".join(HUMAN_KEYS)}, got {over}', 'over')
     return Experiment(
@@ -202,7 +203,7 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
         except ValueError:
             raise settings.wrong(f'expected a number, got {texts[key]}', key) from None
     given.check('set', lambda: SteeringGains(**gains))
-    return overrides, gains
+    return by_key(overrides), gains
 
 
 def _setting(given: Section, key: str) -> str:

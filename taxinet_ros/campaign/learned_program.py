@@ -1,4 +1,4 @@
-"""Writes what a search has learned back as a Scenic program that draws from it.
+"""Write a learned distribution as a Scenic program that draws from it.
 
 The text of the searched program is kept, with its comments and requirements; only the calls that
 make the choices are replaced, as a person would have made Figure 8 of the paper out of S_falsif::

@@ -1,10 +1,9 @@
-"""What searches have learned: kept as ``learned.json``, read back, and put together.
+"""Learned distributions of searches: store as ``learned.json``, read, and combine.
 
-A sampler's histograms are drawn towards the program, so that a search does not rush to a few early
-failures. So they are no estimates, and neither is their mean. What estimates the share of the
-failures in a bin are the failures themselves, each with the weight that it has under the program;
-they are kept beside the histograms, and of several searches that differ in their seed alone they
-give intervals.
+A sampler's histograms are regularised towards the program's prior, so neither they nor their mean
+are unbiased estimates. The share of failures in a bin is estimated from the failures themselves,
+weighted by the program's density; they are stored beside the histograms, and several searches with
+different seeds yield confidence intervals.
 """
 
 from __future__ import annotations
@@ -20,8 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
+from taxinet_ros.campaign.record.facts import with_present_keys
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.search_space import Choice
+from taxinet_ros.core.scenario_fields import other_form
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 
@@ -108,7 +109,7 @@ class LearnedResult:
                 f'{path}: no such file; name the --out of a search with ce, ce-verifai or mab'
             ) from error
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise UsageError(f'{path}: cannot be read; --resume writes it anew') from error
+            raise UsageError(f'{path}: cannot be read; rewrite it with --resume') from error
 
 
 class Share(NamedTuple):
@@ -132,18 +133,18 @@ class LearnedTogether:
         Raises:
             UsageError: they are not alike, or one is named twice.
         """
-        first = results[0]
-        for result, folder in zip(results, folders, strict=True):
+        first, *_ = told = [with_present_keys(result.facts) for result in results]
+        for facts, folder in zip(told, folders, strict=True):
             for name in _SAME:
-                if result.facts.get(name) != first.facts.get(name):
+                if facts.get(name) != first.get(name):
                     raise UsageError(
                         f'{folder}: has another {name.replace("_", " ")} than {folders[0]}; only '
-                        'searches that differ in their seed can be put together'
+                        'searches that differ only in their seed can be combined'
                     )
         seeds = [result.facts.get('seed') for result in results]
         twice = [str(seed) for seed in seeds if seeds.count(seed) > 1]
         if twice:
-            raise UsageError(f'seed {twice[0]} is there twice; name each search once')
+            raise UsageError(f'seed {twice[0]} is given twice; name each search once')
         for result, folder in zip(results, folders, strict=True):
             if not result.evidence:
                 raise UsageError(
@@ -152,7 +153,7 @@ class LearnedTogether:
                     '(require[p]), with which the weights of the runs are not known'
                 )
         self.results = tuple(results)
-        self.choices = first.choices
+        self.choices = results[0].choices
 
     def bins(self, choice: Choice) -> list[Share]:
         """The share of each of a choice's bins in the failures in which it is made."""
@@ -172,16 +173,17 @@ class LearnedTogether:
         }
 
     def choice(self, name: str) -> Choice:
-        """The choice of this name.
+        """The choice of this name, or of the other form of it, where that is a scenario key's.
 
         Raises:
             UsageError: nothing was learned of any such.
         """
         choices = {choice.dimension.name: choice for choice in self.choices}
-        if name not in choices:
+        found = choices.get(name) or choices.get(other_form(name))
+        if found is None:
             raise UsageError(f'--within {name}: nothing was learned of it; known: '
                              f'{", ".join(choices)}')
-        return choices[name]
+        return found
 
     def within(self, name: str, low: float, high: float) -> Share:
         """The share of values in [low, high], in a bin as likely as under the program.
@@ -192,7 +194,7 @@ class LearnedTogether:
         choice = self.choice(name)
         ones = np.eye(len(choice.dimension.prior))
         inside = [choice.probability_within(low, high, tuple(one)) for one in ones.tolist()]
-        return self._share(name, np.array(inside))
+        return self._share(choice.dimension.name, np.array(inside))
 
     def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
         """Share of the failures, ``inside`` being what part of each bin counts.

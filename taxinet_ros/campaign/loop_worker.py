@@ -1,7 +1,7 @@
-"""A worker of a search without ROS: closed loops, one after the other, in a process of its own.
+"""Worker process of a search without ROS: runs closed loops one by one.
 
-Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which says what goes over the
-pipes. Its runs come out to the bit as those of a graph, but leave no bags.
+Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which defines the pipe protocol.
+Its runs are bit-identical to those of a graph, but leave no bags.
 """
 
 from __future__ import annotations
@@ -25,23 +25,28 @@ from taxinet_ros.core.outcome import RunRequest, RunResult, outcome_of
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.world import SimulatedWorld, WorldMaker, find_world
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import module_command
 
 _BEAT_S = 1.0
 
 
-def loop_worker_command(campaign: CampaignOptions, controller_sha256: str) -> list[str]:
+def loop_worker_command(
+    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
+) -> list[str]:
     """What starts a worker for the runs of a campaign.
 
     Args:
         campaign: whose perception, controller, gains and timing they have.
         controller_sha256: of its controller, as it is on record.
+        world_sha256: likewise of the package that brings its world, or ''.
     """
     return module_command(
         'taxinet_ros.campaign.loop_worker',
         f'--perception={campaign.perception}', f'--controller={campaign.controller}',
         f'--controller-sha256={controller_sha256}',
+        f'--world={campaign.world}', f'--world-sha256={world_sha256}',
         f'--gains={json.dumps(dict(campaign.gains))}', f'--timing={campaign.timing.words}',
     )
 
@@ -49,6 +54,7 @@ def loop_worker_command(campaign: CampaignOptions, controller_sha256: str) -> li
 def run_in_loop(
     request: RunRequest, perception: Perception, controller: Controller, timing: Timing,
     on_step: Callable[[int], None] = lambda seq: None,
+    make_world: WorldMaker = SimulatedWorld,
 ) -> RunResult:
     """Run what is asked for in this process.
 
@@ -58,6 +64,7 @@ def run_in_loop(
         controller: steers.
         timing: when answers take effect.
         on_step: called with the number of every control step.
+        make_world: makes the world that it takes place in.
 
     Returns:
         The result as a graph would give it; INFRA_ERROR where somebody's function or the simulator
@@ -81,6 +88,7 @@ def run_in_loop(
             request.scenario, perception, specs=specs, controller=controller,
             stop_on=judging.stop_on, assumptions=judging.assumptions,
             on_step=count, timing=timing, draws=(request.seed, request.index),
+            make_world=make_world,
         )
     except UserCodeError as error:
         return broken(InfraKind.NODE_ERROR, 'python', str(error))
@@ -126,6 +134,7 @@ def _work(arguments: argparse.Namespace) -> None:
         raise UsageError(
             f'controller {arguments.controller} has changed since this began; put it back'
         )
+    world = find_world(arguments.world, arguments.world_sha256)
     timing = parse_timing(arguments.timing)
     told_s = time.monotonic()
 
@@ -144,14 +153,16 @@ def _work(arguments: argparse.Namespace) -> None:
         if 'run' not in message:
             return  # an interrupt: the run at hand has ended
         request = request_from_json(message['run'])
-        result = run_in_loop(request, perception, controller, timing, beat)
+        result = run_in_loop(request, perception, controller, timing, beat, world.make)
         say(result=result_to_json(result))
 
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument('--answers', type=int, required=True)
-    for name in ('perception', 'controller', 'controller-sha256', 'gains', 'timing'):
+    for name in (
+        'perception', 'controller', 'controller-sha256', 'world', 'world-sha256', 'gains', 'timing',
+    ):
         parser.add_argument(f'--{name}', required=True)
     return parser.parse_args(words)
 

@@ -1,4 +1,4 @@
-"""What a campaign is asked to do, checked before anything starts.
+"""Options of a campaign, validated before anything starts.
 
 Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file
 has two keys, and either may be left out::
@@ -9,8 +9,8 @@ has two keys, and either may be left out::
       reach: 'F[0, 10] G on_centreline'
       gentle: 'always[10 s:inf](abs(steering) <= 3 deg)'
 
-A predicate may use those above it, in its own file and in files given before. What comes out
-needs no file any more: predicates are written out.
+A predicate may use earlier ones, in its own file and in files given before. The resulting texts are
+self-contained: predicates are expanded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judge import SpecCheck, check_specs
+from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
@@ -35,10 +35,14 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.core.user_code import short_word
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.plain_values import Section, read_yaml
+from taxinet_ros.registry import KMWH
 
 SUFFIXES = ('.yaml', '.yml')
 _KEYS = ('predicates', 'specs')
@@ -46,14 +50,14 @@ _BRACKETS = "; a formula with brackets needs '…' quotes around it"
 
 
 def read_specs(words: Iterable[str]) -> tuple[str, ...]:
-    """The requirements that some words ask for, each as text that :func:`parse_spec` reads.
+    """Read requirements; each result is a text for :func:`parse_spec`.
 
     Args:
         words: names of shipped formulas, ``NAME=FORMULA``, formulas, and YAML files of them. The
             order is kept.
 
     Raises:
-        UsageError: a word or a file is no such thing, or two formulas have one name.
+        UsageError: a word or file is invalid, or two formulas have the same name.
     """
     texts: list[str] = []
     predicates: dict[str, str] = {}
@@ -93,7 +97,7 @@ def _read(path: Path, predicates: dict[str, str]) -> list[str]:
         for name in specs
     ]
     if not texts and not predicates:
-        raise UsageError(f'{path}: holds no formula; write specs: {{NAME: FORMULA}}')
+        raise UsageError(f'{path}: has no formulas; write specs: {{NAME: FORMULA}}')
     return texts
 
 
@@ -124,13 +128,13 @@ DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_JUDGING = Judging(specs=DEFAULT_SPECS)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
-"""Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
+"""Runs whose camera frames are recorded: all, only failed and broken ones, or none."""
 _GAIN_PREFIX = 'steering.'
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions:
-    """One campaign: scenes of one program, judged by some formulas, with one perception.
+    """Options of a campaign: scenes of one program, evaluated with one perception.
 
     Attributes:
         program: word of a shipped Scenic program or path of one.
@@ -143,7 +147,7 @@ class CampaignOptions:
         judging: what decides the verdicts.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
-        images: whose camera frames go into the bags, of :data:`IMAGES`.
+        images: runs whose camera frames are recorded, of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
@@ -152,6 +156,7 @@ class CampaignOptions:
         timing: when answers take effect.
         arms: of an arm of an experiment: the folders of all arms beside each other, in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
+        world: name of the world that they take place in, see :mod:`taxinet_ros.core.world`.
     """
 
     program: str
@@ -169,19 +174,20 @@ class CampaignOptions:
     timing: Timing = AT_ONCE
     arms: tuple[str, ...] = ()
     bags: bool = True
+    world: str = KMWH
 
-    def check(self, duration_s: float) -> SpecCheck:
+    def check(self, first: Scenario) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.
 
         Args:
-            duration_s: length of the first run [s].
+            first: scenario of the first run.
 
         Raises:
             UsageError: a requirement that no run of this length can be judged by.
         """
         known = self.controller == STEERING and not self.standing_graph
-        gains = SteeringGains(**self.gains) if known else None
-        found = check_specs(self.judging.parsed_specs, duration_s, gains)
+        gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
+        found = check_specs(self.judging.parsed_specs, first.duration_s, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
@@ -196,7 +202,7 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None,
+    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -209,7 +215,7 @@ def make_options(
         specs: formulas as text, or files of them; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.
         processes: every node a process of its own.
-        images: whose camera frames go into the bags, of :data:`IMAGES`.
+        images: runs whose camera frames are recorded, of :data:`IMAGES`.
         resume: ``out`` holds a campaign that is to be continued.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
@@ -218,6 +224,7 @@ def make_options(
         latency: ``NAME=LATENCY`` of perception or controller.
         free: simulated time goes by the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
+        world: as of :class:`CampaignOptions`.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -225,20 +232,21 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
+    find_world(world)
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
-        raise UsageError('--processes: no effect with --free, whose nodes are processes anyway')
+        raise UsageError('--processes: no effect with --free, which always uses processes')
     if timing.free and judging.stop_on is not StopOn.NEVER:
         raise UsageError(
-            f'--stop-on {judging.stop_on}: not with --free, where nobody waits for the monitor'
+            f'--stop-on {judging.stop_on}: not with --free, which does not wait for the monitor'
         )
     if perception:
         check_perception(perception, graph=True)
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
     if resume and out is None:
-        raise UsageError('--resume: say with --out which campaign to continue')
+        raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
         words = (Path(program).stem, short_word(perception), f'seed{seed}')
         stem = '-'.join(word for word in words if word)
@@ -248,7 +256,7 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=images, controller=controller, timing=timing,
+        images=images, controller=controller, timing=timing, world=world,
     )
 
 
@@ -272,7 +280,7 @@ def make_judging(
 def check_timing(
     latency: Iterable[str], *, free: bool = False, factor: str | None = None
 ) -> Timing:
-    """Read when answers take effect.
+    """Parse the timing options.
 
     Args:
         latency: ``NAME=LATENCY`` of perception or controller.
@@ -286,8 +294,7 @@ def check_timing(
     if factor is not None and not free:
         raise UsageError('--real-time-factor: has no effect without --free')
     if latency and free:
-        raise UsageError(f'--latency {latency[0]}: not with --free, where answers are as late as '
-                         'they are')
+        raise UsageError(f'--latency {latency[0]}: not with --free, which has real delays')
     try:
         return free_timing(factor or '1') if free else parse_latency(latency)
     except UsageError as error:
@@ -295,7 +302,7 @@ def check_timing(
 
 
 def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:
-    """Read what is vouched for of the signals.
+    """Parse assumptions on the signals.
 
     Raises:
         UsageError: one line that names the option.
@@ -316,7 +323,7 @@ def new_folder(wanted: Path) -> Path:
 
 
 def check_new(out: Path) -> None:
-    """See that a campaign may be written to ``out`` without touching what is there.
+    """Check that a campaign can be written to ``out`` without overwriting anything.
 
     Raises:
         UsageError: it is a file, or a folder with something in it.
@@ -325,7 +332,7 @@ def check_new(out: Path) -> None:
         return
     if out.exists() or out.is_symlink():
         raise UsageError(
-            f'--out {out}: exists already; nothing recorded is overwritten, name a new folder'
+            f'--out {out}: already exists; recordings are never overwritten, choose a new folder'
         )
 
 
@@ -348,7 +355,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither.
+        UsageError: one is neither, or a key is there with its short form too.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
@@ -367,4 +374,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    return overrides, gains
+    try:
+        return by_key(overrides), gains
+    except UsageError as error:
+        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None

@@ -1,14 +1,14 @@
-"""How often a program fails, and how sure that is. All rates of the project are made here.
+"""Failure rates of a program with confidence intervals. All rates are computed here.
 
-**What counts.** A sampler chooses runs by what came out before, so neither their share of failures
-nor a weighted one has an error that is known for certain: importance weights are exact in the mean,
-but where the runs do not go, nothing in them tells what is missing. So a rate rests on those runs
-alone that *the program itself* drew: independently, and marked as such by seed and index before any
-result (:meth:`~taxinet_ros.campaign.samplers.sampler.Sampler.drawn`). Whatever a sampler does with
-its other runs, these are independent draws with one and the same probability, a stratum of plain
-Monte Carlo in any search. The interval below is then exact for every sampler and every number of
-runs. Runs that a sampler spread evenly (Halton, Sobol, grid) depend on one another and do not count
-either; binomial intervals of them are as a rule too wide and sometimes much too narrow.
+**Which runs count.** A sampler chooses runs by earlier results, so neither their share of failures
+nor a weighted share has a guaranteed error: importance weights are unbiased, but say nothing about
+regions without runs. So a rate uses only runs drawn by *the program itself*: independently, and
+marked as such by seed and index before any result
+(:meth:`~taxinet_ros.campaign.samplers.sampler.Sampler.drawn`). Whatever a sampler does with its
+other runs, these are independent, identically distributed draws: a plain Monte Carlo stratum of any
+search. The interval below is then exact for every sampler and number of runs. Evenly spread runs
+(Halton, Sobol, grid) are dependent and do not count either; binomial intervals of them are usually
+too wide and sometimes much too narrow.
 
 **Which interval.** Where as many runs were made as were planned before the first one, it is that of
 Clopper and Pearson (Biometrika 26, 1934). Where the number of runs depends on their results
@@ -18,7 +18,7 @@ which a gambler who bets on each run would not have multiplied the stake by 1/ta
 critique de la notion de collectif, 1939; Robbins, Annals of Mathematical Statistics 41, 1970;
 Ramdas et al., Statistical Science 38, 2023). ``taxinet bench intervals`` measures both.
 
-Outcomes counted in words; those of a bench that broke, by how it did.
+Also here: texts on counts of outcomes and kinds of infrastructure errors.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from taxinet_ros.core.outcome import Outcome
 
 CONFIDENCE = 0.95
 TAIL = (1 - CONFIDENCE) / 2
-"""Probability that is left out at each end of an interval."""
+"""Tail probability at each end of an interval."""
 NO_RATE = 'no rate from this search'
 
 
@@ -162,8 +162,8 @@ class ProgramRate:
             return f'{NO_RATE}: no run was judged'
         return (
             f'{NO_RATE}: {self.sampler or "a sampler"} chose all of its {self.runs:,} runs, and '
-            'the program itself drew none of them; search with --sampler-option floor=0.3, or '
-            '--sampler random'
+            'the program itself drew none of them; use --sampler-option floor=0.3, or --sampler '
+            'random'
         )
 
     @property
@@ -173,7 +173,7 @@ class ProgramRate:
         if self.drawn < self.runs:
             words += f' of the {self.drawn:,} runs that the program itself drew'
         if self.anytime:
-            words += ', wide enough to hold wherever a search stops'
+            words += ', valid whenever a search stops'
         return words
 
 

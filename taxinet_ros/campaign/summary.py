@@ -16,7 +16,8 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import free_run_line
-from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.scenario_fields import clock_words, pushing_words
+from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5
 """Most runs that one line names."""
@@ -45,10 +46,11 @@ def campaign_heading(options: CampaignOptions) -> str:
 
 
 def participants_words(options: CampaignOptions) -> str:
-    """Perception and controller in words; the steering law goes without saying."""
+    """Perception, controller and world in words; what is usual goes without saying."""
     steers = '' if options.controller == STEERING else f', controller {options.controller}'
+    there = '' if options.world == KMWH else f', world {options.world}'
     late = f', {options.timing.words}' if options.timing.words else ''
-    return f'perception {options.perception}{steers}{late}'
+    return f'perception {options.perception}{steers}{there}{late}'
 
 
 def requirement_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:
@@ -94,6 +96,7 @@ def scene_words(row: RunRow) -> str:
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
         f'at {row.distance_m:.0f} m  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
+        f'{pushing_words(row.scene)}'
     )
 
 

@@ -1,8 +1,8 @@
 """``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
-3 a recording is incomplete, 4 the bench broke, 130 interrupted, 143 by SIGTERM, 141 nobody reads
-the output any more.
+3 a recording is incomplete, 4 infrastructure error, 130 interrupted, 143 terminated by SIGTERM, 141
+output closed by its reader.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
@@ -42,6 +42,7 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     learned,
+    plugins,
     run,
     shrink,
     up,
@@ -57,11 +58,13 @@ from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, tra
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
+    ToldInterrupt,
     interrupted_exit_code,
     lost_interrupts_resent,
     raise_interrupt,
     signals_handled,
 )
+from taxinet_ros.version import __version__
 
 NODES = (
     'simulator',
@@ -78,7 +81,7 @@ NODES = (
 
 
 def start_node(name: str, arguments: Sequence[str]) -> None:
-    """Run a node's ``main`` with ``arguments``; comes back by :class:`SystemExit`.
+    """Run a node's ``main`` with ``arguments``; exits by :class:`SystemExit`.
 
     Raises:
         UsageError: no such node.
@@ -90,14 +93,39 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
 
 
 _FILES_OF_A_NODE = 12
-"""What a node opens at once, about: sockets, pipes, shared memory."""
-_NOBODY_READS = 'output: nobody reads it any more'
+"""File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
+_NOBODY_READS = 'output: closed by its reader'
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
     errno.EPERM,
 )
-"""Errors of the operating system that speak of a path that does not do."""
+"""Operating system errors that mean the path is unusable."""
+
+
+class _Interrupted(BaseException):
+    """An interrupt on its way past typer, which would make an exit code of it without a word."""
+
+
+@contextlib.contextmanager
+def _past_typer() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        raise _Interrupted from interrupt
+
+
+class _Commands(TyperGroup):
+    def make_context(self, *words: Any, **named: Any) -> Any:
+        with _past_typer():
+            return super().make_context(*words, **named)
+
+    def invoke(self, *words: Any, **named: Any) -> Any:
+        with _past_typer():
+            return super().invoke(*words, **named)
+
+
 app = typer.Typer(
+    cls=_Commands,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -105,7 +133,7 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -120,53 +148,57 @@ def bench(
         typer.Argument(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or '
-            'soak; or chaos; or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
+            'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
+            'or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
+    repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
+    'interleaved')] = 40,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
     compare: Annotated[
-        Path | None, typer.Option(metavar='OLD.json', help='a report to print ratios to')
+        Path | None, typer.Option(metavar='OLD.json', help='earlier JSON report to compare with')
     ] = None,
     peers: Annotated[
         str | None,
-        typer.Option(metavar='PYTHON', help="one that has other people's monitors: measure them"),
+        typer.Option(metavar='PYTHON', help='Python interpreter with third-party monitors '
+        'installed: measure them too'),
     ] = None,
     guard: Annotated[
-        bool, typer.Option('--guard', help='exit 1 if a guarded ratio is beyond its bounds')
+        bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
     ] = False,
-    runs: Annotated[int | None, typer.Option(min=1, help='soak: how many runs; 1000')] = None,
+    runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default '
+    '1000)')] = None,
     duration: Annotated[
-        float | None, typer.Option(help='soak: simulated length of each run; 3 [s]')
+        float | None, typer.Option(help='soak: simulated length of each run (default 3) [s]')
     ] = None,
     minutes: Annotated[
         float | None,
-        typer.Option(help='soak, chaos: wall time after which it ends; of --pid, chaos 10 [min]')
+        typer.Option(help='soak, chaos: wall-clock limit (default 10 with --pid and for chaos) '
+        '[min]')
     ] = None,
     pid: Annotated[
         int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
     ] = None,
-    seed: Annotated[int, typer.Option(help='chaos: seed of all random choices')] = 0,
-    trials: Annotated[int | None, typer.Option(min=1, help='chaos: how many trials')] = None,
-    trial: Annotated[int | None, typer.Option(min=0, help='chaos: only this trial')] = None,
+    seed: Annotated[int, typer.Option(help='chaos: random seed')] = 0,
+    trials: Annotated[int | None, typer.Option(min=1, help='chaos: number of trials')] = None,
+    trial: Annotated[int | None, typer.Option(min=0, help='chaos: run only this trial')] = None,
 ) -> None:
-    """Benchmark every part on one core; or run soak and chaos tests.
+    """Benchmark every component on one core, or run soak and chaos tests.
 
-    Medians, with their spread, and ratios between them: the closed loop over ROS 2, composed and
-    as processes, and without; what a control step is made of; bytes and memory.
+    Prints medians, spreads and ratios: the closed loop with ROS 2 (composed or one process per
+    node) and without, the parts of a control step, bytes and memory.
 
-    `taxinet bench soak` runs very many short scenes in one process, or watches a process that runs
-    already, for memory, files, threads and shared memory that grow; exit code 1 if any does.
+    `taxinet bench soak` runs many short scenes in one process, or watches a running process, and
+    checks memory, file descriptors, threads and shared memory for growth; exit code 1 if any grows.
 
-    `taxinet bench intervals` searches landscapes whose failure rate is known, and says how often
-    the intervals of `falsify` hold it and `gate` passes what it should not.
+    `taxinet bench intervals` searches landscapes of known failure rate and reports how often the
+    intervals of `falsify` cover it and how often `gate` passes wrongly.
 
-    `taxinet bench searches` searches landscapes whose failure regions are known, and says how many
-    of them each sampler finds in 200 runs.
+    `taxinet bench searches` searches landscapes with known failure regions and reports how many of
+    them each sampler finds in 200 runs.
 
-    `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them, and sees
-    whether they end as if nobody had disturbed them; exit code 4 if one does not.
+    `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
+    the results with undisturbed campaigns; exit code 4 if any differs.
     """
     words, given = subjects or [], given_options(context)
     from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
@@ -203,7 +235,7 @@ def node(
 ) -> None:
     """Start one node, as `ros2 run taxinet_ros NAME` does.
 
-    What follows NAME goes to the node (--ros-args …).
+    Arguments after NAME are passed to the node (--ros-args …).
     """
     try:
         start_node(name, context.args)
@@ -225,25 +257,32 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, raise_interrupt)
-    code: int = ExitCode.INTERRUPTED
+    code: int | None = None
     with (
         contextlib.suppress(KeyboardInterrupt),
         lost_interrupts_resent(),
         signals_handled(raise_interrupt, (signal.SIGTERM, signal.SIGHUP)),
         standard_streams() as closed,
     ):
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, raise_interrupt)
         code = _delivered(_exit_code(lambda: _command(closed)))
-    sys.exit(interrupted_exit_code(code))
+    sys.exit(interrupted_exit_code(_interrupted() if code is None else code))
+
+
+def _interrupted() -> int:
+    """Say so, where nothing else tells it."""
+    with contextlib.suppress(OSError):
+        os.write(2, b'taxinet: interrupted\n')
+    return ExitCode.INTERRUPTED
 
 
 def _command(output_closed: bool) -> object:
     if output_closed:
-        raise UsageError('standard output is closed; send it somewhere, if to /dev/null')
+        raise UsageError('standard output is closed; redirect it, e.g. to /dev/null')
     for word in sys.argv[1:]:
         _check_word(word)
-    with contextlib.suppress(OSError):  # a folder that is gone matters to few commands
+    with contextlib.suppress(OSError):  # few commands need the working directory to exist
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
     refuse_special_files()
@@ -251,7 +290,7 @@ def _command(output_closed: bool) -> object:
 
 
 def _delivered(code: int) -> int:
-    """An exit code, where what was printed has come to where it was to go."""
+    """``code``, if the output could be delivered; else the exit code of that failure."""
     try:
         flush_output()
     except OutputUnreadError:
@@ -263,7 +302,7 @@ def _delivered(code: int) -> int:
 
 
 def _check_word(word: str) -> None:
-    """Refuse what cannot be printed, nor written into tables and bags."""
+    """Refuse text that cannot be encoded for printing, tables and bags."""
     try:
         word.encode()
     except UnicodeEncodeError:
@@ -272,7 +311,7 @@ def _check_word(word: str) -> None:
 
 
 def _have_ros_log_somewhere() -> None:
-    """Name a folder for what rclpy logs, where there is no home that it could write to."""
+    """Set a log folder for rclpy if there is no writable home directory."""
     if any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME')):
         return
     home = os.environ.get('HOME')
@@ -290,8 +329,9 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
     except UsageError as error:
         return _complain(str(error), ExitCode.USAGE)
-    except (KeyboardInterrupt, typer.Abort):
-        return ExitCode.INTERRUPTED
+    except (_Interrupted, KeyboardInterrupt, typer.Abort) as end:
+        told = isinstance(end.__cause__, ToldInterrupt)
+        return ExitCode.INTERRUPTED if told else _interrupted()
     except (InfraError, RecordError, BagError) as error:
         return _complain(str(error), ExitCode.INFRA)
     except OutputUnreadError:
@@ -301,13 +341,13 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
     except MemoryError:
         return _complain('out of memory', ExitCode.INFRA)
-    except BaseException as error:  # to be at its end without a result is nobody's success
+    except BaseException as error:  # an exit without a result is not a success
         return _complain(_unforeseen(error), ExitCode.INFRA)
     return code if isinstance(code, int) else ExitCode.OK
 
 
 def _unforeseen(error: BaseException) -> str:
-    """One line on a mistake of ours; all of it where somebody asks for it."""
+    """One line for an unexpected error; the full traceback with ``TAXINET_TRACEBACK``."""
     if os.environ.get('TAXINET_TRACEBACK'):
         traceback.print_exception(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
@@ -316,18 +356,18 @@ def _unforeseen(error: BaseException) -> str:
         what = scarce
     elif isinstance(error, Exception):
         what = 'this is a defect of taxinet'
-    else:  # it is SystemExit, as out of somebody's handler
-        what = 'it ended what was at hand'
+    else:  # SystemExit, for example from user code
+        what = 'it ended the command'
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
-        '(TAXINET_TRACEBACK=1 shows where it comes from)'
+        '(set TAXINET_TRACEBACK=1 for the traceback)'
     )
 
 
 def _scarce_files() -> str:
-    """What there is to say where there are hardly any files left to open; else ''.
+    """A message if the process is close to its limit of open files; else ''.
 
-    ROS tells no reason where it has none for its sockets.
+    ROS gives no reason when it runs out of file descriptors for its sockets.
     """
     allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     try:

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands take, and which of them somebody has typed."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taxinet_ros.errors import UsageError
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
-    """The parameters of a command that its command line sets, by name."""
+    """Names of the parameters given on the command line."""
     return {
         name: value for name, value in context.params.items()
         if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
@@ -24,17 +24,17 @@ def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> b
     """Whether the words after ``taxinet bench`` ask for a study of the samplers.
 
     Args:
-        word: that asks for it.
+        word: word that selects the study.
         words: the subjects.
-        given: names of the parameters that the command line sets.
+        given: names of the parameters given on the command line.
 
     Raises:
-        UsageError: the word is not the first, or options do not belong to it.
+        UsageError: the word is not the first, or options do not apply to it.
     """
     if word not in words:
         return False
     if words[0] != word:
-        raise UsageError(f'bench: {word} goes first, and what it is to study after it')
+        raise UsageError(f'bench: {word} must come first, followed by what to study')
     wrong = set(given) - {'repeats', 'as_json', 'subjects'}
     if wrong:
         raise UsageError(f'bench: --{min(wrong)}: not with {word}')
@@ -42,10 +42,10 @@ def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> b
 
 
 def word_of(context: typer.Context, role: str) -> str:
-    """Who plays a role in the graph: the word of its option, or of the command for it.
+    """Word of the option for a role in the graph, or of its command.
 
     Args:
-        context: of a command that has the options ``--ROLE`` and ``--ROLE-cmd``.
+        context: context of a command with the options ``--ROLE`` and ``--ROLE-cmd``.
         role: ``perception`` or ``controller``.
 
     Raises:
@@ -55,7 +55,7 @@ def word_of(context: typer.Context, role: str) -> str:
     if command is None:
         return str(context.params[role])
     if role in given_options(context):
-        raise UsageError(f'--{role}: not with --{role}-cmd, which says who it is; leave one out')
+        raise UsageError(f'--{role}: cannot be combined with --{role}-cmd; leave one out')
     return f'{COMMAND}{command}'
 
 
@@ -70,13 +70,13 @@ FromOption = Annotated[
     Path | None,
     typer.Option(
         '--from', metavar='BAG',
-        help="run a bag's scenario once more, with its own perception unless --perception is "
-        'given, and compare',
+        help="rerun a bag's scenario, with its own perception unless --perception is given, and "
+        "compare",
     ),
 ]
 RunOption = Annotated[
     str | None,
-    typer.Option('--run', metavar='RUN_ID', help='which run, where the bag holds several'),
+    typer.Option('--run', metavar='RUN_ID', help='which run, if the bag holds several'),
 ]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
@@ -86,33 +86,40 @@ PerceptionOption = Annotated[
     typer.Option(
         help='truth; taxinet, original or another shipped network; a .safetensors weights file; an '
         '.onnx network; a function in a Python file, FILE.py:NAME; a name that a package adds; or '
-        'external, a node that you start'
+        'external, a node you start yourself'
     ),
 ]
 PerceptionCommandOption = Annotated[
     str | None,
     typer.Option(
         '--perception-cmd', metavar='COMMAND',
-        help="start your own node, as in 'ros2 run my_pkg my_node', in every graph",
+        help="command of your own node, e.g. 'ros2 run my_pkg my_node', started in every graph",
     ),
 ]
 ControllerOption = Annotated[
     str,
     typer.Option(
         help='steering, the shipped law; a function in a Python file, FILE.py:NAME; a name that a '
-        'package adds; or external, a node that you start'
+        'package adds; or external, a node you start yourself'
     ),
 ]
 ControllerCommandOption = Annotated[
     str | None,
-    typer.Option('--controller-cmd', metavar='COMMAND', help='likewise for the controller'),
+    typer.Option('--controller-cmd', metavar='COMMAND', help='the same for the controller'),
+]
+WorldOption = Annotated[
+    str,
+    typer.Option(
+        metavar='NAME',
+        help='where runs take place: kmwh, the simulated airport, or a name that a package adds',
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         '--set', metavar='KEY=VALUE',
-        help='fix a scenario value (clouds=clear, time_of_day=9.5, heading=-20, duration=10, …) '
-        'or a gain (steering.heading_gain=1.2); repeatable',
+        help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
+        'duration_s=10, …) or a gain (steering.heading_gain=1.2); repeatable',
     ),
 ]
 SpecOption = Annotated[
@@ -136,7 +143,7 @@ BoundOption = Annotated[
     list[str] | None,
     typer.Option(
         '--bound', metavar='SIGNAL=LOW:HIGH',
-        help='assume that a signal stays in this range, e.g. cte=-25:25 [m]: intervals close '
+        help='assume that a signal stays in this range, e.g. cte=-25:25 [m], so that verdicts come '
         'earlier; dropped in a run that leaves the range; repeatable',
     ),
 ]
@@ -152,53 +159,52 @@ LatencyOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar='NAME=LATENCY',
-        help='delay after which answers take effect: perception= or controller= SECONDS, '
-        'uniform(LOW,HIGH) or normal(MEAN,SD), drawn in each step, rounded up to 0.1 s; '
-        'repeatable',
+        help='latency of perception= or controller=: SECONDS, uniform(LOW,HIGH) or '
+        'normal(MEAN,SD), drawn at each step, rounded up to 0.1 s; repeatable',
     ),
 ]
 FreeOption = Annotated[
     bool,
     typer.Option(
         '--free',
-        help='simulated time follows the wall clock and waits for no node; every node a process; '
-        'shows whether timing breaks the loop; results are not reproducible',
+        help='simulated time follows the wall clock and waits for no node; every node is a '
+        'process; shows timing problems of the loop; results are not reproducible',
     ),
 ]
 FactorOption = Annotated[
     str | None,
     typer.Option(
         '--real-time-factor', metavar='R',
-        help='of --free: simulated seconds per second, 0.1 to 100 (default 1), or max',
+        help='with --free: simulated seconds per wall-clock second, 0.1 to 100 (default 1), or max',
     ),
 ]
 ProcessesOption = Annotated[
-    bool, typer.Option('--processes', help='every node a process of its own, same results')
+    bool, typer.Option('--processes', help='run every node in its own process; same results')
 ]
 FoxgloveOption = Annotated[
     int | None,
     typer.Option(
         metavar='PORT',
-        help='show the runs live in the Foxglove app, at ws://127.0.0.1:PORT (the app proposes '
-        '8765); same results',
+        help="show the runs live in the Foxglove app, at ws://127.0.0.1:PORT (the app's default "
+        'is 8765); same results',
     ),
 ]
 ImagesOption = Annotated[
     str,
     typer.Option(
-        help='runs whose camera frames go into the bags (35 MB a run): all, failures or none; '
-        'taxinet bag render puts them in later, bit for bit'
+        help='runs whose camera frames are recorded (35 MB a run): all, failures or none; taxinet '
+        'bag render adds them later, bit for bit'
     ),
 ]
 MostRunsOption = Annotated[
-    int, typer.Option(min=1, help='most runs; with --resume, those of before included')
+    int, typer.Option(min=1, help='maximum number of runs; with --resume, including earlier ones')
 ]
 SamplerOption = Annotated[
     str | None,
     typer.Option(
-        help='how scenes are chosen: active (finds rare failures, and all the regions of them), '
-        'random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe, cmaes, or a name that a '
-        "package adds; by default as the program's verifaiSamplerType says, else active"
+        help='how scenes are chosen: active (finds rare failures in all failure regions), '
+        "random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe, cmaes, or a name that a "
+        "package adds (default: the program's verifaiSamplerType, else active)"
     ),
 ]
 SamplerSettingOption = Annotated[
@@ -207,9 +213,9 @@ SamplerSettingOption = Annotated[
         '--sampler-option', metavar='KEY=VALUE', help='option of the sampler; repeatable'
     ),
 ]
-WorkersOption = Annotated[int, typer.Option(help='graphs that run at once; same results')]
+WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]
 ResumeOption = Annotated[
-    bool, typer.Option('--resume', help='continue what was interrupted in --out')
+    bool, typer.Option('--resume', help='continue an interrupted command in --out')
 ]
 UntilOption = Annotated[
     str | None,
@@ -222,7 +228,7 @@ BudgetOption = Annotated[
     float | None, typer.Option(metavar='MINUTES', help='start no new run after this time')
 ]
 FailedRunArgument = Annotated[
-    Path, typer.Argument(metavar='RUN', help='a failed run: <campaign>/<run>, as its bag is named')
+    Path, typer.Argument(metavar='RUN', help='a failed run: <campaign>/<run>, the path of its bag')
 ]
 OwnPerceptionOption = Annotated[
     str | None, typer.Option('--perception', help="default: the run's own")
@@ -234,28 +240,28 @@ OwnSpecOption = Annotated[
     list[str] | None,
     typer.Option(
         '--spec', metavar='FORMULA',
-        help="other formulas than the run's; the first is the one that has to stay violated",
+        help="formulas instead of the run's; the first must stay violated",
     ),
 ]
 NominalOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar='KEY=VALUE',
-        help='nominal value of a scenario key (time_of_day=12, shadows=off, …); repeatable',
+        help='nominal value of a scenario key (time_of_day_h=12, shadows=off, …); repeatable',
     ),
 ]
-NeededRunsOption = Annotated[int, typer.Option(help='most runs of the search')]
+NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
 PicturesArgument = Annotated[
     str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
 ]
 VariedOption = Annotated[
-    bool, typer.Option('--varied', help='vary the look of the rendered world')
+    bool, typer.Option('--varied', help='vary the appearance of the rendered world')
 ]
 
 
 CampaignArgument = Annotated[Path, typer.Argument(metavar='CAMPAIGN', help="a campaign's folder")]
 ProcessesCountOption = Annotated[
-    int, typer.Option('--workers', help='processes that work at once; same results')
+    int, typer.Option('--workers', help='worker processes; same results')
 ]
 JsonOption = Annotated[bool, typer.Option('--json', help='print JSON')]

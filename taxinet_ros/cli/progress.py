@@ -1,4 +1,4 @@
-"""How far a long command is: bars that only a terminal gets to see, and what is left of a loss."""
+"""Progress bars of long commands (terminals only), and the rows known when a record is lost."""
 
 from __future__ import annotations
 
@@ -31,16 +31,15 @@ _PAGE_WIDTH = 100
 def print_rows_if_lost(
     console: Console, rows: Sequence[RunRow], *, shown: bool
 ) -> Iterator[None]:
-    """Within the ``with`` a campaign is recorded; where that fails, print what is known of it.
+    """Context in which a campaign is recorded; on a write error, print the rows known so far.
 
     Args:
-        console: where to.
-        rows: of the campaign, as they come.
-        shown: whether each of them has been printed before.
+        console: console to print to.
+        rows: rows of the campaign, as they come.
+        shown: whether rows are already printed one by one.
 
     Raises:
-        RecordError: for every error of the operating system amid the campaign, which is no mistake
-            of whoever named its folder.
+        RecordError: for every operating system error during the campaign, which is no usage error.
     """
     try:
         yield
@@ -57,11 +56,11 @@ def run_with_progress(
     measure: Callable[[Callable[[int, int], None]], dict[str, Any]],
     show: Callable[[dict[str, Any], Console], None], *, as_json: bool,
 ) -> int:
-    """Measure with a bar, and print what was found.
+    """Run a measurement with a progress bar and print its results.
 
     Args:
-        measure: given what to tell of its progress, done and total.
-        show: prints the figures for people, on a console as wide as a page where it is no terminal.
+        measure: called with a progress callback (done, total).
+        show: prints the figures as text; on no terminal, the console is as wide as a page.
         as_json: print JSON instead.
 
     Returns:
@@ -81,7 +80,7 @@ def run_with_progress(
 
 @contextlib.contextmanager
 def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """A function to call with stage, done and total; each stage gets a bar when it begins."""
+    """Return a callback of stage, done and total; each stage gets a bar when it starts."""
     bars: dict[str, TaskID] = {}
     with Progress(
         TextColumn('{task.description:<9}'), BarColumn(), MofNCompleteColumn(),

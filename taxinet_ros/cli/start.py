@@ -1,7 +1,7 @@
-"""The first lines of ``taxinet`` and of the nodes: what stops them early ends them in one line.
+"""Entry points of ``taxinet`` and the nodes, with clean exits on signals during start-up.
 
-Their executables hold signals back (``scripts``), for Python has nothing better than a
-traceback for those that come while it starts. Only what is needed to hear them is imported here.
+The executables (``scripts``) block signals, because Python would print a traceback for those that
+arrive while it starts. Only what handles signals is imported here.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NoReturn
 from taxinet_ros.errors import ExitCode
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_END = os._exit  # as it is before somebody's code is loaded: see processes.interrupts
+_END = os._exit  # before user code is loaded: see processes.interrupts
 
 
 def main() -> NoReturn:
@@ -29,7 +29,8 @@ def main() -> NoReturn:
         try:
             main()
         finally:
-            with contextlib.redirect_stdout(sys.stderr):  # somebody's may print; results are out
+            with contextlib.redirect_stdout(sys.stderr):  # user code may print; results are already
+            # out
                 atexit._run_exitfuncs()
 
     _run(command)
@@ -51,11 +52,11 @@ def start_module(name: str) -> NoReturn:
 
 
 def _run(work: Callable[[], None]) -> NoReturn:
-    """Do the work of this process, and leave it at once with its exit code.
+    """Run the process's work and exit at once with its exit code.
 
-    All that is to be closed is closed. To take the rest apart would cost more time than all else
-    after Ctrl-C, of which ``ros2 launch`` gives 5 s; and a thread that somebody's function has
-    started, and forgotten, would be waited for without end.
+    Everything that needs closing is closed by then. Interpreter shutdown would take longer than all
+    else after Ctrl-C, for which ``ros2 launch`` allows 5 s, and would wait forever for a thread
+    left over by user code.
     """
     code: object = None
     with _signals_enabled():
@@ -63,6 +64,8 @@ def _run(work: Callable[[], None]) -> NoReturn:
             work()
         except SystemExit as end:
             code = end.code
+        except KeyboardInterrupt:  # between those who handle it
+            _leave(signal.SIGINT, None)
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
@@ -71,21 +74,21 @@ def _run(work: Callable[[], None]) -> NoReturn:
 
 @contextlib.contextmanager
 def _signals_enabled() -> Iterator[None]:
-    """Within the ``with``, signals are heard, from the first line on."""
+    """Context in which signals are handled."""
     for number in _STOPS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as it is in the background, or nohup
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored: in the background, or nohup
             signal.signal(number, _leave)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     try:
         yield
     finally:
-        # The exit code stands; what Python does on its way out is not to be torn.
+        # The exit code is fixed; Python's shutdown must not be interrupted.
         for number in _STOPS:
             signal.signal(number, signal.SIG_IGN)
 
 
 def _leave(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once: nothing has been begun that would have to be cleared away."""
+    """Exit at once: nothing has been started that needs cleaning up."""
     os.write(2, b'taxinet: interrupted\n')
     _END(128 + number)
 

@@ -1,8 +1,8 @@
-"""Standard streams that may be closed or full, and special files in the place of regular ones.
+"""Tolerate closed or full standard streams, and refuse special files as input.
 
-A terminal that goes away, or a stderr that takes no more, loses what is shown there and does not
-end the program. A pipe, socket or device where a file is to be read is refused, for reading it may
-never end; files are opened in many places, some of them in libraries, so an audit hook checks each.
+If the terminal closes or stderr is full, its output is dropped and the program continues. A pipe,
+socket or device in place of an input file is refused, since reading it may never end; files are
+opened in many places, some in libraries, so an audit hook checks each.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from taxinet_ros.processes.child import fill_standard_descriptors
 
 
 class OutputUnreadError(Exception):
-    """Nobody reads stdout any more. No OSError, which libraries take for their own to handle."""
+    """Stdout was closed by its reader. Not an OSError, which libraries may catch."""
 
 
 class _Output(io.FileIO):
-    """Stdout; once its terminal is closed, what is written goes nowhere."""
+    """Stdout that drops output once its terminal is closed."""
 
     def write(self, data: Any, /) -> int:
         """Write to it, if it is there."""
@@ -40,7 +40,7 @@ class _Output(io.FileIO):
 
 
 class _Complaints(io.FileIO):
-    """Stderr; where it takes no more, what is written goes nowhere."""
+    """Stderr that drops output it cannot write."""
 
     def write(self, data: Any, /) -> int:
         """Write to it, if it is there."""
@@ -52,13 +52,13 @@ class _Complaints(io.FileIO):
 
 @contextlib.contextmanager
 def standard_streams() -> Iterator[bool]:
-    """Within the ``with``, printing to a closed terminal, and to any lost stderr, is no error.
+    """Context in which printing to a closed terminal or a lost stderr is no error.
 
-    The signal that says that a terminal is closed (SIGHUP) may come later than the first failure
-    to print. Streams that were closed from the start read and write nothing.
+    SIGHUP of a closed terminal may arrive after the first failed print. Streams closed from the
+    start read and write nothing.
 
     Yields:
-        Whether stdout was closed from the start, so that nobody would get an answer.
+        Whether stdout was closed from the start.
     """
     closed = sys.stdout is None
     fill_standard_descriptors()
@@ -75,10 +75,11 @@ def standard_streams() -> Iterator[bool]:
 
 
 def flush_output() -> None:
-    """Have everything printed so far reach whoever reads it.
+    """Flush stdout.
 
     Raises:
-        OSError, OutputUnreadError: it does not; it is given up, and no later flush complains.
+        OSError, OutputUnreadError: flushing failed; the output is dropped, and later flushes do not
+            raise.
     """
     try:
         sys.stdout.flush()
@@ -90,7 +91,7 @@ def flush_output() -> None:
 
 
 def _through(kind: type[io.FileIO], stream: TextIO) -> TextIO:
-    """A stream to the same place by way of ``kind``; one that is no file's is left alone."""
+    """Wrap a stream's file in ``kind``; a stream without a file is returned unchanged."""
     try:
         raw = kind(stream.fileno(), 'w', closefd=False)
     except (OSError, ValueError):
@@ -107,10 +108,10 @@ _watched: list[bool] = []
 
 
 def refuse_special_files() -> None:
-    """From now on, opening such a thing raises :class:`UsageError`.
+    """Install an audit hook that raises :class:`UsageError` when a special file is opened.
 
-    What is named below ``/dev`` itself was meant: ``/dev/null``, ``/dev/stdin``, and the
-    ``/dev/fd/63`` of a shell's ``<(command)``.
+    Paths below ``/dev`` are allowed: ``/dev/null``, ``/dev/stdin``, and the ``/dev/fd/63`` of a
+    shell's ``<(command)``.
     """
     if not _watched:
         _watched.append(True)
@@ -128,4 +129,4 @@ def _check_opened_file(event: str, arguments: tuple[Any, ...]) -> None:
     except (OSError, ValueError):
         return
     if kind in _FOUND:
-        raise UsageError(f'{path}: is {_FOUND[kind]}, no regular file')
+        raise UsageError(f'{path}: is {_FOUND[kind]}, not a regular file')

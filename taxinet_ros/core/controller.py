@@ -1,23 +1,25 @@
-"""The steering law: a cascade from cross-track error over heading error to the nose wheel.
+"""Steering law: cascade control from cross-track error via heading error to the nose wheel.
 
 The paper needs a controller that always satisfies its specification on the true state; the gains
 published with its simulator code do not, on any of our aircraft. This cascade does: the further
 the aircraft is from the centreline, the more steeply it turns towards it, up to a limit, and the
 nose wheel follows the difference between that heading and the present one.
 
-The exchangeable controllers: an estimate of the tracking error in, a taxi command out.
+Also the interchangeable controllers: an estimate of the tracking error in, a taxi command out.
 
-One word chooses: ``steering``, the handwritten law with its gains, what an installed package adds
-(:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
+A word selects one: ``steering``, the shipped law with its gains, a name added by an installed
+package (:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol
 
+from taxinet_ros.arguments import a, check_fields, takes
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
@@ -63,22 +65,22 @@ GAIN_RANGES: dict[str, GainRange] = {
         low=0.0,
         high=10.0,
         unit='rad/rad',
-        description='nose-wheel angle per angle between wanted and present heading',
+        description='nose-wheel angle per angle between desired and current heading',
     ),
     'max_steering_rad': GainRange(
         low=0.0,
         high=math.pi / 3,
         unit='rad',
-        description='largest nose-wheel angle asked for, to either side',
+        description='maximum nose-wheel angle, to either side',
     ),
     'speed_mps': GainRange(
         low=0.0,
         high=10.0,
         unit='m/s',
-        description='taxi speed to hold',
+        description='taxi speed to hold; at 5 that of the scenario',
     ),
 }
-"""Every field of :class:`SteeringGains` by name, in its order; ROS parameters derive from it."""
+"""Every field of :class:`SteeringGains` by name; ROS parameters derive from it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,6 +98,7 @@ class SteeringGains:
     speed_mps: float = 5.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for field in fields(self):
             value, valid = getattr(self, field.name), GAIN_RANGES[field.name]
             # A NaN fails the comparison too.
@@ -111,11 +114,11 @@ def _clip(value: float, limit: float) -> float:
 
 
 def steer(error: TrackingError, gains: SteeringGains) -> TaxiCommand:
-    """Answer one estimate of where the aircraft is.
+    """Compute the taxi command for one estimate.
 
-    The wanted heading error is ``-clip(cte_gain * CTE, max_intercept)``: from the left of the
-    centreline the nose points right. The nose wheel is ``-heading_gain`` times what the heading
-    error exceeds it by, clipped. The law has no memory.
+    The desired heading error is ``-clip(cte_gain * CTE, max_intercept)``: from the left of the
+    centreline the nose points right. The nose-wheel angle is ``-heading_gain`` times the deviation
+    of the heading error from it, clipped. The law is stateless.
 
     Args:
         error: cross-track and heading error, left positive.
@@ -123,8 +126,7 @@ def steer(error: TrackingError, gains: SteeringGains) -> TaxiCommand:
 
     Returns:
         Nose-wheel angle [rad], left positive, and speed. An estimate that is not usable (declared
-        invalid, NaN or infinite) gives :data:`STOP`: an aircraft that does not know where it is
-        does not taxi.
+        invalid, NaN or infinite) gives :data:`STOP`.
     """
     if not error.usable:
         return STOP
@@ -136,53 +138,64 @@ def steer(error: TrackingError, gains: SteeringGains) -> TaxiCommand:
 
 
 STEERING: Final = 'steering'
-"""The word of the handwritten law."""
+"""Word of the shipped law."""
 
 
 class Controller(Protocol):
-    """Answers one estimate per control step.
+    """Controller interface: one command per estimate and control step.
 
     Attributes:
         word: :data:`STEERING`, the name that a package gave it, or ``python`` for a file.
-        fingerprint: SHA-256 of the Python file with those that it lists, or of the package; empty
-            for the law.
+        fingerprint: SHA-256 of the Python file and the files it lists, or of the package; empty for
+            the law.
     """
 
     word: str
     fingerprint: str
 
-    def begin(self) -> None:
-        """Forget what came before; called before each run."""
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Reset; called before each run.
+
+        Args:
+            scenario: of the run, if there is one.
+        """
         return
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """The command for one control period.
+        """Return the command for one control period.
 
         Raises:
-            UserCodeError: somebody's function failed; no other raises.
+            UserCodeError: a user function failed; only those raise.
         """
         ...
 
 
 class SteeringLaw(Controller):
-    """The handwritten law of :mod:`taxinet_ros.core.controller`, which has no memory."""
+    """The shipped law of :mod:`taxinet_ros.core.controller`; stateless."""
 
     word = STEERING
     fingerprint = ''
 
+    @takes(gains=a('a tx.SteeringGains', SteeringGains))
     def __init__(self, gains: SteeringGains) -> None:
         """``gains``: tuning of the law."""
-        self.gains = gains
+        self.gains = self._gains = gains
+
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Hold the scenario's speed, where the gain for it is as usual."""
+        self._gains = self.gains
+        if scenario is not None and self.gains.speed_mps == SteeringGains().speed_mps:
+            self._gains = replace(self.gains, speed_mps=scenario.speed_mps)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """See :func:`.steering.steer`."""
-        return steer(estimate, self.gains)
+        return steer(estimate, self._gains)
 
 
 class UserController(Controller):
-    """A function of somebody's: a :class:`TrackingError` in, a command out.
+    """A user function: a :class:`TrackingError` in, a command out.
 
-    It is called with every estimate, also with one that is not ``usable``, and answers a pair
+    It is called with every estimate, including those not ``usable``, and returns a pair
     ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand`.
     """
 
@@ -196,12 +209,12 @@ class UserController(Controller):
         self.fingerprint = code.sha256
         self._run = RunCode(code)
 
-    def begin(self) -> None:
-        """Have it as it is when made."""
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Reset to the initial state."""
         self._run.begin()
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """What it answers; the simulator refuses numbers that are not finite."""
+        """Return its command; the simulator refuses non-finite numbers."""
         return self._run.answer(estimate, _read_command, 'a pair (steering_rad, speed_mps)')
 
 
@@ -213,39 +226,39 @@ def _read_command(answer: Any) -> TaxiCommand | None:
 
 
 def make_controller(word: str, gains: SteeringGains) -> Controller:
-    """The controller of a word.
+    """Create the controller selected by a word.
 
     Args:
         word: :data:`STEERING`, a name that a package adds, or ``FILE.py:NAME``.
         gains: of the law.
 
     Raises:
-        UsageError: unknown word, or what cannot be used.
+        UsageError: unknown word, or an unusable controller.
     """
     code = _code(word)
     return SteeringLaw(gains) if code is None else UserController(code)
 
 
 def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool = False) -> str:
-    """See that :func:`make_controller` will work, without running anybody's code.
+    """Check that :func:`make_controller` will work, without running user code.
 
     Args:
         word: as there.
-        gains: those that a person has set, by name.
-        graph: it is for a graph, so a node elsewhere does too.
+        gains: gains set by the user, by name.
+        graph: whether for a graph, where an external node is allowed too.
 
     Returns:
-        The fingerprint that the controller will have; '' where only its node will tell.
+        The controller's fingerprint; '' if only its node knows it.
 
     Raises:
-        UsageError: as there; or gains are set for what has none.
+        UsageError: as there; or gains are set for a controller without gains.
     """
     if word == STEERING:
         SteeringGains(**gains)
     elif gains:
         raise UsageError(
-            f'--set steering.{min(gains)}: a gain of the steering law, which --controller {word} '
-            'takes the place of'
+            f'--set steering.{min(gains)}: gains apply only to the shipped law, not to '
+            f'--controller {word}'
         )
     if graph and is_node_elsewhere(word):
         command_of(word)
@@ -258,7 +271,7 @@ def _code(word: str) -> UserCode | None:
     """Somebody's code that a word names; None for the law.
 
     Raises:
-        UsageError: unknown word, or what cannot be used.
+        UsageError: unknown word, or an unusable controller.
     """
     extension = find(CONTROLLERS, word)
     if extension is not None:
@@ -273,5 +286,5 @@ def _code(word: str) -> UserCode | None:
 
 
 def controller_options(word: str) -> list[str]:
-    """What to type after ``taxinet run`` for the controller of a word."""
+    """Command-line options that select the controller of a word."""
     return [] if word == STEERING else ['--controller', word]

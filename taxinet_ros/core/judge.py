@@ -1,10 +1,10 @@
-"""Requirements of a run: checked before it, judged by online monitors during it."""
+"""Requirements of a run: checked before it, evaluated by online monitors during it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import SteeringGains
@@ -20,21 +20,22 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
 
 _OVERSHOOT = 1.5
-"""No run is faster than so many times the speed that is held, or that it starts with."""
+"""Upper bound of the speed, as a factor on the commanded or initial speed."""
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpecCheck:
-    """What is said of requirements before the first run.
+    """Result of checking requirements before the first run.
 
     Attributes:
-        lines: how each is understood.
-        warnings: what they may say other than was meant, a line each.
+        lines: how each is parsed.
+        warnings: likely mistakes, one line each.
     """
 
     lines: tuple[str, ...]
@@ -44,15 +45,15 @@ class SpecCheck:
 def check_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None
 ) -> SpecCheck:
-    """Look at requirements on a run of the simulator.
+    """Check requirements for a run of the simulator.
 
     Args:
         specs: the requirements.
         duration_s: length of the run [s].
-        gains: of the shipped controller; None where another may steer, of which nothing is known.
+        gains: gains of the shipped controller; None for any other controller.
 
     Raises:
-        UsageError: a window that can hold no sample of such a run.
+        UsageError: a window can hold no sample of such a run.
     """
     for spec in specs:
         check_windows(spec, round(duration_s * NS_PER_S), CONTROL_PERIOD_NS)
@@ -62,7 +63,7 @@ def check_specs(
 def describe_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None
 ) -> SpecCheck:
-    """The same for runs that are over: what no sample of them can judge is not refused here."""
+    """The same for finished runs, where undecidable windows are not refused."""
     setting = Setting(
         units=SIGNALS, ranges=signal_ranges(duration_s, gains),
         horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
@@ -73,12 +74,24 @@ def describe_specs(
     )
 
 
+def bounding_gains(gains: SteeringGains, scenario: Scenario) -> SteeringGains | None:
+    """Gains that say where the signals of a run can be; None where more than the law moves it.
+
+    Args:
+        gains: of the shipped controller.
+        scenario: of the run.
+    """
+    if scenario.pushed:
+        return None
+    return replace(gains, speed_mps=max(gains.speed_mps, scenario.speed_mps))
+
+
 def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapping[str, Range]:
-    """Where the signals of a run can be at all, by name; never too narrow.
+    """Conservative ranges of the signals of a run, by name.
 
     Args:
         duration_s: length of the run [s].
-        gains: of the shipped controller; None where another may steer.
+        gains: gains of the shipped controller; None for any other.
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
@@ -97,14 +110,15 @@ def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapp
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judgement:
-    """What the judge says of a run.
+    """Result of judging a run.
 
     Attributes:
-        readings: newest reading of each formula, in the order of the specs.
-        complete: the horizon was reached, every sample was usable, and every formula judged any.
-        stopped_early: not complete, but at the newest sample the judge's rule to stop was met.
+        readings: latest reading of each formula, in the order of the specs.
+        complete: the horizon was reached, every sample was usable, and every formula evaluated at
+        least one.
+        stopped_early: not complete, but the stop rule was met at the latest sample.
         satisfied: complete or stopped early, and every formula has robustness > 0.
-        statistics: of the samples seen.
+        statistics: statistics of the samples so far.
     """
 
     readings: tuple[Reading, ...]
@@ -121,17 +135,17 @@ class Judge:
         self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int,
         stop_on: StopOn = StopOn.NEVER, assumptions: Assumptions = NO_ASSUMPTIONS,
     ) -> None:
-        """Begin a run.
+        """Start a run.
 
         Args:
             specs: formulas to judge by; the first is the headline.
             horizon_ns: last stamp of the run [ns].
-            max_gap_ns: longest time without a sample [ns]; a longer one voids the run.
+            max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
             stop_on: what ends the run before its horizon.
-            assumptions: what the user vouches for.
+            assumptions: assumptions of the user.
 
         Raises:
-            UsageError: a window of a formula lies beyond the run.
+            UsageError: a formula has a window beyond the end of the run.
         """
         for spec in specs:
             check_windows(spec, horizon_ns)
@@ -149,12 +163,12 @@ class Judge:
         self._watch = EstimateWatch(horizon_ns, CONTROL_PERIOD_NS) if watched else None
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> tuple[Reading, ...]:
-        """Take the signals at ``stamp_ns``; answer one reading per formula.
+        """Add the signals at ``stamp_ns``; return one reading per formula.
 
         Args:
             stamp_ns: time since the start of the run [ns].
-            sample: the signals as :func:`.loop.signals` gives them; those that depend on the
-                frames before are added here, where a formula reads them.
+            sample: the signals as given by :func:`.loop.signals`; those that depend on earlier
+                frames are added here if a formula reads them.
         """
         if self._watch is not None:
             sample = {**sample, **self._watch.signals(stamp_ns, sample)}
@@ -163,14 +177,14 @@ class Judge:
         return self._readings
 
     def new_breaches(self) -> list[str]:
-        """How the newest sample broke what was vouched for, a line for each way."""
+        """Violations of assumptions by the latest sample, one line each."""
         told = {monitor.breach for monitor in self._monitors if monitor.breach} - self._breaches
         self._breaches |= told
         return sorted(told)
 
     @property
     def stopped_early(self) -> bool:
-        """Whether the run ends at the newest sample, before its horizon."""
+        """Whether the run ends at the latest sample, before its horizon."""
         return bool(self._readings) and stops(self._stop_on, self._readings)
 
     @property

@@ -1,8 +1,8 @@
-"""What decides a run's verdict: its requirements, what ends it early, and what is vouched for.
+"""What decides a run's verdict: requirements, stop rule and assumptions.
 
-A run may end before its horizon as soon as what it was run for is decided. Robust satisfaction
-intervals make that sound: once an interval leaves zero behind, no completion of the run brings it
-back (Deshmukh et al., Formal Methods in System Design 51, 2017).
+A run may end before its horizon as soon as its verdict is decided. Robust satisfaction intervals
+make this sound: once an interval excludes zero, no completion of the run can include it again
+(Deshmukh et al., Formal Methods in System Design 51, 2017).
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from taxinet_ros.errors import UsageError
 
 
 class StopOn(enum.StrEnum):
-    """What ends a run early."""
+    """Rule to stop a run early."""
 
     NEVER = 'never'
     VIOLATED = 'violated'
-    """The first formula, the headline, can no longer have robustness > 0: the run has failed."""
+    """Stop when the first formula (the headline) can no longer have robustness > 0."""
     DECIDED = 'decided'
-    """Every formula is decided: robustness > 0 is certain, or out of reach."""
+    """Stop when for every formula robustness > 0 is certain or impossible."""
 
 
 def parse_stop_on(word: str) -> StopOn:
-    """The rule of this name; '' is never, as in recordings from before there was a choice.
+    """Parse the rule name; '' means never, as in older recordings.
 
     Raises:
-        UsageError: there is none by that name.
+        UsageError: unknown name.
     """
     try:
         return StopOn(word or StopOn.NEVER)
@@ -39,9 +39,9 @@ def parse_stop_on(word: str) -> StopOn:
 
 
 def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
-    """Whether a run ends at the sample of these readings, though its horizon is not reached.
+    """Whether a run stops at the sample of these readings, before its horizon.
 
-    A run with an unusable sample is never stopped: it has no verdict, early or late.
+    A run with an unusable sample is never stopped early: it has no verdict.
     """
     if any(reading.final or not reading.valid or reading.interval.unclear for reading in readings):
         return False
@@ -54,15 +54,14 @@ def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judging:
-    """What decides the verdict of runs, in words that go into files and messages as they are.
+    """Judging options as texts, stored unchanged in files and messages.
 
     Attributes:
-        specs: formulas as text that needs no file (:func:`.mtl.parse_spec`); the first is the
-            headline.
-        stop_on: what ends a run before its end.
-        bounds: what is vouched for of the signals' values, such as ``cte=-25:25``, each in the
-            signal's unit (:mod:`.mtl.assumptions`).
-        rates: of their change per second, such as ``cte=3``.
+        specs: formulas as self-contained text (:func:`.mtl.parse_spec`); the first is the headline.
+        stop_on: stop rule.
+        bounds: assumed ranges of signals, such as ``cte=-25:25``, in the signal's unit
+        (:mod:`.mtl.assumptions`).
+        rates: assumed maximum change per second, such as ``cte=3``.
     """
 
     specs: tuple[str, ...]
@@ -75,16 +74,16 @@ class Judging:
         """The formulas.
 
         Raises:
-            UsageError: one is none.
+            UsageError: one is invalid.
         """
         return tuple(parse_spec(text) for text in self.specs)
 
     @property
     def assumptions(self) -> Assumptions:
-        """What is vouched for.
+        """The parsed assumptions.
 
         Raises:
-            UsageError: it is not spelled as it should be.
+            UsageError: the syntax is invalid.
         """
         return parse_assumptions(self.bounds, self.rates)
 
@@ -109,10 +108,10 @@ class Judging:
 
     @classmethod
     def from_facts(cls, facts: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`facts` gave; a record from before there was a choice lacks some.
+        """Inverse of :meth:`facts`; older records lack some values.
 
         Raises:
-            UsageError: there is no such rule to stop.
+            UsageError: unknown stop rule.
         """
         return cls(
             specs=tuple(f'{name}={text}' for name, text in facts.get('specs', {}).items()),
@@ -122,10 +121,10 @@ class Judging:
 
     @classmethod
     def from_message(cls, message: Any) -> Self:
-        """What a scenario message says; bags from before there was a choice lack some fields.
+        """Read from a scenario message; older bags lack some fields.
 
         Raises:
-            UsageError: there is no such rule to stop.
+            UsageError: unknown stop rule.
         """
         return cls(
             specs=tuple(message.specs), stop_on=parse_stop_on(getattr(message, 'stop_on', '')),

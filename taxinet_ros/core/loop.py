@@ -1,4 +1,4 @@
-"""The closed loop in one process, without ROS: the reference that the graph must match bit for bit.
+"""The closed loop in one process, without ROS: the bit-exact reference for the graph.
 
 One control step, ten times a simulated second: the world is observed, the perception estimates,
 the controller answers, the judge looks at the truth, the world moves on (paper, section 3.1).
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.judging import StopOn
@@ -27,34 +27,49 @@ MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """One control step: what was seen, estimated, commanded and judged."""
+    """One control step: state, observation, estimate, command and readings."""
 
     observation: Observation
     estimate: TrackingError
     command: TaxiCommand
     readings: tuple[Reading, ...]
 
+    @property
+    def sample(self) -> dict[str, float]:
+        """The monitored signals."""
+        state = self.observation.state
+        truth = state.tracking_error
+        return signals(
+            cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m, speed_mps=state.speed_mps,
+            estimate=self.estimate, command=self.command,
+        )
 
-ROLLING_ON = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
-"""What holds before the first answer: how the aircraft rolls when a run starts."""
+
+def rolling_on(speed_mps: float) -> TaxiCommand:
+    """Command before the first answer: constant initial motion.
+
+    Args:
+        speed_mps: of the scenario [m/s].
+    """
+    return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
 
 
 class LateCommands:
-    """Which command holds from a control step to the next, where answers take effect late.
+    """Selects the command in effect at each control step with delayed answers.
 
     Attributes:
-        answers: commands on their way.
+        answers: pending commands.
     """
 
-    def __init__(self, timing: Timing, seed: int, index: int) -> None:
-        """Begin run ``index`` of a campaign with this seed."""
-        self.answers = LateAnswers(ROLLING_ON)
+    def __init__(self, timing: Timing, seed: int, index: int, first: TaxiCommand) -> None:
+        """Start run ``index`` of a campaign with this seed; ``first``: see :func:`rolling_on`."""
+        self.answers = LateAnswers(first)
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
-        """The command that holds from step ``seq``, whose frame is answered by ``command``.
+        """The command in effect from step ``seq``, whose own answer is ``command``.
 
-        To be called once for every step, in order.
+        Call once per step, in order.
         """
         now_ns = seq * CONTROL_PERIOD_NS
         self.answers.put(seq, now_ns + next(self._latencies_ns), command)
@@ -67,7 +82,7 @@ def signals(
 ) -> dict[str, float]:
     """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
-    An estimate that the perception could not make is NaN, so no formula about it can be satisfied.
+    A missing estimate is NaN, so no formula about it can be satisfied.
     """
     return {
         'cte': cte_m,
@@ -99,22 +114,22 @@ def run_closed_loop(
         scenario: initial condition and environment.
         perception: turns a camera frame, or the truth, into an estimate.
         specs: formulas to judge the ground truth by.
-        controller: answers the estimates; the steering law with its defaults where None.
-        stop_on: what ends the run before its end; the deciding step is its last.
-        assumptions: what is vouched for of the signals.
+        controller: computes commands from estimates; None: the steering law with default gains.
+        stop_on: stop rule; the deciding step is the last.
+        assumptions: assumptions on the signals.
         on_step: called with every step, in order, before the world moves on.
-        timing: when answers take effect.
-        draws: seed and index of the run, which determine latencies that are drawn.
-        make_world: makes the world that the run takes place in.
+        timing: timing of answers.
+        draws: seed and index of the run, which determine random latencies.
+        make_world: factory of the world.
 
     Returns:
         The judgement over the run.
     """
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
-    controller.begin()
+    controller.begin(scenario)
     world = make_world(scenario, pictures=perception.needs_image)
-    commands = LateCommands(timing, *draws)
+    commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:

@@ -8,12 +8,15 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Protocol, Self
 
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import MTL_MONITOR
+from taxinet_ros.errors import InfraKind
 
 
 class Outcome(enum.StrEnum):
@@ -52,6 +55,13 @@ def outcome_of(judgement: Judged) -> Outcome:
     if not (judgement.complete or judgement.stopped_early):
         return Outcome.INFRA_ERROR
     return Outcome.PASS if judgement.satisfied else Outcome.FAIL
+
+
+NOT_JUDGED: Mapping[str, str] = MappingProxyType({
+    'kind': InfraKind.INVALID_RUN, 'who': MTL_MONITOR,
+    'detail': 'the monitor had no whole, finite sequence of samples to judge',
+})
+"""What is said of a run that reached its end and could not be judged."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -18,8 +18,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.registry import plugins
+from taxinet_ros.version import __version__
 
 Provenance = Mapping[str, str]
 """Facts by name, as :func:`provenance` gives them."""

@@ -1,20 +1,26 @@
 """The keys of a scenario, one row each: names, units, range, words, and what people call them.
 
-A key is what people type, in Scenic programs, after ``--set`` and in experiments. The attribute of
-:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units, the
-column of tables in the units that people read. Whatever else has a line for each key (scenario
-message, rows and tables of runs, features of an analysis, world model of the programs, pages of
-the documentation) is made from these rows, or compared with them by
-``tests/core/test_scenario_fields.py``.
+A key is the one name outside, with its unit in it: people type it in Scenic programs, after
+``--set`` and in experiments, and read it in tables, ledgers, labels and JSON. The attribute of
+:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units.
+
+Where people type, a key without its unit (its short form: ``rain`` for ``rain_percent``) means the
+same; :func:`by_key` spells it out. Only short forms were there before keys had units, so they are
+in files of then, which are read likewise.
+
+Whatever else has a line for each key (scenario message, rows and tables of runs, features of an
+analysis, world model of the programs, pages of the documentation) is made from these rows, or
+compared with them by ``tests/core/test_scenario_fields.py``.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 from taxinet_ros.errors import UsageError
 
@@ -25,6 +31,8 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
+RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+"""What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
@@ -61,37 +69,45 @@ class ScenarioField:
     """One key of a scenario.
 
     Attributes:
-        key: as people type it; also in ``scenario.json`` and in rows of the ledger.
+        key: its name outside, with the unit where it has one.
+        short: the key without its unit, '' where that is the key itself.
         attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
-            SI units. Messages of before these names had units called it by the key.
-        column: of tables of runs, in the units that people read.
+            SI units.
         title: for people, without the unit.
         kind: of its values.
         unit: in which people type and read it, '' for words.
         si: how much one ``unit`` is in SI units.
+        si_unit: as it follows a number in SI units.
         low, high: least and greatest number in SI units, both allowed.
-        range_unit: of ``low`` and ``high``, with what is counted how.
+        counted: from where and in which direction, as it follows either unit.
         form: format of a number for people.
         words: all that there are, in their order.
-        plane: property of the Scenic program's aircraft that says it, in ``unit``; '' where a
-            parameter of the program does.
-        absent: its value in recordings of before there was such a key; None where there always was.
+        plane: whether a Scenic program says it by the place of its aircraft, which has a property
+            of this name; else a parameter of the program does.
+        absent: its value in recordings of before there was such a key, in SI units; None where
+            there always was.
     """
 
     key: str
     attribute: str
-    column: str
     title: str
+    short: str = ''
     kind: Kind = Kind.NUMBER
     unit: str = ''
     si: float = 1.0
     low: float = -math.inf
     high: float = math.inf
-    range_unit: str = ''
+    si_unit: str = ''
+    counted: str = ''
     form: str = '{:g}'
     words: tuple[str, ...] = ()
-    plane: str = ''
-    absent: bool | None = None
+    plane: bool = False
+    absent: Any = None
+
+    @property
+    def label(self) -> str:
+        """The key for people, without its unit: ``time of day``."""
+        return (self.short or self.key).replace('_', ' ')
 
     @property
     def column_type(self) -> str:
@@ -112,10 +128,14 @@ class ScenarioField:
         """A value that a person typed, in SI units.
 
         Raises:
-            UsageError: it is no number, or no switch, where there should be one.
+            UsageError: it is no number within the range, or no switch, where there should be one.
         """
         if self.kind is Kind.NUMBER:
-            return self._number(value) * self.si
+            number = self._number(value)
+            if not self._within(number * self.si):
+                unit = f'{self.unit_mark}{self.counted}'
+                raise _outside(self.key, number, self.low / self.si, self.high / self.si, unit)
+            return number * self.si
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def to_human(self, value: Any) -> Any:
@@ -133,13 +153,9 @@ class ScenarioField:
         switch = type(value).__name__ in ('bool', 'bool_')
         if switch is not (self.kind is Kind.SWITCH) or not (switch or isinstance(value, expected)):
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not {what}')
-        if self.kind is Kind.NUMBER and not (
-            math.isfinite(value) and self.low <= value <= self.high
-        ):
-            raise UsageError(
-                f'scenario: {self.attribute} is {value:g}, outside {self.low:g}..{self.high:g} '
-                f'{self.range_unit}'
-            )
+        if self.kind is Kind.NUMBER and not self._within(value):
+            unit = f' {self.si_unit}{self.counted}'
+            raise _outside(self.attribute, value, self.low, self.high, unit)
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
@@ -154,7 +170,10 @@ class ScenarioField:
             return str(value)
         number = self.form.format(value)
         unit = 'deg' if self.unit == '°' else self.unit
-        return f'{number.removeprefix("+") if value == 0 else number} {unit}'
+        return f'{number.removeprefix("+") if value == 0 else number} {unit}'.rstrip()
+
+    def _within(self, value: float) -> bool:
+        return math.isfinite(value) and self.low <= value <= self.high
 
     def _number(self, value: Any) -> float:
         if isinstance(value, bool):
@@ -172,68 +191,136 @@ class ScenarioField:
         return _SWITCH_WORDS[str(value).lower()]
 
 
+def _outside(name: str, value: float, low: float, high: float, unit: str) -> UsageError:
+    return UsageError(f'scenario: {name} is {value:g}, outside {low:g}..{high:g}{unit}')
+
+
 def clock_words(hours: float) -> str:
     """Hours after midnight as ``13:20``."""
     whole, minutes = divmod(round(hours * 60), 60)
     return f'{whole:02d}:{minutes:02d}'
 
 
+def pushing_words(scene: Mapping[str, Any]) -> str:
+    """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
+
+    Args:
+        scene: in human units, by key.
+    """
+    return ''.join(
+        f', {field.title} {field.value_words(scene[field.key])}' for field in PUSHING_FIELDS
+        if scene[field.key] not in (None, '', field.to_human(field.absent))
+    )
+
+
 CROSS_TRACK = ScenarioField(
-    key='cross_track', attribute='cross_track_m', column='cross_track_m',
+    key='cross_track_m', short='cross_track', attribute='cross_track_m',
     title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
-    range_unit='m left of the centreline (on the runway)', plane='cross_track',
+    si_unit='m', counted=' left of the centreline (on the runway)', plane=True,
 )
 DISTANCE = ScenarioField(
-    key='distance', attribute='distance_m', column='distance_m',
+    key='distance_m', short='distance', attribute='distance_m',
     title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
-    range_unit='m past the threshold', plane='distance',
+    si_unit='m', counted=' past the threshold', plane=True,
 )
 HEADING = ScenarioField(
-    key='heading', attribute='heading_rad', column='heading_deg',
+    key='heading_deg', short='heading', attribute='heading_rad',
     title='start heading, nose left', unit='°', si=math.pi / 180, form='{:+.1f}',
-    low=-math.pi / 2, high=math.pi / 2, range_unit='rad, nose left positive', plane='heading_deg',
+    low=-math.pi / 2, high=math.pi / 2, si_unit='rad', counted=', nose left positive',
+    plane=True,
 )
 SKY = ScenarioField(
-    key='clouds', attribute='clouds', column='clouds', title='clouds',
-    kind=Kind.WORD, words=CLOUDS,
+    key='clouds', attribute='clouds', title='clouds', kind=Kind.WORD, words=CLOUDS,
 )
 RAIN = ScenarioField(
-    key='rain', attribute='rain_fraction', column='rain_percent', title='rain', unit='%', si=0.01,
-    form='{:.0f}', low=0.0, high=1.0, range_unit='as a fraction',
+    key='rain_percent', short='rain', attribute='rain_fraction', title='rain', unit='%', si=0.01,
+    form='{:.0f}', low=0.0, high=1.0, si_unit='as a fraction',
 )
 TIME_OF_DAY = ScenarioField(
-    key='time_of_day', attribute='time_of_day_s', column='time_of_day_h',
+    key='time_of_day_h', short='time_of_day', attribute='time_of_day_s',
     title='time of day', unit='h', si=3600.0, low=0.0, high=86400.0,
-    range_unit='s after local midnight',
+    si_unit='s', counted=' after local midnight',
 )
 DATE = ScenarioField(
-    key='date', attribute='date', column='date', title='date', kind=Kind.DATE,
+    key='date', attribute='date', title='date', kind=Kind.DATE,
 )
 SHADOWS = ScenarioField(
-    key='shadows', attribute='shadows', column='shadows',
-    title='shadow of the aircraft', kind=Kind.SWITCH,
+    key='shadows', attribute='shadows', title='shadow of the aircraft', kind=Kind.SWITCH,
 )
 CROSSING = ScenarioField(
-    key='crossing', attribute='crossing', column='crossing',
-    title='crossing runway', kind=Kind.SWITCH, absent=True,
+    key='crossing', attribute='crossing', title='crossing runway', kind=Kind.SWITCH, absent=True,
 )
 AIRCRAFT_MODEL = ScenarioField(
-    key='aircraft', attribute='aircraft', column='aircraft', title='aircraft',
-    kind=Kind.WORD, words=AIRCRAFT,
+    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.WORD, words=AIRCRAFT,
+)
+WIND_SPEED = ScenarioField(
+    key='wind_speed_mps', short='wind_speed', attribute='wind_speed_mps', title='wind', unit='m/s',
+    form='{:.1f}', low=0.0, high=30.0, si_unit='m/s', absent=0.0,
+)
+WIND_DIRECTION = ScenarioField(
+    key='wind_direction_deg', short='wind_direction', attribute='wind_direction_rad',
+    title='direction that the wind blows from', unit='°', si=math.pi / 180, form='{:.0f}',
+    low=0.0, high=2 * math.pi, si_unit='rad', counted=' from true north, clockwise',
+    absent=0.0,
+)
+GUST = ScenarioField(
+    key='gust_mps', short='gust', attribute='gust_mps', title='gusts, standard deviation',
+    unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0,
+)
+GUST_SEED = ScenarioField(
+    key='gust_seed', attribute='gust_seed', title='seed of the gusts',
+    form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
+)
+RUNWAY_STATE = ScenarioField(
+    key='runway_state', attribute='runway_state', title='friction of the runway', kind=Kind.WORD,
+    words=RUNWAY_STATES, absent='dry',
+)
+SLOPE = ScenarioField(
+    key='slope_percent', short='slope', attribute='slope_fraction', title='slope, uphill', unit='%',
+    si=0.01, form='{:+.1f}', low=-0.05, high=0.05, si_unit='as a fraction', absent=0.0,
+)
+SPEED = ScenarioField(
+    key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
+    form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
 DURATION = ScenarioField(
-    key='duration', attribute='duration_s', column='duration_s',
-    title='duration', unit='s', low=0.1, high=600.0, range_unit='s',
+    key='duration_s', short='duration', attribute='duration_s',
+    title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
-SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
+PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
+"""What moves the aircraft and is not in the picture."""
+SCENARIO_FIELDS = (
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION,
+)
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
-"""Scenario keys as people type them."""
+"""Scenario keys as people type and read them."""
+SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
+"""What may be typed for a key, and was all that there was in files of before: the key by it."""
 
-PLANE_PROPERTIES = {field.key: field.plane for field in SCENARIO_FIELDS if field.plane}
-"""Keys that a Scenic program says by the place of the aircraft, and its property that says it."""
+PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)
+"""Keys that a Scenic program says by the place of its aircraft, which has these properties."""
 PARAMETERS = tuple(field.key for field in SCENARIO_FIELDS if not field.plane)
 """Keys that a Scenic program says as global parameters."""
+
+_Value = TypeVar('_Value')
+
+
+def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
+    """The same values with short forms spelled out; names that are no keys stay as they are.
+
+    Raises:
+        UsageError: a key is there with its short form too.
+    """
+    for short, key in SHORT_FORMS.items():
+        if short in values and key in values:
+            raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
+    return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+
+
+def other_form(name: str) -> str:
+    """A key's short form, or the key of a short form; '' where there is none."""
+    return BY_KEY[name].short if name in BY_KEY else SHORT_FORMS.get(name, '')

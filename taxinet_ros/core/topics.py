@@ -1,7 +1,7 @@
-"""The one table of the graph: every topic's name, type, quality of service, and who speaks to whom.
+"""Table of the graph's topics: name, type, quality of service, publishers and subscribers.
 
-It is data, and needs no ROS: nodes, recorder, readers of bags, docs and tests go by it, and no
-other line spells a topic's name. ``nodes/interface.py`` makes rclpy's objects of it.
+Plain data without ROS: nodes, recorder, bag readers, docs and tests use it, and topic names are
+    written nowhere else. ``nodes/interface.py`` makes rclpy's objects of it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ SCENE_MARKERS = 'scene_markers'
 SUPERVISOR = 'supervisor'
 
 PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
-"""Nodes that take part in the lockstep beside the simulator, which keeps it."""
+"""Nodes of the lockstep, besides the simulator that controls it."""
 
 CHAIN = (PERCEPTION, STEERING_CONTROLLER)
-"""Nodes that answer one another within a control step."""
+"""Nodes of the control loop, which answer within a control step."""
 
 FOLLOWERS = (MTL_MONITOR, RECORDER)
-"""Nodes that only listen, and report progress."""
+"""Nodes that only subscribe, and report progress."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +39,7 @@ class Quality:
 
     @property
     def latched(self) -> bool:
-        """Whether those who come late get what was said before."""
+        """Whether late subscribers get earlier messages."""
         return self.durability == 'transient_local'
 
 
@@ -71,11 +71,11 @@ class Topic:
         name: relative name, so that a whole graph can be put into a namespace.
         type_name: ROS name of the type, e.g. ``sensor_msgs/msg/Image``.
         quality: quality of service of both ends.
-        publishers: names of the nodes that speak.
-        subscribers: names of the nodes that must hear every message; the recorder is implied
+        publishers: names of the publishing nodes.
+        subscribers: names of the nodes that must receive every message; the recorder is implied
             where ``recorded``.
         recorded: how many messages a run's bag holds, or None where the topic is not recorded.
-        carries: one line for people.
+        carries: description in one line.
         queue: messages that may wait at either end, where those are more than the depth in
             ``quality``.
     """
@@ -188,9 +188,9 @@ OBITUARY = Topic(
     publishers=(SCENARIO_SAMPLER, SUPERVISOR), subscribers=(SIMULATOR, RECORDER), recorded=None,
     carries='a node that is dead (DIED) or a simulator that is silent (ERROR)',
 )
-"""What is said of nodes by those who look after them; it ends a run, and gives it no verdict.
+"""Messages of supervisors about nodes; they end a run without a verdict.
 
-So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the run may.
+Any node may publish here, unlike on :data:`TOPICS`, which are reserved for the nodes of the run.
 """
 TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,

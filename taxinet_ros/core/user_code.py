@@ -1,13 +1,12 @@
-"""Perceptions and controllers of somebody's own: a Python file's function, or a node elsewhere.
+"""User-supplied perceptions and controllers: a function in a Python file, or an external node.
 
-``FILE.py:NAME``: a function that answers (a frame, or an estimate, in; an answer out), or a class
-or function without arguments that makes such a thing. What is made is made anew for every run,
-unless it has a method ``reset()``, which is then called instead: so no run depends on those before
-it. The file is code and runs with the rights of whoever names it, like a Scenic program. Until a
-node needs it, it is only read.
+``FILE.py:NAME``: a function (frame or estimate in, answer out), or a class or function without
+arguments that creates such a callable. It is created anew for every run, unless it has a method
+``reset()``, which is then called instead, so that no run depends on earlier ones. The file is code
+and runs with the user's rights, like a Scenic program. It is only read until a node needs it.
 
-``external``: a node that is started elsewhere, in whatever language. ``cmd:COMMAND``: one that we
-start, look after and end, as in ``cmd:ros2 run my_pkg my_node``.
+``external``: a node started by the user, in any language. ``cmd:COMMAND``: a node that the graph
+    starts, supervises and ends, e.g. ``cmd:ros2 run my_pkg my_node``.
 """
 
 from __future__ import annotations
@@ -34,21 +33,21 @@ from taxinet_ros.registry import Extension
 EXTERNAL: Final = 'external'
 COMMAND: Final = 'cmd:'
 NO_NODE_HERE: Final = (
-    'is a node in a graph, and this needs none; name something that can be called here: a word, '
-    'a file, or FILE.py:NAME'
+    'is a node of a graph, but this command runs without one; name something callable here: a '
+    'word, a file, or FILE.py:NAME'
 )
 
 
 def is_node_elsewhere(word: str) -> bool:
-    """Whether a word means a node that is not one of ours."""
+    """Whether a word means an external node or a user command."""
     return word == EXTERNAL or word.startswith(COMMAND)
 
 
 def command_of(word: str) -> list[str] | None:
-    """Program and arguments of a ``cmd:`` word, split as a shell does; None for another word.
+    """Program and arguments of a ``cmd:`` word, split as by a shell; None for other words.
 
     Raises:
-        UsageError: there is no program in it, or a quote without its end.
+        UsageError: it has no program, or an unterminated quote.
     """
     if not word.startswith(COMMAND):
         return None
@@ -57,12 +56,14 @@ def command_of(word: str) -> list[str] | None:
     except ValueError as error:
         raise UsageError(f'{word}: {error}') from error
     if not words:
-        raise UsageError(f"{word!r}: names no program, as in {COMMAND}'ros2 run my_pkg my_node'")
+        raise UsageError(
+            f"{word!r}: names no program; expected e.g. {COMMAND}'ros2 run my_pkg my_node'"
+        )
     return words
 
 
 def node_command(word: str, name: str, remaps: Sequence[str] = ()) -> list[str] | None:
-    """The same, with the arguments that give the node the name that a graph knows it by.
+    """The same, with the arguments that set the node's name in the graph.
 
     Args:
         word: as of :func:`command_of`.
@@ -80,14 +81,14 @@ def node_command(word: str, name: str, remaps: Sequence[str] = ()) -> list[str] 
 
 
 def short_word(word: str) -> str:
-    """What names of folders hold of a word: a file's stem, and of a command that it is one."""
+    """Short form of a word for folder names: the stem of a file, or ``cmd``."""
     if word.startswith(COMMAND):
         return COMMAND.removesuffix(':')
     return Path(word.partition('.py:')[0]).stem if '.py:' in word else Path(word).stem
 
 
 IMPLEMENTATION = 'python'
-"""What a node says of itself that runs such code; the hash beside it says which."""
+"""Implementation name reported by a node that runs such code; its hash identifies the code."""
 _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
@@ -96,18 +97,18 @@ _Answer = TypeVar('_Answer')
 
 
 class UserCodeError(RuntimeError):
-    """Somebody's function failed amid a run; the message says where in the file."""
+    """User code failed during a run; the message gives the line in the file."""
 
 
 @dataclass(frozen=True)
 class UserCode:
-    """Something callable in a file, which exists.
+    """A callable in an existing file.
 
     Attributes:
-        path: the file, as it was named.
+        path: the file as given.
         name: of the function or class.
-        sha256: of the file, with those after it that it lists as ``FILES = [...]``, such as
-            weights, named from its own folder.
+        sha256: hash of the file and the files it lists as ``FILES = [...]``, such as weights,
+            relative to its folder.
     """
 
     path: Path
@@ -116,37 +117,38 @@ class UserCode:
 
     @property
     def word(self) -> str:
-        """What a node that runs it says of itself."""
+        """Implementation name reported by its node."""
         return IMPLEMENTATION
 
     @property
     def where(self) -> str:
-        """What complaints begin with."""
+        """Prefix of error messages."""
         return str(self.path)
 
     def make(self) -> Callable[..., Any]:
-        """What answers, made anew if the file has a maker of such.
+        """The callable, created anew if the file has a factory.
 
         Raises:
-            UsageError: the file's code fails, or it makes nothing that can be called.
+            UsageError: the file's code fails, or its result is not callable.
         """
         found = self._found
         with _same_place(), self.running(UsageError):
             made = found() if _is_maker(found) else found
         if not callable(made):
             raise UsageError(
-                f'{self.where}: {self.name}() gave {type(made).__name__}, which cannot be called; '
-                'expected a function of one argument'
+                f'{self.where}: {self.name}() returned {type(made).__name__}, which cannot be '
+                'called; expected a function of one argument'
             )
         return made
 
     @contextlib.contextmanager
     def running(self, failed: type[UsageError | UserCodeError]) -> Iterator[None]:
-        """Within the ``with``, the file's code runs, and may print.
+        """Context in which the file's code runs, and may print.
 
         Raises:
-            failed: it raises whatever, a ``SystemExit`` too: that is to end a run, not the bench.
-            KeyboardInterrupt: a signal came that asks this process to end.
+            failed: it raises any exception, including ``SystemExit``: this ends the run, not the
+            process.
+            KeyboardInterrupt: a signal asked this process to end.
         """
         with _held():
             heard = len(RECEIVED_STOPS)
@@ -157,7 +159,7 @@ class UserCode:
                 raise failed(self.failure(error)) from error
 
     def failure(self, error: BaseException) -> str:
-        """What to say of an exception of the file's: the line in it, if it was there."""
+        """Error message for an exception of the file, with its line if known."""
         trace, line = error.__traceback__, 0
         while trace is not None:
             if trace.tb_frame.f_code.co_filename == str(self.path):
@@ -170,10 +172,10 @@ class UserCode:
     def _found(self) -> Callable[..., Any]:
         module = types.ModuleType(f'taxinet_user_{self.path.stem}')
         module.__file__ = str(self.path)
-        sys.modules[module.__name__] = module  # dataclasses and pickle look there
+        sys.modules[module.__name__] = module  # needed by dataclasses and pickle
         folder = str(self.path.resolve().parent)
         if folder not in sys.path:
-            sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
+            sys.path.append(folder)  # last, so that it cannot shadow our modules
         with _same_place(), self.running(UsageError):
             exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
             found: Any = getattr(module, self.name)
@@ -187,7 +189,7 @@ class UserCode:
 
 @dataclass(frozen=True)
 class PluginCode(UserCode):
-    """Something callable in an installed package, which has a name for it.
+    """A callable registered by an installed package.
 
     Attributes:
         path: folder or only file of the package.
@@ -200,16 +202,16 @@ class PluginCode(UserCode):
 
     @property
     def word(self) -> str:
-        """What a node that runs it says of itself."""
+        """Implementation name reported by its node."""
         return self.extension.name
 
     @property
     def where(self) -> str:
-        """What complaints begin with."""
+        """Prefix of error messages."""
         return self.extension.words
 
     def failure(self, error: BaseException) -> str:
-        """What to say of an exception of the package's: whose it is, and the last line in it."""
+        """Error message for an exception of the package, with its last line."""
         trace, place = error.__traceback__, ''
         while trace is not None:
             file = trace.tb_frame.f_code.co_filename
@@ -232,10 +234,10 @@ class PluginCode(UserCode):
 
 
 def find_plugin_code(extension: Extension) -> PluginCode:
-    """What is called for an extension of somebody's; its package is imported.
+    """The callable of an extension; imports its package.
 
     Raises:
-        UsageError: that fails, or it is nothing that can be called.
+        UsageError: the import fails, or it is not callable.
     """
     found = PluginCode(
         path=extension.package or Path(), name=extension.target.partition(':')[2],
@@ -246,7 +248,7 @@ def find_plugin_code(extension: Extension) -> PluginCode:
 
 
 class RunCode:
-    """A file's function, in the state in which each run is to find it."""
+    """User code in its initial state for each run."""
 
     def __init__(self, code: UserCode) -> None:
         """Load the file.
@@ -259,7 +261,7 @@ class RunCode:
         self._fresh = True
 
     def begin(self) -> None:
-        """Forget what came before: called before each run.
+        """Reset; called before each run.
 
         Raises:
             UserCodeError: the file's code fails.
@@ -282,12 +284,12 @@ class RunCode:
         """Call it.
 
         Args:
-            argument: what it is given.
-            read: makes of what it answers what we want, or None; that too may run its code.
-            expected: what we want, in words.
+            argument: its argument.
+            read: converts its result, or returns None; may also run its code.
+            expected: description of the expected result.
 
         Raises:
-            UserCodeError: it fails, or what it answers is not expected.
+            UserCodeError: it fails, or its result is invalid.
         """
         self._fresh = False
         with self.code.running(UserCodeError):
@@ -296,36 +298,38 @@ class RunCode:
             shown = _text(answer, repr)[:60] if found is None else ''
         if found is None:
             raise UserCodeError(plain_line(
-                f'{self.code.where}: {self.code.name} answered {shown}; expected {expected}'
+                f'{self.code.where}: {self.code.name} returned {shown}; expected {expected}'
             ))
         return found
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
-    """Two numbers out of a tuple, a list or an array; None where it is none."""
+    """Two numbers from a tuple, list or array; None if invalid, or text."""
     heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
+        if any(isinstance(one, str | bytes) for one in (answer, first, second)):
+            return None
         return float(first), float(second)
-    except BaseException as error:  # somebody's answer may have an __iter__ or __float__ of his
+    except BaseException as error:  # the result may have a user-defined __iter__ or __float__
         _let_pass(error, heard)
         return None
 
 
 def names_user_code(word: str) -> bool:
-    """Whether a word is meant as a function in a Python file."""
+    """Whether a word has the form ``FILE.py:NAME``."""
     return not is_node_elsewhere(word) and bool(_ALONE.fullmatch(word) or _WORD.fullmatch(word))
 
 
 def find_user_code(word: str, role: str) -> UserCode:
-    """What a word names, read and not run.
+    """Find the code named by a word, without running it.
 
     Args:
         word: ``FILE.py:NAME``.
-        role: ``perception`` or ``controller``, for the complaint.
+        role: ``perception`` or ``controller``, for the error message.
 
     Raises:
-        UsageError: no such file, it is no Python, or it has nothing of that name.
+        UsageError: no such file, not valid Python, or no such name in it.
     """
     match = _WORD.fullmatch(word)
     path = Path(match['file'] if match else word.removesuffix(':'))
@@ -333,7 +337,7 @@ def find_user_code(word: str, role: str) -> UserCode:
     tree = _parsed(path, source)
     names = _names(tree)
     if match is None or match['name'] not in names:
-        what = 'say which function' if match is None else f'no {match["name"]} in it'
+        what = 'name a function' if match is None else f'no {match["name"]} in it'
         known = ', '.join(sorted(name for name in names if not name.startswith('_'))) or 'nothing'
         raise UsageError(f'{role} {path}: {what}, as in {path}:NAME; it has: {known}')
     for node in tree.body:
@@ -366,7 +370,7 @@ def _source(path: Path, role: str = '') -> bytes:
 
 @contextlib.contextmanager
 def _same_place() -> Iterator[None]:
-    """Keep the working folder, whatever somebody's code does, for our paths count from there."""
+    """Restore the working directory after user code, since our paths are relative to it."""
     before = os.getcwd()
     try:
         yield
@@ -376,13 +380,13 @@ def _same_place() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _held() -> Iterator[None]:
-    """Keep somebody's code from what we print, and from ending this process without a word.
+    """Keep user code from mixing with our output and from ending this process silently.
 
-    What it prints goes to stderr, but on a terminal, where nobody takes stdout for a result.
+    Its stdout goes to stderr, except on a terminal.
     """
     refuse_exits()
     streams = sys.stdout, sys.stderr
-    with contextlib.suppress(AttributeError, ValueError):  # it is not there, or closed
+    with contextlib.suppress(AttributeError, ValueError):  # missing or closed
         sys.stdout = sys.stdout if sys.stdout.isatty() else sys.stderr
     try:
         yield
@@ -391,11 +395,11 @@ def _held() -> Iterator[None]:
 
 
 def _let_pass(error: BaseException, heard: int) -> None:
-    """Raise a Ctrl-C again; not one that somebody's code made up, for no more signals were heard.
+    """Re-raise a real Ctrl-C, but not one raised by user code (no signal was received).
 
     Args:
-        error: what somebody's code has raised.
-        heard: how many signals there were before it ran.
+        error: exception raised by user code.
+        heard: number of signals before it ran.
     """
     if isinstance(error, KeyboardInterrupt) and len(RECEIVED_STOPS) > heard:
         raise error
@@ -408,7 +412,7 @@ def _said(error: BaseException) -> str:
 
 
 def _text(value: object, how: Callable[[object], str]) -> str:
-    """Something of somebody's in words, also where that fails."""
+    """Text of a user object, even if its conversion fails."""
     heard = len(RECEIVED_STOPS)
     try:
         return how(value)
@@ -418,7 +422,7 @@ def _text(value: object, how: Callable[[object], str]) -> str:
 
 
 def _names(tree: ast.Module) -> set[str]:
-    """What a module binds by name, wherever at its top level."""
+    """Names bound at the top level of a module."""
     found: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
@@ -440,10 +444,10 @@ def _digest(path: Path, source: bytes, tree: ast.Module) -> str:
 
 
 def _files(path: Path, tree: ast.Module) -> ast.Assign | ast.AnnAssign | None:
-    """Where the file lists others; None where it lists none.
+    """The assignment that lists further files; None if there is none.
 
     Raises:
-        UsageError: it does so in another way than once, by a plain assignment at its top level.
+        UsageError: it is not a single plain assignment at top level.
     """
     bound = [node for node in ast.walk(tree) if _binds_files(node)]
     plain = {
@@ -453,8 +457,7 @@ def _files(path: Path, tree: ast.Module) -> ast.Assign | ast.AnnAssign | None:
     for node in bound[-1:]:
         if len(bound) > 1 or id(node) not in plain:
             raise UsageError(
-                f'{path}:{node.lineno}: {_FILES}: expected one assignment of a list, at the '
-                'top of the file'
+                f'{path}:{node.lineno}: {_FILES}: expected one assignment of a list at top level'
             )
     return plain[id(bound[0])] if bound else None
 
@@ -478,7 +481,7 @@ def _listed(path: Path, node: ast.Assign | ast.AnnAssign) -> list[str]:
 
 
 def _is_maker(found: Callable[..., Any]) -> bool:
-    """Whether it wants no argument; a class whose objects cannot be looked into counts as one."""
+    """Whether it takes no argument; a class without a readable signature counts as such."""
     try:
         parameters = inspect.signature(found).parameters.values()
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
 """The world of one run, observed and advanced step by step.
 
-The simulated one is the aircraft on its runway, and what its wing camera sees. A package may bring
-another (:mod:`taxinet_ros.registry`).
+The simulated world is the aircraft on its runway with its wing camera. A package may add another
+(:mod:`taxinet_ros.registry`).
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import WORLDS, Extension, find, known
+from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:
-    """What there is to know at one control step, before it is answered.
+    """Observation at one control step.
 
     Attributes:
         seq: control step, from 0.
         stamp_ns: simulated time since the start of the run [ns].
         state: true state of the aircraft.
-        image: camera frame, (200, 360, 3) uint8 RGB; None where no one asked for pictures.
+        image: camera frame, (200, 360, 3) uint8 RGB; None if not requested.
     """
 
     seq: int
@@ -43,10 +43,10 @@ class Observation:
 
 
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
-    """Number of the last control step of a run: steps 0..N cover the duration, both ends included.
+    """Number of the last control step of a run; steps 0..N cover the duration, ends included.
 
     Raises:
-        UsageError: the duration is not a whole number of control periods.
+        UsageError: the duration is not a multiple of the control period.
     """
     steps, rest = divmod(scenario.duration_ns, period_ns)
     if rest:
@@ -58,7 +58,7 @@ def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
 
 
 class World(Protocol):
-    """One run's world, stepped from outside. A fresh one per run keeps runs bit-identical.
+    """Interface of the world of one run. A new one per run keeps runs bit-identical.
 
     Attributes:
         last_seq: number of the last control step, :func:`last_step` of the scenario.
@@ -67,27 +67,27 @@ class World(Protocol):
     last_seq: int
 
     def observe(self, *, picture: bool = True) -> Observation:
-        """The present moment, as often as it is asked for; ``picture`` False saves the picture.
+        """Observe the current step, repeatably; ``picture`` False skips rendering.
 
         Raises:
-            InfraError: the world is broken.
+            InfraError: the world failed.
         """
         ...
 
     def advance(self, command: TaxiCommand) -> None:
-        """Let one control period pass under ``command``.
+        """Advance by one control period under ``command``.
 
         Raises:
-            InfraError: the world is broken.
+            InfraError: the world failed.
         """
         ...
 
 
 class WorldMaker(Protocol):
-    """Makes the world of a run; what :func:`find_world` gives is one."""
+    """Factory of worlds, as returned by :func:`find_world`."""
 
     def __call__(self, scenario: Scenario, *, pictures: bool = True) -> World:
-        """A world at its first control step; ``pictures`` False: no one will look at any."""
+        """Create a world at its first control step; ``pictures`` False: none will be requested."""
         ...
 
 
@@ -102,10 +102,10 @@ class SimulatedWorld(World):
         """Set the aircraft on the runway.
 
         Args:
-            scenario: where it starts, and in which light and weather.
+            scenario: initial condition, light and weather.
             pictures: False leaves the camera out.
-            aircraft: makes the aircraft.
-            camera: makes the camera, for the first picture.
+            aircraft: factory of the aircraft.
+            camera: factory of the camera, called for the first picture.
         """
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
@@ -114,11 +114,11 @@ class SimulatedWorld(World):
 
     @cached_property
     def _camera(self) -> Camera:
-        # Made for the first picture: its ground takes longer than all else here, and 63 MB.
+        # Created for the first picture: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:
-        """Photograph the present moment; ``picture`` False saves the picture."""
+        """Observe the current step; ``picture`` False skips rendering."""
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         state = self._aircraft.state
         image = self._camera.render(state, stamp_ns) if picture and self._pictures else None
@@ -130,18 +130,14 @@ class SimulatedWorld(World):
         self._seq += 1
 
 
-KMWH = 'kmwh'
-"""The name of :class:`SimulatedWorld`: an aircraft on runway 04 of Grant County airport."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChosenWorld:
-    """A world that a name chooses.
+    """A world selected by name.
 
     Attributes:
         name: of it.
-        fingerprint: SHA-256 of the package that brings it; empty for the simulated one.
-        make: makes one for each run.
+        fingerprint: SHA-256 of the package that adds it; empty for the simulated one.
+        make: factory, called once per run.
     """
 
     name: str
@@ -149,11 +145,16 @@ class ChosenWorld:
     make: WorldMaker
 
 
-def find_world(name: str) -> ChosenWorld:
-    """The world of a name, ``kmwh`` or one that a package adds.
+def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
+    """Find a world by name: ``kmwh`` or one added by a package.
+
+    Args:
+        name: of it.
+        fingerprint: required hash of its package; '' for any.
 
     Raises:
-        UsageError: unknown name, or a package that cannot be imported or has nothing to call there.
+        UsageError: unknown name, a package that cannot be imported or has no callable there, or a
+            hash that differs from the recorded one.
     """
     extension = find(WORLDS, name)
     if extension is None:
@@ -163,18 +164,27 @@ def find_world(name: str) -> ChosenWorld:
         return ChosenWorld(name=name, fingerprint='', make=made)
     if not callable(made):
         raise UsageError(
-            f'{extension.words}: {extension.target} is {type(made).__name__}; expected what makes '
-            'a world of a scenario'
+            f'{extension.words}: {extension.target} is {type(made).__name__}; expected a function '
+            'that creates a world from a scenario'
+        )
+    now = extension.fingerprint
+    if fingerprint and now != fingerprint:
+        raise UsageError(
+            f'{extension.words}: world {name} is {now[:12]} now, it was {fingerprint[:12]}; put '
+            'the package back as it was'
         )
     return ChosenWorld(
-        name=name, fingerprint=extension.fingerprint, make=functools.partial(
-            _PluginWorld, extension, made
-        ),
+        name=name, fingerprint=now, make=functools.partial(_PluginWorld, extension, made)
     )
 
 
+def world_options(name: str) -> list[str]:
+    """Command-line options that select a world."""
+    return [] if name == KMWH else ['--world', name]
+
+
 class _PluginWorld(World):
-    """A package's world: where its code fails, the bench is broken, and whose it is is told."""
+    """A package's world; failures of its code are infrastructure errors that name the package."""
 
     def __init__(
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
@@ -182,15 +192,24 @@ class _PluginWorld(World):
         self._extension, self._seq = extension, -1
         self.last_seq = last_step(scenario)
         self._world = self._call(lambda: make(scenario, pictures=pictures))
+        told = self._call(lambda: self._world.last_seq)
+        if told != self.last_seq:
+            raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
         self._seq = 0
 
     def observe(self, *, picture: bool = True) -> Observation:
         now = self._call(lambda: self._world.observe(picture=picture))
+        if not isinstance(now, Observation):
+            raise self._broken(f'observed {type(now).__name__}, expected an Observation')
         if now.seq != self._seq:
             raise self._broken(f'observed step {now.seq}, expected {self._seq}')
         image, frame = now.image, (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
-        if image is not None and (image.shape != frame or image.dtype != np.uint8):
-            # A network would make an estimate up from anything.
+        if image is None:
+            return now
+        if not isinstance(image, np.ndarray):
+            raise self._broken(f'the picture is {type(image).__name__}, no array')
+        if image.shape != frame or image.dtype != np.uint8:
+            # A network would produce an estimate from any array.
             got = f'{image.shape} {image.dtype}'
             raise self._broken(f'the picture is {got}, not {frame} uint8')
         return now

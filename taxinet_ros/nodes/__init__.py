@@ -3,6 +3,6 @@
 import os
 from pathlib import Path
 
-# Read by Fast DDS when the first node of a process is made, and by the nodes that it starts in
-# turn; rclpy has no way to say it. Whoever has a profile of his own keeps it.
+# Read by Fast DDS when the first node of a process is created, and inherited by child processes;
+# rclpy has no API for it. A profile set by the user is kept.
 os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(Path(__file__).with_name('dds.xml')))

@@ -1,8 +1,7 @@
-"""Executable ``bag_player``: a recorded run on its topics again, at any rate, with its clock.
+"""Executable ``bag_player``: play back a recorded run on its topics, with its clock, at any rate.
 
-It keeps to the wall clock and asks nobody for answers: nodes run freely beside it. (In
-lockstep, into one node, a run is played by ``taxinet bag replay``.) Messages go out as they
-were stored.
+Playback follows the wall clock and waits for no answers; other nodes run freely beside it.
+(``taxinet bag replay`` replays a run into one node in lockstep.) Messages are published as stored.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import functools
 import importlib
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -26,11 +25,11 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from taxinet_ros.bag.cdr.decode import definition_hash, with_present_names
+from taxinet_ros.bag.cdr.decode import definition_hash, present_bytes, with_present_names
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, TF, is_of_frames, is_topic
-from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
+from taxinet_ros.bag.topics import TopicInfo, message_definition, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -41,41 +40,47 @@ from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, 
 from taxinet_ros.processes.interrupts import interrupts
 
 _MOST_HELD = 1000
-"""Depth of history that a bag may ask for at most: it is memory of this process."""
+"""Maximum history depth taken from a bag, since it costs memory of this process."""
 _POLICIES: dict[str, Any] = {
     'history': HistoryPolicy, 'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy,
 }
 
 
-def message_class(topic: TopicInfo) -> type[Any] | None:
-    """Class of a topic's messages, or None where its package is not installed here.
+_Bytes = Callable[[bytes], bytes]
 
-    Nothing is imported but packages that lay down this message definition.
+
+def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
+    """Message class of a topic, and present bytes by recorded ones; None if not installed.
+
+    Only packages that provide this message definition are imported.
 
     Raises:
-        UsageError: the installed message is of another version than the recorded one.
+        UsageError: the installed message definition differs from the recorded one.
     """
     try:
         installed = type_hash(topic.type)
     except UsageError:
         return None
+    converted: _Bytes | None = bytes
     if topic.type_hash and topic.type_hash != installed and not _renamed(topic, installed):
+        converted = present_bytes(topic, message_definition(topic.type))
+    if converted is None:
         raise UsageError(
-            f'{topic.name}: {topic.type} is of another version than the installed one; leave it '
+            f'{topic.name}: {topic.type} has another version than the installed one; leave it '
             f'out: exclude:=["{topic.name}"]'
         )
     package, _, name = topic.type.split('/')
-    return getattr(importlib.import_module(f'{package}.msg'), name)
+    return getattr(importlib.import_module(f'{package}.msg'), name), converted
 
 
 def _renamed(topic: TopicInfo, installed: str) -> bool:
-    """Whether nothing but names of fields differs, so that the bytes are those of now."""
+    """Whether only field names differ, so that the serialised bytes are compatible."""
     present = with_present_names(topic)
     return present != topic and definition_hash(present) == installed
 
 
 def recorded_qos(topic: TopicInfo) -> QoSProfile:
-    """What the first recorded publisher offered; what is not told is reliable and volatile."""
+    """QoS offered by the first recorded publisher; unknown policies are reliable and volatile."""
     try:
         told = next(iter(qos_profiles(topic.qos)), {})
     except ValueError:
@@ -100,10 +105,10 @@ def _policy(kind: Any, told: object) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Portion:
-    """Messages that were recorded at one time.
+    """Messages recorded at the same time.
 
     Attributes:
-        stamp_ns: when [ns], on the bag's clock.
+        stamp_ns: time [ns] on the bag's clock.
         messages: in the order of the bag.
     """
 
@@ -113,31 +118,31 @@ class Portion:
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """A part of a recording, both ends included [ns on the bag's clock]."""
+    """Time window of a recording, both ends included [ns on the bag's clock]."""
 
     start_ns: int
     end_ns: int
 
 
 def open_bag(path: str) -> BagInfo:
-    """Table of contents of a bag that can be played.
+    """Open a bag for playback and return its table of contents.
 
     Raises:
-        UsageError: there is no such bag, it is damaged, or nothing is in it.
+        UsageError: the bag does not exist, is damaged or empty.
     """
     if not path:
-        raise UsageError('bag_player: parameter bag: which one? -p bag:=FOLDER or FILE.mcap')
+        raise UsageError('bag_player: parameter bag is required: -p bag:=FOLDER or FILE.mcap')
     try:
         info = read_info(Path(path))
     except BagError as error:
         raise UsageError(' '.join(str(error).split())) from error
     if not info.complete:
-        hint = f'save what is sound: taxinet bag recover {path} --out NEW'
+        hint = f'save the intact part: taxinet bag recover {path} --out NEW'
         raise UsageError(f'{info.trouble}; {hint}')
     if info.back_ns > NS_PER_S:
         raise UsageError(
-            f'{path}: its time begins anew {info.back_ns / NS_PER_S:g} s earlier, so it holds '
-            f'several runs; a bag of each makes: taxinet bag split {path} --out DIR'
+            f'{path}: time jumps back by {info.back_ns / NS_PER_S:g} s, so it holds several runs; '
+            f'split it with: taxinet bag split {path} --out DIR'
         )
     if not any(info.counts.values()):
         raise UsageError(f'{path}: no messages to play')
@@ -145,10 +150,10 @@ def open_bag(path: str) -> BagInfo:
 
 
 def window(info: BagInfo, start_offset_s: float, duration_s: float) -> Window:
-    """The part that begins ``start_offset_s`` into the recording; 0 s of duration: to its end.
+    """The window from ``start_offset_s`` on; a duration of 0 s means to the end.
 
     Raises:
-        UsageError: it begins after the recording's end.
+        UsageError: it starts after the end of the recording.
     """
     start_ns = info.start_ns + round(start_offset_s * NS_PER_S)
     if start_ns > info.end_ns:
@@ -163,13 +168,13 @@ def window(info: BagInfo, start_offset_s: float, duration_s: float) -> Window:
 def known_topics(
     info: BagInfo, names: Collection[str], parameter: str, made: Collection[str] = ()
 ) -> frozenset[str]:
-    """Full names of topics that a parameter names, with or without the leading slash.
+    """Full names of the topics listed in a parameter, with or without leading slash.
 
     Args:
         info: of the bag.
-        names: what the parameter says.
+        names: value of the parameter.
         parameter: its name.
-        made: topics that the player makes of others.
+        made: topics that the player derives from others.
 
     Raises:
         UsageError: the bag has no such topic.
@@ -178,7 +183,7 @@ def known_topics(
     wanted = frozenset('/' + name.lstrip('/') for name in names if name)
     for name in sorted(wanted - recorded - {*made}):
         frames = name == f'/{IMAGE}'
-        known = 'taxinet bag render puts the frames in' if frames else (
+        known = 'add the frames with taxinet bag render' if frames else (
             f'it has {", ".join(sorted(recorded))}'
         )
         raise UsageError(f'bag_player: {parameter}: {info.path} has no topic {name}; {known}')
@@ -188,13 +193,13 @@ def known_topics(
 def portions(
     path: Path, topics: Collection[str], part: Window, latched: Collection[str]
 ) -> Iterator[Portion]:
-    """What is to be played, in the order of the bag.
+    """Yield what to play, in the order of the bag.
 
     Args:
         path: the bag.
         topics: names of the topics to play.
         part: when.
-        latched: topics whose messages from before the part belong to it, as its first portion.
+        latched: topics whose messages from before the window form its first portion.
     """
     messages = stored_messages(path, frozenset(topics).__contains__)
 
@@ -213,11 +218,11 @@ def portions(
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
 _MOST_AT_ONCE = 8
-"""Portions in one go for a player that is late: its subscribers hold 16 messages of a topic."""
+"""Maximum portions published at once when late: subscribers queue 16 messages per topic."""
 USAGE = Usage(
     executable='bag_player',
-    does='Plays a recorded run on its topics again, at any rate, with its clock; nodes run freely '
-    'beside it.',
+    does='Plays back a recorded run on its topics, with its clock, at any rate; other nodes run '
+    'freely.',
     publishes=('what the bag holds',),
     other='serves ~/pause (std_srvs/srv/SetBool)',
     parameters=(
@@ -227,18 +232,18 @@ USAGE = Usage(
         ),
         Parameter(
             name='rate', default=1.0, limits=(0.01, 1000.0),
-            description='recorded seconds per second of the wall clock',
+            description='recorded seconds per wall-clock second',
         ),
         Parameter(
             name='start_offset', default=0.0, limits=(0.0, 1e9),
-            description='begin so far into the recording [s]',
+            description='start offset in the recording [s]',
         ),
         Parameter(
             name='playback_duration', default=0.0, limits=(0.0, 1e9),
-            description='play so much of the recording [s]; 0: to its end',
+            description='duration to play [s]; 0: to the end',
         ),
         Parameter(
-            name='loop', default=False, description='begin again at the end, until stopped',
+            name='loop', default=False, description='play in a loop until stopped',
         ),
         Parameter(
             name='exclude', default=[''], takes='topic names',
@@ -246,29 +251,28 @@ USAGE = Usage(
         ),
         Parameter(
             name='wait_for', default=[''], takes='topic names',
-            description='topics that somebody has to subscribe to before the first message goes '
-            'out',
+            description='topics that need a subscriber before the first message is published',
         ),
         Parameter(
             name='wait_timeout', default=30.0, limits=(0.1, 3600.0),
-            description='wall-clock time for those subscribers to come [s]',
+            description='wall-clock timeout for those subscribers [s]',
         ),
     ),
 )
 
 
 class BagPlayer(Node):
-    """Publishes what a bag holds when it is due.
+    """Node that publishes the messages of a bag when they are due.
 
     Attributes:
-        trouble: why it could not be played, in a line; '' where it could.
+        trouble: one line on why playback failed, or ''.
     """
 
     def __init__(self, **node: Any) -> None:
         """Read parameters and bag; ``node`` goes to :class:`rclpy.node.Node`.
 
         Raises:
-            UsageError: one line on the parameter or the bag that is wrong.
+            UsageError: a parameter or the bag is invalid.
         """
         super().__init__('bag_player', **node)
         self.trouble = ''
@@ -287,10 +291,10 @@ class BagPlayer(Node):
         self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
 
     def play(self, executor: Any) -> int:
-        """Spin until everything is played.
+        """Spin until playback ends.
 
         Returns:
-            Exit code: 0, 4 where nobody came to listen, 130 after an interrupt.
+            Exit code: 0, 4 if subscribers are missing, 130 after an interrupt.
         """
         finished = self._finished = Future(executor=executor)
         with interrupts(functools.partial(self._finish, ExitCode.INTERRUPTED)):
@@ -302,7 +306,7 @@ class BagPlayer(Node):
         return complain(self.trouble, code) if self.trouble else code
 
     def close(self) -> None:
-        """Stop; nothing is lost."""
+        """Stop playback."""
         self._timer.cancel()
 
     # Parameters ------------------------------------------------------------------------------
@@ -318,10 +322,12 @@ class BagPlayer(Node):
         self._excluded = known_topics(self._info, given['exclude'], 'exclude', made)
         self._awaited = known_topics(self._info, given['wait_for'], 'wait_for')
         for name in sorted(self._awaited & self._excluded):
-            raise UsageError(f'bag_player: {name} stands in exclude and in wait_for; drop one')
+            raise UsageError(
+                f'bag_player: {name} is in both exclude and wait_for; remove it from one'
+            )
 
     def _without_transforms(self) -> dict[str, str]:
-        """Odometry without a ``tf`` beside it, as in bags of before: its namespace, by its name."""
+        """Odometry topics without ``tf``, as in older bags: namespace by topic name."""
         recorded = {topic.name for topic in self._info.topics}
         places = {
             topic.name: topic.name.removesuffix(ODOMETRY) for topic in self._info.topics
@@ -330,23 +336,24 @@ class BagPlayer(Node):
         return {name: place for name, place in places.items() if place + TF not in recorded}
 
     def _speak(self) -> dict[str, Publisher]:
-        """Publishers by recorded name; topics of types that are not installed are left out."""
-        publishers, self._latched = {}, set()
+        """Create publishers by recorded name; topics of types not installed are skipped."""
+        publishers, self._latched, self._present = {}, set(), {}
         for topic in self._info.topics:
             if topic.name in self._excluded:
                 continue
-            kind = message_class(topic)
-            if kind is None:
+            found = message_class(topic)
+            if found is None:
                 self.get_logger().warning(
-                    f'left out: {topic.name}, for {topic.type} is not installed here'
+                    f'skipping {topic.name}: {topic.type} is not installed'
                 )
                 continue
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 self._latched.add(topic.name)
+            kind, self._present[topic.name] = found
             publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
         if not publishers:
-            raise UsageError(f'bag_player: nothing is left of {self._info.path} to play')
+            raise UsageError(f'bag_player: no playable topics left in {self._info.path} to play')
         self._own_clock = None
         if not {interface.CLOCK.name} & (publishers.keys() | self._excluded):
             clock = interface.CLOCK
@@ -385,8 +392,8 @@ class BagPlayer(Node):
         )
         if missing and time.monotonic() - self._begun_at > self._patience_s:
             self.trouble = (
-                f'bag_player: nobody subscribed to {", ".join(missing)} within '
-                f'{self._patience_s:g} s; start who is to listen, in the same ROS_DOMAIN_ID'
+                f'bag_player: no subscriber on {", ".join(missing)} within '
+                f'{self._patience_s:g} s; start it with the same ROS_DOMAIN_ID'
             )
             self._finish(ExitCode.INFRA)
         if missing:
@@ -405,8 +412,8 @@ class BagPlayer(Node):
             shared = name.lstrip('/') == interface.NODE_STATUS.name or is_of_frames(name)
             if not shared and self.count_publishers(publisher.topic_name) > 1:
                 self.get_logger().warning(
-                    f'{publisher.topic_name} is published by another node too: exclude it here, or '
-                    f'rename it: -r {_relative(name)}:=recorded{name}'
+                    f'{publisher.topic_name} is also published by another node; exclude it, or '
+                    f'remap it: -r {_relative(name)}:=recorded{name}'
                 )
 
     def _play_what_is_due(self) -> None:
@@ -434,10 +441,10 @@ class BagPlayer(Node):
         self._finish(0)
 
     def _publish(self, portion: Portion) -> float:
-        """Send what was recorded at one time; the time [s] spent on waiting for its arrival.
+        """Publish one portion; return the time [s] spent waiting for its delivery.
 
-        What is latched sets nodes up for what follows, and a topic's first message shows that
-        both ends have found each other, so nothing overtakes those.
+        Latched messages configure nodes for what follows, and a topic's first message confirms that
+        both ends are matched, so nothing may overtake those.
         """
         waited = 0.0
         if self._own_clock is not None:
@@ -449,23 +456,23 @@ class BagPlayer(Node):
                 waited += self._deliver(*self._under_way)
                 self._under_way.clear()
             publisher = self._publishers_by_topic[name]
-            publisher.publish(message.cdr)
+            publisher.publish(self._present[name](message.cdr))
             if name in self._transforms:
                 self._transforms[name].follow(message.cdr)
             self._count += 1
             self._heard.add(name)
             if latched:
-                # Fast DDS asks for its acknowledgement every 3 s, so all are awaited at once.
+                # Fast DDS requests acknowledgement every 3 s, so all are awaited together.
                 self._under_way.add(publisher)
             elif first:
                 waited += self._deliver(publisher)
         return waited
 
     def _deliver(self, *publishers: Publisher) -> float:
-        """Wait until reliable subscribers have everything, but not for ever for one that hangs.
+        """Wait until reliable subscribers have acknowledged everything, with a time limit.
 
         Returns:
-            How long that took [s].
+            The time waited [s].
         """
         begun = time.monotonic()
         for publisher in publishers:
@@ -489,7 +496,7 @@ class BagPlayer(Node):
 
 
 def _relative(name: str) -> str:
-    """The name to publish by: a bag's are the graph's own, so a namespace may go before them."""
+    """Relative name to publish on, so that a namespace can be prepended."""
     return name if name == interface.CLOCK.name else name.lstrip('/')
 
 

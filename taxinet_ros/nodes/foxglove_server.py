@@ -1,7 +1,7 @@
-"""Executable ``foxglove_server``: the graph's topics, live, for the Foxglove app on this machine.
+"""Executable ``foxglove_server``: stream the graph's topics live to the Foxglove app.
 
-Messages are passed on as they come, with their ROS definitions, at simulated time; the scene that
-``scene_markers`` draws is among them. It listens on 127.0.0.1 only.
+Messages are forwarded as received, with their ROS definitions and simulated time, including the
+markers of ``scene_markers``. The server listens on 127.0.0.1 only.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 
 HOST, PORT = '127.0.0.1', 8765
 LOOKING_ON = 'looking on'
-"""What the executable says on stdout when it has found a graph, or a player of one."""
+"""Line printed on stdout when a graph or a player was found."""
 
 _STATIC_HELD = 100
-"""Messages of static transforms that are repeated, whoever said them."""
+"""Number of static transform messages kept for repetition, from all publishers."""
 
 NOT_INSTALLED = 'foxglove-sdk is not installed; pip install -c constraints.txt foxglove-sdk'
 
 USAGE = Usage(
     executable='foxglove_server',
-    does='Passes on every topic of the graph, live, to the Foxglove app on this machine.',
+    does='Streams every topic of the graph live to the Foxglove app on this machine.',
     subscribes=tuple(
         topic.name for topic in interface.TOPICS if topic is not interface.PROGRESS
     ),
@@ -52,10 +52,10 @@ USAGE = Usage(
 
 
 class FoxgloveServer(Observer):
-    """Passes on every topic of the table to whoever connects.
+    """Node that forwards every topic of the table to connected clients.
 
     Attributes:
-        port: where it listens.
+        port: port it listens on.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -85,7 +85,7 @@ class FoxgloveServer(Observer):
         print(LOOKING_ON, flush=True)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the server."""
         super().close()
         self._server.stop()
 
@@ -116,7 +116,7 @@ class FoxgloveServer(Observer):
         )
 
     def repeat(self, path: str) -> None:
-        """Say once more what was said last on a latched topic, by its full name."""
+        """Send the last message of a latched topic again; ``name`` is its full name."""
         for name, held in list(self._held.items()):
             if self._channels[name].topic() == path:
                 for stamp_ns, cdr in list(held):
@@ -124,7 +124,7 @@ class FoxgloveServer(Observer):
 
     def _pass_on(self, topic: Topic, cdr: bytes) -> None:
         if topic in interface.TRANSFORMS:
-            # Anybody's, and their stamps are within: those of the wall clock as well.
+            # From any publisher, with stamps of any clock, including the wall clock.
             self._say(topic, cdr, self._now_ns)
             return
         stamp_ns = stamp_of_cdr(cdr)
@@ -132,7 +132,7 @@ class FoxgloveServer(Observer):
             self._now_ns = stamp_ns
             self._server.broadcast_time(stamp_ns)
         if topic is interface.SCENARIO:
-            # A run begins: time goes back, and the app forgets what it was told before.
+            # A new run: time jumps back, and the app drops its earlier messages.
             for still in (interface.SCENE_RUNWAY, interface.TF_STATIC):
                 self.repeat(self._channels[still.name].topic())
         self._say(topic, cdr, stamp_ns)
@@ -150,7 +150,7 @@ class FoxgloveServer(Observer):
 
 
 class _Latecomers:
-    """Gives those who subscribe late what is latched; called in a thread of the server's."""
+    """Sends latched messages to late subscribers; called from a server thread."""
 
     def __init__(self, server: FoxgloveServer) -> None:
         self._server = server

@@ -1,4 +1,4 @@
-"""Executable ``ground_truth_perception``: the network's twin that is always right."""
+"""Executable ``ground_truth_perception``: perfect perception, in place of the network."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from taxinet_ros.nodes.running.parameters import Usage, published_topics, subscr
 
 USAGE = Usage(
     executable='ground_truth_perception',
-    does="Passes the true tracking error on as its estimate: the network's twin, always right.",
+    does='Publishes the true tracking error as its estimate, in place of the network.',
     publishes=published_topics(interface.PERCEPTION),
     subscribes=subscribed_topics(interface.PERCEPTION, interface.IMAGE.name),
     parameters=(DIAGNOSTICS,),
@@ -19,7 +19,7 @@ USAGE = Usage(
 
 
 class GroundTruthPerception(PerceptionNode):
-    """Passes the true tracking error on as its estimate."""
+    """Publishes the true tracking error as its estimate."""
 
     def choose(self) -> Perception:
         """The truth."""

@@ -1,4 +1,4 @@
-"""The topics of :mod:`taxinet_ros.core.topics` as rclpy has them: with classes and profiles."""
+"""Topics of :mod:`taxinet_ros.core.topics` with rclpy message classes and QoS profiles."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from taxinet_ros.core.topics import SUPERVISOR as SUPERVISOR
 
 @functools.cache
 def qos_profile(quality: topics.Quality) -> QoSProfile:
-    """The profile of a quality of service; the same object each time."""
+    """QoS profile of a quality of service; the same object each time."""
     return QoSProfile(
         depth=quality.depth, history=HistoryPolicy[quality.history.upper()],
         reliability=ReliabilityPolicy[quality.reliability.upper()],
@@ -42,7 +42,7 @@ def qos_profile(quality: topics.Quality) -> QoSProfile:
 
 
 class Topic(topics.Topic):
-    """A topic with its message class and its profile."""
+    """A topic with its message class and QoS profile."""
 
     @functools.cached_property
     def type(self) -> type[Any]:
@@ -53,12 +53,12 @@ class Topic(topics.Topic):
 
     @functools.cached_property
     def qos(self) -> QoSProfile:
-        """Quality of service of both ends, as bags tell it."""
+        """Quality of service of both ends, as recorded in bags."""
         return qos_profile(self.quality)
 
     @property
     def end_qos(self) -> QoSProfile:
-        """What both ends are made with."""
+        """QoS profile of both ends."""
         depth = self.queue or self.quality.depth
         return qos_profile(replace(self.quality, depth=depth))
 

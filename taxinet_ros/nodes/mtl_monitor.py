@@ -1,7 +1,7 @@
-"""The MTL monitor node: ground truth in, robustness during the run and a verdict at its end out.
+"""MTL monitor node: ground truth in; robustness during the run and a verdict at its end out.
 
-Where the scenario has the run stopped early, the verdict comes at the step that decides, and in
-place of the progress report on it: the simulator, which waits for one of the two, ends the run.
+If the scenario stops the run early, the verdict is sent at the deciding step in place of the
+progress report: the simulator waits for either, and ends the run.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Timing, Verdict
 
-from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of, verdict_values
+from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.judging import Judging, StopOn
-from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
+from taxinet_ros.core.loop import MAX_GAP_NS, rolling_on, signals
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
@@ -24,8 +25,8 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.live_monitor.node import LIVE_PARAMETERS, RESTART, LiveMonitor
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.convert import header, robustness_message, statistics_fields
-from taxinet_ros.nodes.messages.step import StepCollector, StepMessage, robustness_cdr
+from taxinet_ros.nodes.messages.convert import header, robustness_message
+from taxinet_ros.nodes.messages.step import StepCollector, StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Usage,
@@ -39,17 +40,18 @@ _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.CO
 
 USAGE = Usage(
     executable=interface.MTL_MONITOR,
-    does='Judges each run of the graph by its formulas. With parameters other than diagnostics it '
-    'judges any numeric fields of any topics instead, on its own, without a simulator.',
+    does='Evaluates each run of the graph by its formulas. With parameters other than diagnostics, '
+    'it evaluates numeric fields of any topics instead, standalone, without a simulator.',
     publishes=published_topics(interface.MTL_MONITOR),
     subscribes=subscribed_topics(interface.MTL_MONITOR),
-    other=f'with parameters: hears what signals names, serves {RESTART} (std_srvs/srv/Trigger)',
+    other=f'with parameters: subscribes to the topics in signals, serves {RESTART} '
+    '(std_srvs/srv/Trigger)',
     parameters=(diagnostics.PARAMETER, *LIVE_PARAMETERS),
 )
 
 
 class MtlMonitor(Participant):
-    """Judges each run by the formulas that its scenario names: the truth, not the estimate."""
+    """Evaluates the formulas of each run's scenario on the truth, not the estimate."""
 
     def __init__(self, **node: Any) -> None:
         """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
@@ -68,10 +70,11 @@ class MtlMonitor(Participant):
         self.create_subscription(topic.type, topic.name, self._guarded(self._settle), topic.qos)
 
     def prepare(self, scenario: Scenario) -> None:
-        """Build a fresh monitor for every formula of the run."""
+        """Create a new monitor for every formula of the run."""
         judging = Judging.from_message(scenario)
         self._specs = judging.parsed_specs
-        self._last_seq = last_step(scenario_of(scenario))
+        scene = scenario_of(scenario)
+        self._last_seq = last_step(scene)
         self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
@@ -83,11 +86,11 @@ class MtlMonitor(Participant):
         self._arrived = {topic.name: -1 for topic in heard}
         self._told_free = (-1, -1)
         self._judged = 0
-        self._command = ROLLING_ON
+        self._command = rolling_on(scene.speed_mps)
         self._readings = ()
 
     def figures(self) -> dict[str, object]:
-        """See :class:`Participant`: each formula's interval so far."""
+        """See :class:`Participant`: the current interval of each formula."""
         judged = zip(self._specs, self._readings, strict=False)
         return {spec.name: f'{now.lower:+.3f} ... {now.upper:+.3f}' for spec, now in judged}
 
@@ -97,7 +100,7 @@ class MtlMonitor(Participant):
             self.prepare(self._scenario)
 
     def _collect(self, topic: str, said: StepMessage) -> None:
-        # What is left of a run that was broken off is not of this one; odometry tells no run.
+        # Leftovers of an aborted run are not part of this one; odometry has no run_id.
         of_this_run = topic == interface.ODOMETRY.name or said.run_id == self.run_id
         if not (self._specs and of_this_run):
             return
@@ -111,7 +114,7 @@ class MtlMonitor(Participant):
             self._report_free()
 
     def _settle(self, timing: Timing) -> None:
-        """In a free run frames may have no answer, and time does not wait for the monitor."""
+        """In a free run, frames may have no answer, and time does not wait for the monitor."""
         if timing.run_id != self.run_id or timing.ended:
             return
         self._free = True
@@ -143,11 +146,11 @@ class MtlMonitor(Participant):
             x_m=odometry.value.x_m,
             speed_mps=odometry.value.speed_mps,
             estimate=estimate[0].value if estimate else NO_ESTIMATE,
-            command=self._command,  # the last one holds
+            command=self._command,  # the last one counts
         )
         readings = self._readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
-            self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
+            self.get_logger().warning(f'{self.run_id}: {breach}; intervals continue without it')
         for spec, reading in zip(self._specs, readings, strict=True):
             self._robustness.publish(robustness_cdr(spec, reading, self.run_id, seq, stamp_ns))
         stopped = self._judge.stopped_early
@@ -158,30 +161,24 @@ class MtlMonitor(Participant):
 
     def _conclude(self, seq: int, stamp_ns: int) -> None:
         if self.spoken_into():
-            return  # and the simulator, which is told so, ends the run
+            return  # and the simulator then ends the run
         judgement = self._judge.judgement
         results = [
             robustness_message(spec, reading, self.run_id, seq, stamp_ns)
             for spec, reading in zip(self._specs, judgement.readings, strict=True)
         ]
         self._verdict.publish(Verdict(
-            header=header(stamp_ns),
-            run_id=self.run_id,
-            specs=results,
-            complete=judgement.complete,
-            stopped_early=judgement.stopped_early,
-            satisfied=judgement.satisfied,
-            **statistics_fields(judgement.statistics),
+            header=header(stamp_ns), specs=results, **verdict_values(judgement, self.run_id)
         ))
 
 
 def main() -> None:
-    """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
+    """Entry point of ``ros2 run taxinet_ros mtl_monitor``; with parameters, standalone."""
     run_node(lambda: (LiveMonitor if stands_alone() else MtlMonitor)(), usage=USAGE)
 
 
 def stands_alone() -> bool:
-    """Whether the command line makes it a monitor of topics of its own, outside any graph."""
+    """Whether the command line selects the standalone monitor, outside any graph."""
     return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER.name])
 
 

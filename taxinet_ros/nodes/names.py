@@ -1,4 +1,4 @@
-"""Which nodes a run needs. That needs no ROS, whose import takes a while."""
+"""Names of the nodes a run needs, without importing ROS."""
 
 from __future__ import annotations
 
@@ -9,25 +9,27 @@ from taxinet_ros.core.topics import CHAIN, MTL_MONITOR, SIMULATOR
 from taxinet_ros.errors import UsageError
 
 REQUIRED = (*CHAIN, MTL_MONITOR)
-"""Participants without which no run can go on, or be judged."""
+"""Participants required to execute and judge a run."""
 
 
 def perception_executable(word: str) -> tuple[str, dict[str, Any]]:
-    """Executable and parameters of our node that is the perception of a word or file."""
+    """Executable and parameters of the shipped node for a perception word or file."""
     return ('ground_truth_perception', {}) if word == 'truth' else (
         'taxinet_perception', {'weights': word}
     )
 
 
 def check_participants(names: Sequence[str]) -> None:
-    """See that a run has whom it needs.
+    """Check that a run has the required participants.
 
     Raises:
-        UsageError: names who is missing, or who cannot be one.
+        UsageError: a participant is missing, or one is invalid.
     """
     missing = [name for name in REQUIRED if name not in names]
     if missing:
         given = ', '.join(names) or 'nobody'
-        raise UsageError(f'participants: a run needs {", ".join(missing)} too, not only {given}')
+        raise UsageError(
+            f'participants: a run needs {", ".join(missing)} as well, got only {given}'
+        )
     if odd := [name for name in names if not name or name == SIMULATOR]:
-        raise UsageError(f'participants: {odd[0]!r} takes part in no run; leave it out')
+        raise UsageError(f'participants: {odd[0]!r} cannot take part in a run; leave it out')

@@ -1,21 +1,20 @@
-"""The recorder node: every recorded topic of a run into one rosbag2-layout MCAP bag.
+"""Recorder node: write every recorded topic of a run to one rosbag2-layout MCAP bag.
 
 Messages arrive in any order; they are written step by step in the order of the topic table, so
-that equal runs give equal bytes. After each whole step the bag is flushed: a crash loses the
-step at hand and no more.
+that equal runs give equal bytes. The bag is flushed after each complete step: a crash loses only
+the current step.
 
-Camera frames of failed runs can be put in afterwards, when it is known that they failed: they
-are rendered once more from what is recorded. That costs a failed run about as much as recording
-them would have, and all other runs nothing. Until then the bag is complete without them.
+Camera frames of failed runs can be added afterwards by re-rendering them from the recording. For a
+failed run this costs about as much as recording them, for all other runs nothing. Until then the
+bag is complete without them.
 """
 
 from __future__ import annotations
 
 import functools
-import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,19 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.rewrite.frames import restore_in_place
 from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
+from taxinet_ros.bag.run.run_bag import (
+    OUTCOME_METADATA,
+    bag_name,
+    bag_topics,
+    commit_words,
+    outcome_words,
+    run_words,
+)
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.campaign.record.facts import read_facts
@@ -42,7 +47,6 @@ from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
-from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
@@ -74,18 +78,18 @@ _FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)
 
 
 class LateFrames:
-    """Renders frame by frame, between a node's messages, so that it still answers."""
+    """Renders frames one by one between a node's messages, so that the node stays responsive."""
 
     def __init__(
         self, node: Node, on_frame: Callable[[int], None], on_end: Callable[[str], None]
     ) -> None:
-        """Nothing happens before :meth:`begin`.
+        """Create it; rendering starts with :meth:`begin`.
 
         Args:
-            node: whose executor does the work.
-            on_frame: called with every control step that has its frame.
-            on_end: called at the end, with '' or with the reason why a judged run's frames cannot
-                be had.
+            node: node whose executor does the work.
+            on_frame: called with every control step rendered.
+            on_end: called at the end with '', or with the reason why a judged run's frames cannot
+                be rendered.
         """
         self._node = node
         self._on_frame, self._on_end = on_frame, on_end
@@ -95,7 +99,7 @@ class LateFrames:
         self._timer.cancel()
 
     def begin(self, bag: Path, ended: RunStatus, min_free_bytes: int) -> None:
-        """Put the frames into the bag of a run that has ended so, if it is worth looking at."""
+        """Add frames to the bag of a finished run, if its outcome requires it."""
         if ended.outcome not in _FAILURES:
             self._on_end('')
             return
@@ -109,7 +113,7 @@ class LateFrames:
         return not self._timer.is_canceled()
 
     def cancel(self) -> None:
-        """Leave the bag as it was, if one is under way."""
+        """Cancel any rendering; the bag stays unchanged."""
         self._timer.cancel()
         close = getattr(self._frames, 'close', None)
         if close is not None:
@@ -127,19 +131,19 @@ class LateFrames:
         self._timer.cancel()
         if trouble:
             self._node.get_logger().error(trouble)
-        # A run that broke has a reason of its own to tell.
+        # An infrastructure error has its own reason to report.
         self._on_end(trouble if self._judged else '')
 
 
 def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
     """Files by name.
 
-    A run of a campaign has the text of the Scenic program that its scene was drawn from, which
-    stands in the campaign's folder; a run that somebody asked for by hand has none.
+    A run of a campaign has the text of its Scenic program, stored in the campaign's folder; a run
+    requested by hand has none.
 
     Args:
         scenario: the run's.
-        out: the folder that takes the bags.
+        out: the folder of the bags.
     """
     files = {'scenario.json': scenario_json(scenario)}
     text = _program_text(scenario.program, out)
@@ -149,7 +153,7 @@ def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
 
 
 def _program_text(program: str, out: Path) -> str:
-    """What the campaign's facts hold of a program, or ''; also where they are damaged."""
+    """Program text in the campaign's facts, or '' if missing or damaged."""
     try:
         facts = read_facts(out)
         if facts is not None and Path(facts.values['program']).stem == program:
@@ -161,68 +165,45 @@ def _program_text(program: str, out: Path) -> str:
 
 _REST_LOOK_S = 0.05
 _REST_LOOKS, _BROKEN_LOOKS = 70, 5
-"""After so many looks without a message no more is awaited of a run that was broken off, or broke.
+"""Number of checks without a message after which an aborted or failed run counts as complete.
 
-DDS sends what was lost on its way once more after 3 s at most.
+DDS resends lost messages after 3 s at most.
 """
 _DRAINED_LOOKS = 4
-"""After so many looks without a message all is taken that came before the simulator left."""
+"""Number of checks without a message after the simulator has left."""
 _DEAF_LOOKS = 80
-"""After so many without one, some 4 s, a simulator that is still there says nothing any more."""
+"""Number of checks (about 4 s) after which a present simulator counts as silent."""
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
 
-def bag_name(topic: Topic) -> str:
-    """Name of a topic in a bag: the graph's own, whatever namespace the graph ran in."""
-    return '/' + topic.name.lstrip('/')
-
 _TOPICS = (*interface.TOPICS, *interface.TRANSFORMS)
 _BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
-
-
-@functools.cache
-def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
-    """The recorded topics of the graph, as a bag describes them.
-
-    Args:
-        images: whether camera frames are among them.
-    """
-    return tuple(
-        describe_topic(
-            name=bag_name(topic),
-            type_name=topic.type_name,
-            qos=offered_qos(**asdict(topic.quality)),
-        )
-        for topic in _TOPICS
-        if topic.recorded and (images or topic is not interface.IMAGE)
-    )
-
 _OPTIONS = (
     Parameter(
         name='out', default='bags', takes='a folder',
-        description='folder that takes one folder per run',
+        description='folder for the bags, one folder per run',
     ),
     Parameter(
         name='min_free', default=1000, limits=(0, 10_000_000),
-        description='free space below which no bag is begun, and a tenth of it none goes on '
+        description='minimum free disk space to start a bag; below a tenth of it, recording stops '
         '[MB]',
     ),
     Parameter(
         name='make_out', default=True,
-        description='whether the folder is made where it is missing',
+        description='whether to create a missing folder',
     ),
     Parameter(
         name='images', default='all', words=IMAGES,
-        description='runs whose camera frames go into the bags',
+        description='runs whose camera frames are recorded',
     ),
     Parameter(
         name='alone', default=False,
-        description='whether to record nothing while there is a second simulator',
+        description='whether to record nothing while a second simulator is present',
     ),
 )
 USAGE = Usage(
     executable=interface.RECORDER,
-    does='Writes one rosbag2 bag for each run: everything that was said, step by step.',
+    does='Writes one rosbag2 bag per run with all messages, step by step.',
     publishes=published_topics(interface.RECORDER),
     subscribes=subscribed_topics(interface.RECORDER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
@@ -230,7 +211,7 @@ USAGE = Usage(
 
 
 class Recorder(Participant):
-    """Writes one bag per run, ``<out>/<run_id>``, and vouches for it at the end."""
+    """Writes one bag per run, ``<out>/<run_id>``, and confirms its completeness at the end."""
 
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
@@ -249,6 +230,7 @@ class Recorder(Participant):
         self._canonical = Canonical(self._topics)
         self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
+        self._ended: RunStatus | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._contested = ('', '')
@@ -269,14 +251,14 @@ class Recorder(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
-        self.close()
+        self._abandon()
         self._scenario_message = scenario
         self._expected = {
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
             for topic in self._stepped
         }
         self.clear()
-        self._ended: RunStatus | None = None
+        self._ended = None
         self._written = 0
         self._head_complete = False
         self._rest_looks = 0
@@ -285,10 +267,10 @@ class Recorder(Participant):
         self._writer = BagWriter(
             run_folder(self._out, scenario.run_id),
             self._topics,
-            metadata=self._facts(scenario),
+            metadata=run_words(scenario),
             attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
-            beside=_commit(),
+            beside=commit_words(),
             make_parents=self._make_out,
         )
 
@@ -306,17 +288,17 @@ class Recorder(Participant):
         self._told_free = (-1, -1)
 
     def figures(self) -> dict[str, object]:
-        """See :class:`Participant`: of the bag at hand, and of the disk."""
+        """See :class:`Participant`: figures of the current bag and the disk."""
         bag = mcap_path(self._writer.folder) if self._writer is not None else None
         return {
             'bag': str(bag or ''), 'bag size [MB]': bag.stat().st_size / 1e6 if bag else 0.0,
             'steps written': self._written if bag else 0,
             'disk free [MB]': self._free_bytes() / 1e6,
-            'disk free, least [MB]': self._min_free / 1e6,
+            'disk free, minimum [MB]': self._min_free / 1e6,
         }
 
     def health(self) -> Health:
-        """See :class:`Participant`; and whether there is room for another bag."""
+        """See :class:`Participant`; also whether there is space for another bag."""
         health, free = super().health(), self._free_bytes()
         if health.level == DiagnosticStatus.OK and free < self._min_free:
             line = f'{self._out}: {free / 1e6:.0f} MB free, min_free is {self._min_free / 1e6:.0f}'
@@ -324,14 +306,14 @@ class Recorder(Participant):
         return health
 
     def _free_bytes(self) -> int:
-        """Free space where bags go, or will once their folder is made."""
+        """Free disk space of the bags' folder, existing or not."""
         there = next((at for at in (self._out, *self._out.parents) if at.is_dir()), Path())
         return shutil.disk_usage(there).free
 
     def may_leave(self) -> bool:
-        """Whether the bag is closed, or nothing more is heard of its run.
+        """Whether the bag is closed, or its run has gone silent.
 
-        As long as the simulator is there, it may yet say how the run ends, if the machine is busy.
+        On a busy machine, a present simulator may still report the end of the run.
         """
         self.silent_looks += 1
         closed = self._writer is None and not self._late_frames.under_way
@@ -339,6 +321,14 @@ class Recorder(Participant):
         return closed or self.silent_looks > enough
 
     def close(self) -> None:
+        """Finish the bag of a run that is known to be broken off: no more is awaited of it."""
+        ended = self._ended if self._writer is not None else None
+        if ended is not None and not Outcome(ended.outcome).judged:
+            self._rest_looks = _REST_LOOKS
+            self._guarded(lambda _: self._finish_if_whole())(None)
+        self._abandon()
+
+    def _abandon(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
         self._rest.cancel()
         self._late_frames.cancel()
@@ -349,7 +339,7 @@ class Recorder(Participant):
     # Messages --------------------------------------------------------------------------------
 
     def _take(self, scenario: Scenario) -> None:
-        # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
+        # A foreign node may have sent it, and the run's bag shall still be complete.
         if self._writer is not None and self._charged:
             return
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
@@ -365,13 +355,13 @@ class Recorder(Participant):
             return
         seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
         if off_ns:
-            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is no control step'
+            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
             if topic.publishers != (interface.SIMULATOR,):
                 raise InfraError(
                     InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}'
                 )
             raise RuntimeError(
-                f'{topic.name}: a message is {what}; does a second simulator publish?'
+                f'{topic.name}: a message is {what}; is there a second simulator?'
             )
         self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)
@@ -415,10 +405,10 @@ class Recorder(Participant):
             self._hear_again(deserialize_message(told, NodeStatus), status)
             return
         if status.node == self.get_name():
-            # The bag's topics tell; and frames that are put in later shall leave no other trace.
+            # The bag's topics tell it, and frames added later must leave no other trace.
             status.listens = []
             cdr = serialize_message(status)
-        # Another node may be ready before this one has even heard of the run.
+        # Another node may be ready before this one knows of the run.
         self._reports[status.node] = (status.run_id, cdr)
         if self._writer is not None and status.run_id == self.run_id and self._head_known():
             self._check_contested()
@@ -426,7 +416,7 @@ class Recorder(Participant):
             self._write_steps()
 
     def _hear_again(self, before: NodeStatus, now: NodeStatus) -> None:
-        """Two READYs of one node for one run: one is somebody else's where they differ."""
+        """Handle two READY messages of one node in a run: if they differ, one is foreign."""
         if same_ready(before, now):
             return
         self._contested = (now.run_id, now.node)
@@ -461,7 +451,7 @@ class Recorder(Participant):
             return
         if Outcome(status.outcome).judged and not self._begun:
             raise InfraError(
-                InfraKind.INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended'
+                InfraKind.INTRUDER, UNKNOWN, -1, 'the end of the run was published by another node'
             )
         self._ended, self._ended_cdr = status, cdr
         self._finish_if_whole()
@@ -476,7 +466,7 @@ class Recorder(Participant):
         return self._head_complete
 
     def _ready_for(self, run_id: str) -> dict[str, bytes]:
-        """Reports of the nodes that are ready for a run, by node."""
+        """READY messages for a run, by node."""
         return {node: cdr for node, (run, cdr) in self._reports.items() if run == run_id}
 
     def _write_head(self) -> None:
@@ -486,12 +476,12 @@ class Recorder(Participant):
                 told = deserialize_message(cdr, NodeStatus)
                 self._free |= is_free(told.implementation)
                 if not (told.implementation or told.detail):
-                    continue  # Every answer takes effect at once, in our world: nothing to say.
+                    continue  # Default timing in the shipped world: nothing to record.
             self._write(interface.NODE_STATUS, cdr, 0)
         self._write(interface.TF_STATIC, camera_transform(), 0)
 
     def _write_steps(self) -> None:
-        """Write what is whole, once the head of the bag is on disk."""
+        """Write complete steps, once the head of the bag is on disk."""
         if not self._held or not self._head_known():
             return
         for seq, messages in self._held:
@@ -517,18 +507,18 @@ class Recorder(Participant):
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
     def report(self, state: int, **what: Any) -> None:
-        """See :class:`Participant`; in trouble of its own the recorder writes no more."""
+        """See :class:`Participant`; after its own error the recorder stops writing."""
         if state == NodeStatus.ERROR:
             self.close()
         super().report(state, **what)
 
     def _finish_if_whole(self) -> None:
-        """Close the bag once the run has ended and everything that belongs to it is in."""
+        """Close the bag once the run has ended and the bag is complete."""
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
         if judged and self.spoken_into():
-            # Whose word that was, nobody knows; the simulator ends the run for it.
+            # The sender is unknown; the simulator ends the run because of it.
             self._ended = None
             return
         if judged and not self._told:
@@ -558,11 +548,7 @@ class Recorder(Participant):
             self._done()
 
     def _add_ending(self, writer: BagWriter, ended: RunStatus) -> None:
-        writer.add_metadata('taxinet_outcome', {
-            'outcome': ended.outcome, 'kind': ended.kind, 'who': ended.who,
-            'detail': ended.detail, 'steps': str(self._written),
-            'perception': ended.perception, 'weights_sha256': ended.fingerprint,
-        })
+        writer.add_metadata(OUTCOME_METADATA, outcome_words(ended, self._written))
         if self._account is not None:
             writer.add_metadata(FREE_RUN_METADATA, {
                 **self._account.to_words(),
@@ -571,11 +557,11 @@ class Recorder(Participant):
 
     @property
     def _told(self) -> bool:
-        """Whether all is there that is said once of a run that was judged."""
+        """Whether all one-time messages of a judged run are present."""
         return self._verdict is not None and (not self._free or self._account is not None)
 
     def _check_verdict(self) -> None:
-        """See that the run ended as the monitor has judged it, and when."""
+        """Check that outcome and end of the run match the monitor's verdict."""
         assert self._ended is not None
         assert self._verdict is not None
         verdict = deserialize_message(self._verdict, interface.VERDICT.type)
@@ -584,11 +570,11 @@ class Recorder(Participant):
         if (outcome, seq) != (self._ended.outcome, self._ended.seq):
             raise RuntimeError(
                 f'the run ended as {self._ended.outcome} at step {self._ended.seq}, but the '
-                f'monitor says {outcome} at step {seq}'
+                f'monitor reports {outcome} at step {seq}'
             )
 
     def _done(self) -> None:
-        """Tell that the bag is on disk and whole, and how the run ended by its account."""
+        """Report that the bag is complete on disk, with the recorded end of the run."""
         assert self._ended is not None
         seq = self._ended.seq
         self.report(
@@ -596,7 +582,7 @@ class Recorder(Participant):
         )
 
     def _on_frame(self, seq: int) -> None:
-        """Tell the simulator that this node is at work."""
+        """Tell the simulator that this node is working."""
         if reports_progress(seq, self._last_seq):
             self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
 
@@ -608,19 +594,19 @@ class Recorder(Participant):
 
     @property
     def _whole(self) -> int:
-        """Number of the steps that are in."""
+        """Number of steps written."""
         return self._written + len(self._held)
 
     def _is_rest_under_way(self) -> bool:
-        """Whether what was said before the end of a run that was broken off may not be in yet.
+        """Whether messages from before the end of an aborted run may still be missing.
 
-        It comes on other topics than the end, which may overtake it.
+        They arrive on other topics than the end message, which may overtake them.
         """
         assert self._ended is not None
         begun = self._begun or self._ended.seq > 0
         if not begun or self._whole > self._ended.seq:
             return False
-        # Of a free run steps are not whole that nobody has answered, however long one waits.
+        # In a free run, unanswered steps never become complete.
         patient = self._ended.outcome == Outcome.INTERRUPTED and not self._free
         return self._rest_looks < (_REST_LOOKS if patient else _BROKEN_LOOKS)
 
@@ -630,28 +616,12 @@ class Recorder(Participant):
         self._finish_if_whole()
 
     def _write_rest(self) -> None:
-        """Save what an aborted run left behind: steps held back, and the torn one."""
+        """Write the remains of an aborted run: pending steps and the incomplete one."""
         if not self._head_known():
             self._write_head()
         for seq, messages in [*self._held, *self._steps.torn()]:
             self._write_step(seq, messages)
         self._held.clear()
-
-    def _facts(self, scenario: Scenario) -> dict[str, str]:
-        return {
-            'taxinet_ros_version': __version__,
-            **{name: value for name, value in without_commit(provenance()).items()
-               if name != 'taxinet_ros'},
-            'run_id': scenario.run_id,
-            'program': scenario.program,
-            'seed': str(scenario.seed),
-            'index': str(scenario.index),
-            'specs': json.dumps(list(scenario.specs)),
-        }
-
-
-def _commit() -> dict[str, str]:
-    return {name: value for name, value in provenance().items() if name == COMMIT}
 
 
 def main() -> None:

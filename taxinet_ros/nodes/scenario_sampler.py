@@ -1,7 +1,7 @@
-"""Executable ``scenario_sampler``: a campaign or a search on a graph that runs already.
+"""Executable ``scenario_sampler``: run a campaign or a search on a running graph.
 
-Its parameters are the options of ``taxinet run`` and ``taxinet falsify``. It has the graph run
-one scene after the other, and writes the table.
+Its parameters are the options of ``taxinet run`` and ``taxinet falsify``. It runs the scenes on the
+graph one by one and writes the table.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ from taxinet_ros.nodes.running.parameters import (
 from taxinet_ros.processes.interrupts import interrupts
 
 _PROGRAMS = 'program'
-"""In place of a sampler's word: the one that the program names, else the default."""
+"""Word that selects the program's own sampler, else the default."""
 _RUNS, _RUNS_OF_A_SEARCH = 1, 100
-"""Numbers of runs where none is given: those of ``taxinet run`` and ``taxinet falsify``."""
+"""Default numbers of runs, as in ``taxinet run`` and ``taxinet falsify``."""
 _OPTIONS = (
     Parameter(
         name='participants', default=list(PARTICIPANTS), takes=', '.join(PARTICIPANTS),
-        description='node names that take part in the lockstep beside the simulator',
+        description='nodes of the lockstep, without the simulator',
     ),
     Parameter(
         name='program', default='s_falsif', takes='a shipped word or a .scenic file',
@@ -67,16 +67,16 @@ _OPTIONS = (
     ),
     Parameter(
         name='set', default=[''], takes='KEY=VALUE each, as --set of taxinet run',
-        description='scenario values that replace what is drawn',
+        description='scenario values that replace drawn ones',
     ),
     Parameter(
         name='specs', default=list(DEFAULT_SPECS),
         takes='names of shipped formulas, NAME=FORMULA, or YAML files',
-        description='formulas to judge by; the first is the headline',
+        description='formulas to evaluate; the first is the headline',
     ),
     Parameter(
         name='out', default='', takes='a folder, or empty',
-        description='folder of the table; one below bags/ that says so where empty',
+        description='folder of the table; empty: one below bags/',
     ),
     Parameter(
         name='stop_on', default=str(StopOn.NEVER), words=tuple(map(str, StopOn)),
@@ -84,11 +84,11 @@ _OPTIONS = (
     ),
     Parameter(
         name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each, e.g. cte=-25:25',
-        description='vouched for: bounds of signals',
+        description='assumed ranges of signals',
     ),
     Parameter(
         name='rates', default=[''], takes='SIGNAL=CHANGE per second each, e.g. cte=3',
-        description='vouched for: how fast signals change',
+        description='assumed maximum rates of change',
     ),
     Parameter(
         name='sampler', default='', takes=f'{_PROGRAMS}, {", ".join(SAMPLERS)}, or empty',
@@ -100,26 +100,26 @@ _OPTIONS = (
         description='options of the sampler',
     ),
     Parameter(
-        name='resume', default=False, description='continue what was interrupted in out',
+        name='resume', default=False, description='continue an interrupted campaign in out',
     ),
     Parameter(
         name='until', default='', takes='failures=K, half-width=W or empty',
-        description='a search stops early',
+        description='stop a search early',
     ),
     Parameter(
         name='budget', default=0.0, limits=(0.0, 1e6),
-        description='a search begins no run after so long [min]; 0: ever',
+        description='time budget: a search starts no new run after this [min]; 0: unlimited',
     ),
 )
 _WHAT = ('program', 'runs', 'seed', 'specs', 'stop_on', 'bounds', 'rates')
 _HOW = ('sampler_options', 'resume', 'until', 'budget')
 USAGE = Usage(
     executable=interface.SCENARIO_SAMPLER,
-    does='Runs a campaign, or a search, on the graph that stands, and writes its table; the '
-    'options are those of taxinet run and taxinet falsify.',
+    does='Runs a campaign or a search on a running graph and writes its table; options as in '
+    'taxinet run and taxinet falsify.',
     publishes=published_topics(interface.SCENARIO_SAMPLER),
     subscribes=(interface.OBITUARY.name,),
-    other=f'asks for the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
+    other=f'client of the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
     parameters=(*PATIENCE, *_OPTIONS),
     ends=('here 0: every run satisfied its formulas; 1: some run violated one',),
 )
@@ -129,16 +129,16 @@ class StandaloneSampler(ScenarioSampler):
     """The sampler with the options of ``taxinet run`` and ``taxinet falsify`` as parameters.
 
     Attributes:
-        participants: nodes that take part in the lockstep beside the simulator.
-        campaign: scenes of which program, judged how, and where to.
-        search: how a sampler chooses them; None where they are those that the program draws.
+        participants: nodes of the lockstep, without the simulator.
+        campaign: campaign options.
+        search: search options; None if the program draws the scenes.
     """
 
     def __init__(self, **node: Any) -> None:
         """Read the parameters; ``node`` goes to :class:`rclpy.node.Node`.
 
         Raises:
-            UsageError: one line on the first that is wrong.
+            UsageError: a parameter is invalid.
         """
         super().__init__(**node)
         topic = interface.OBITUARY
@@ -162,8 +162,8 @@ class StandaloneSampler(ScenarioSampler):
             )
             if self.campaign.gains:
                 raise UsageError(
-                    f'--set steering.{next(iter(self.campaign.gains))}: the controller runs '
-                    'already; gains are parameters of its own'
+                    f'--set steering.{next(iter(self.campaign.gains))}: the controller is already '
+                    'running; set gains as its parameters'
                 )
             self.search: SearchOptions | None = make_search_options(
                 self.campaign, sampler=None if sampler == _PROGRAMS else sampler, workers=1,
@@ -173,21 +173,21 @@ class StandaloneSampler(ScenarioSampler):
             ) if sampler else None
 
     def waits_for(self) -> list[str]:
-        """The simulator, where it is not found: see :mod:`.waiting`."""
+        """The simulator, if not found; see :class:`.node_main.Waiting`."""
         asked = self._request is not None and not self._last_heard
         return [interface.SIMULATOR] if asked else []
 
     def rivals(self) -> int:
-        """Number of other samplers that have been seen in this graph."""
+        """Number of other samplers found in this graph."""
         return self._in_graph().count(self.get_name()) - 1
 
     def absent(self) -> list[str]:
-        """Participants that are not seen in this graph."""
+        """Participants not found in this graph."""
         seen = self._in_graph()
         return [name for name in self.participants if name not in seen]
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
-        """Who looks after the simulator's process knows at once that it is dead."""
+        """The supervisor of the simulator's process reports its death at once."""
         dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
         if dead and self._is_at(notice.run_id):
             self.report_death(notice.node, notice.detail)
@@ -202,7 +202,7 @@ class StandaloneSampler(ScenarioSampler):
 
 @contextlib.contextmanager
 def parameter_words() -> Iterator[None]:
-    """Within the ``with``, a complaint about an option of ``taxinet`` names the parameter."""
+    """Context in which errors about ``taxinet`` options name the parameter instead."""
     try:
         yield
     except UsageError as error:
@@ -211,8 +211,8 @@ def parameter_words() -> Iterator[None]:
 
 
 _RIVAL = (
-    'another sampler drives this graph; end it first (one that was killed is forgotten after some '
-    '20 s), or give each graph its own ROS_DOMAIN_ID'
+    'another sampler drives this graph; end it first (a killed one disappears after about 20 s), '
+    'or give each graph its own ROS_DOMAIN_ID'
 )
 
 
@@ -222,7 +222,7 @@ def run_standalone() -> None:
 
 
 def _work(node: StandaloneSampler, executor: Any) -> int:
-    # What the table is written with; after Ctrl-C ``ros2 launch`` waits 5 s, and not longer.
+    # Needed to write the table; after Ctrl-C, ``ros2 launch`` waits only 5 s.
     for name in ('pandas', 'pyarrow.parquet'):
         importlib.import_module(name)
     with parameter_words():
@@ -232,7 +232,7 @@ def _work(node: StandaloneSampler, executor: Any) -> int:
 
 
 def _campaign(node: StandaloneSampler, executor: Any) -> int:
-    """The scenes that the program draws, as ``taxinet run`` has them."""
+    """Run scenes drawn by the program, as ``taxinet run``."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
     with interrupts(node.interrupt, node.abort), campaign:
         checked = [line.plain for line in requirement_lines(campaign.check)]
@@ -254,7 +254,7 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
 
 
 def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> int:
-    """The scenes that a sampler chooses from what it is told, as ``taxinet falsify`` has them."""
+    """Run scenes chosen by a sampler, as ``taxinet falsify``."""
     search = Search(options, node.participants, _shown(node))
 
     def interrupt() -> None:
@@ -279,7 +279,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     if search.rows or search.interrupted:
         _say(node, [*search_summary(search, resuming), *learned])
     if answers.trouble:
-        return complain(f'{answers.trouble}; {resuming} continues it', ExitCode.INFRA)
+        return complain(f'{answers.trouble}; continue with {resuming}', ExitCode.INFRA)
     if search.interrupted and len(search.rows) < options.campaign.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
@@ -288,7 +288,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
 def _drive(
     node: StandaloneSampler, executor: Any, requests: Iterator[RunRequest], answers: _Answers
 ) -> None:
-    """Have the graph run one request after the other."""
+    """Run the requests on the graph one by one."""
     if node.rivals():
         answers.trouble = _RIVAL
         return
@@ -296,10 +296,10 @@ def _drive(
 
 
 class _Answers:
-    """Takes the answers of the graph, and tells a run that broke from a graph that is not there.
+    """Takes results from the graph, and distinguishes a failed run from a missing graph.
 
     Attributes:
-        trouble: why the graph cannot be used, in a line; '' where it can.
+        trouble: one line on why the graph is unusable, or ''.
     """
 
     def __init__(
@@ -311,9 +311,10 @@ class _Answers:
         self._broken: set[int] = set()
 
     def __call__(self, request: RunRequest, result: RunResult) -> bool:
-        """Take one answer; False ends the campaign."""
+        """Take one result; False ends the campaign."""
         infra = result.outcome is Outcome.INFRA_ERROR
-        # A run whose second try finds no graph may be what broke it, so that is its result.
+        # If the second attempt at a run finds no graph, the run may have broken it, so that is its
+        # result.
         if infra and request.index not in self._broken:
             self.trouble = _trouble(result, self._node)
             if self.trouble:
@@ -326,17 +327,17 @@ def _trouble(result: RunResult, node: StandaloneSampler) -> str:
     if result.kind == InfraKind.BUSY:
         # The simulator may have been found before the sampler that it works for.
         return _RIVAL if node.rivals() else (
-            'the simulator is busy with a run of somebody else; wait for its end, or give each '
+            "the simulator is busy with another client's run; wait for its end, or give each "
             'graph its own ROS_DOMAIN_ID'
         )
     if result.kind != InfraKind.NOT_READY:
         return ''
     if result.who == interface.SIMULATOR:
-        return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'
+        return f'simulator: {result.detail}; start it with the same ROS_DOMAIN_ID'
     if absent := node.absent():
         names = ', '.join(absent)
-        return f'{names}: not in the graph; start it, or name in participants who takes part'
-    return f'{result.who}: {result.detail}; see what they say'
+        return f'{names}: not in the graph; start it, or correct the parameter participants'
+    return f'{result.who}: {result.detail}; see their output'
 
 
 def _shown(node: StandaloneSampler) -> Callable[[RunRow], None]:

@@ -1,7 +1,7 @@
-"""Executable ``scene_markers``: runway, aircraft and path as markers, for 3-D viewers.
+"""Executable ``scene_markers``: publish runway, aircraft and path as markers for 3-D viewers.
 
-It runs beside any graph, or beside ``bag_player``, and takes no part in either. The Foxglove
-server publishes the same markers.
+It runs beside any graph or ``bag_player`` without taking part. The Foxglove server publishes the
+same markers.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ def runway_markers() -> MarkerArray:
 
 
 class AircraftMarkers:
-    """The aircraft and the path that it has come in the run at hand."""
+    """The aircraft and its path in the current run."""
 
     def __init__(self) -> None:
-        """Begin without a path."""
+        """Start without a path."""
         self._body = _triangles('aircraft', _aircraft_triangles(), _AIRFRAME)
         self._path = _marker('path', Marker.LINE_STRIP, _PATH)
         self._path.scale.x = _PATH_WIDTH_M
         self._last_ns = -1
 
     def markers(self, odometry: Odometry) -> MarkerArray:
-        """Both where the odometry says, in its frame; time that goes back begins a new path."""
+        """Markers at an odometry message, in its frame; a jump back in time starts a new path."""
         stamp_ns = stamp_of(odometry.header.stamp)
         at = odometry.pose.pose
         if stamp_ns < self._last_ns:
@@ -91,7 +91,7 @@ def _triangles(
 
 
 def _paint_triangles() -> list[Triangle]:
-    """Each painted patch as a fan: the patches are convex, or as good as."""
+    """Each marking as a triangle fan: they are (almost) convex."""
     return [
         tuple((x, y, _PAINT_LIFT_M) for x, y in (marking.polygon[0], left, right))
         for marking in runway.markings()
@@ -124,10 +124,10 @@ USAGE = Usage(
 
 
 class SceneMarkers(Observer):
-    """Draws what odometry tells."""
+    """Publishes markers from odometry."""
 
     def __init__(self, **node: Any) -> None:
-        """Publish what stands still; ``node`` goes to :class:`rclpy.node.Node`."""
+        """Publish the static markers; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.SCENE_MARKERS, **node)
         refuse_unknown(self)
         self._speakers = {

@@ -20,16 +20,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.bag.run.messages import observation_messages
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.loop import ROLLING_ON
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.controller import STOP
+from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import KMWH, find_world
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.active_run import (
     FREE_TICK_S,
@@ -49,6 +50,7 @@ from taxinet_ros.nodes.lockstep.endpoints import (
     first_stranger,
     heard_by,
     missing_nodes,
+    why_silent,
 )
 from taxinet_ros.nodes.messages.convert import (
     account_message,
@@ -63,7 +65,6 @@ from taxinet_ros.nodes.messages.step import (
     StepMessage,
     TransformBroadcaster,
     is_read_raw,
-    observation_messages,
     step_reader,
 )
 from taxinet_ros.nodes.running.domain import require_free_domain
@@ -76,7 +77,8 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.registry import WORLDS, names
+from taxinet_ros.nodes.running.remaps import cut_off
+from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -120,6 +122,10 @@ _OPTIONS = (
         name='world', default=KMWH, takes=', '.join(names(WORLDS)),
         description='the world that runs take place in',
     ),
+    Parameter(
+        name='world_sha256', default='', takes='64 hexadecimal digits, or empty',
+        description="required SHA-256 of the world's package; empty: any",
+    ),
 )
 
 USAGE = Usage(
@@ -146,7 +152,7 @@ class Simulator(Node):
             parse_latency([given['latency']]), lockstep=given['lockstep'],
             factor=given['real_time_factor'],
         )
-        self._world = find_world(given['world'])
+        self._world = find_world(given['world'], given['world_sha256'])
         self._health = RunHealth()
         self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
@@ -195,7 +201,7 @@ class Simulator(Node):
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
         if self._timing.free:
-            self._held: TaxiCommand = ROLLING_ON
+            self._held: TaxiCommand = STOP
             self.create_timer(FREE_TICK_S, self._tick, clock=steady)
 
     def may_leave(self) -> bool:
@@ -275,7 +281,7 @@ class Simulator(Node):
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
             fingerprint=self._world.fingerprint,
-            detail='' if self._world.name == KMWH else self._world.name,
+            detail=origin_words(WORLDS, self._world.name),
         )
 
     # What the graph says -----------------------------------------------------------------------
@@ -430,10 +436,10 @@ class Simulator(Node):
         run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
-            if topic is interface.ODOMETRY:
+            if topic is topics.ODOMETRY:
                 self._transforms.follow(message)
         if run.free is not None:
-            self._held = run.command or ROLLING_ON
+            self._held = run.command or run.first
             self._say(interface.TIMING, settled_message(run.free, run.run_id))
         if begun_s:
             self._health.frames.took(time.perf_counter() - begun_s)
@@ -464,8 +470,7 @@ class Simulator(Node):
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         outcome = outcome_of(verdict)
         if not outcome.judged:
-            detail = 'the monitor had no whole, finite sequence of samples to judge'
-            self._fail(run, InfraKind.INVALID_RUN, interface.MTL_MONITOR, detail)
+            self._fail(run, **NOT_JUDGED)
             return
         self._look_for_strangers(thorough=True)
         if run.ending is not None:
@@ -499,15 +504,16 @@ class Simulator(Node):
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
         )
-        recorder_lost = who == interface.RECORDER and kind != InfraKind.INTRUDER
+        recorder_lost = interface.RECORDER in who.split(', ') and kind != InfraKind.INTRUDER
         judged = run.ending is not None and Outcome(run.ending.outcome).judged
         doubtful = kind == InfraKind.INTRUDER or who == interface.SIMULATOR
         if run.ending is None or (judged and doubtful):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
-            # The bag could not be finished, so the evidence is not whole: no verdict stands. Where
-            # somebody else spoke, that is why: it may have been closed with the verdict before.
-            run.ending = run.ending if run.ending.kind == InfraKind.INTRUDER else status
+            # The bag could not be finished, so the evidence is not whole: no verdict stands. What
+            # has broken the run before stays what broke it, and the bag is another matter.
+            if run.ending.outcome != Outcome.INFRA_ERROR:
+                run.ending = status
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:
@@ -566,14 +572,19 @@ class Simulator(Node):
         elif run.free is not None and (
             who := run.free.silent(now, self._answer_timeout_s)
         ):
-            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail_silent(run, who)
         elif silence > self._answer_timeout_s:
-            who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
-            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail_silent(run, (run.lockstep.missing() or [interface.MTL_MONITOR])[0])
+
+    def _fail_silent(self, run: ActiveRun, who: str) -> None:
+        why = why_silent(self, who, run.participants)
+        detail = f'silent for {self._answer_timeout_s:g} s' + (f': it {why}' if why else '')
+        self._fail(run, InfraKind.TIMEOUT, who, detail)
 
     def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
         """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
-        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        # Its first end: where it was told of the run, its others may be yet to be found.
+        ends = self.get_subscriptions_info_by_topic(interface.SCENARIO.name)
         if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
             run.finish()
         elif silence_s > self._answer_timeout_s:
@@ -594,16 +605,19 @@ class Simulator(Node):
         for speakers in self._topics:
             if (stranger := speakers.early_stranger(run.participants)) is not None:
                 return InfraKind.INTRUDER, stranger.name, f'{stranger.detail} ({within})'
+        if parted := cut_off(self):
+            return InfraKind.NOT_READY, interface.SIMULATOR, f'{within}: {parted[0]}'
         if absent := missing_nodes(self, run.participants):
             names = sorted(absent)
             return InfraKind.NOT_READY, ', '.join(names), f'{within}: {absent[names[0]]}'
         if silent := run.lockstep.missing():
-            detail = f'{within}: does not say that it is ready'
+            why = why_silent(self, silent[0], run.participants) or 'does not say that it is ready'
+            detail = f'{within}: {why}'
             return InfraKind.NOT_READY, ', '.join(silent), detail
         detail = f'{within}: not all ends are found on {", ".join(self._deaf(run))}'
         return InfraKind.NOT_READY, interface.SIMULATOR, detail
 
-    def _say(self, topic: Topic, message: Any) -> None:
+    def _say(self, topic: topics.Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)
 
 

@@ -1,4 +1,4 @@
-"""The steering controller node: an estimate in, a taxi command out."""
+"""Steering controller node: estimate in, taxi command out."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.run.messages import command_cdr
 from taxinet_ros.core.controller import (
     GAIN_RANGES,
     STEERING,
@@ -19,7 +21,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.step import StepMessage, command_cdr
+from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Parameter,
@@ -29,17 +31,17 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.registry import CONTROLLERS, names
+from taxinet_ros.registry import CONTROLLERS, names, origin_words
 
 _OPTIONS = (
     Parameter(
         name='controller', default=STEERING,
         takes=f'{", ".join(names(CONTROLLERS))} or FILE.py:NAME',
-        description='the handwritten law, or a function',
+        description='the shipped law, or a function',
     ),
     Parameter(
         name='controller_sha256', default='', takes='64 hexadecimal digits, or empty',
-        description="what that file's SHA-256 has to be; empty: whatever it is",
+        description='required SHA-256 of that file; empty: any',
     ),
     *(
         Parameter(
@@ -52,8 +54,8 @@ _OPTIONS = (
 
 USAGE = Usage(
     executable=interface.STEERING_CONTROLLER,
-    does='Answers every estimate with a taxi command, by the handwritten law or by a function of '
-    'yours.',
+    does='Publishes a taxi command for every estimate, computed by the shipped law or your '
+    'function.',
     publishes=published_topics(interface.STEERING_CONTROLLER),
     subscribes=subscribed_topics(interface.STEERING_CONTROLLER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
@@ -61,7 +63,7 @@ USAGE = Usage(
 
 
 class SteeringController(Participant):
-    """Answers every estimate with a command, by the handwritten law or a function of somebody's.
+    """Publishes a command for every estimate, computed by the shipped law or a user function.
 
     The law's gains are parameters with ranges.
     """
@@ -79,17 +81,18 @@ class SteeringController(Participant):
         self._controller = make_controller(word, self.gains)
         if sha256 and self._controller.fingerprint != sha256:
             raise UsageError(
-                f'controller {word} has changed since this began: its sha256 is '
+                f'controller {word} has changed since the start: its sha256 is '
                 f'{self._controller.fingerprint[:12]}…, it was {sha256[:12]}…; put it back'
             )
         self.implementation = gains_text(tuned) if word == STEERING else self._controller.word
         self.fingerprint = self._controller.fingerprint
+        self.origin = origin_words(CONTROLLERS, self._controller.word)
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
-        """Forget the previous run."""
-        self._controller.begin()
+        """Reset from the previous run."""
+        self._controller.begin(scenario_of(scenario))
 
     def _answer(self, estimate: StepMessage) -> None:
         command = self._controller.command(estimate.value)

@@ -1,4 +1,4 @@
-"""Executable ``taxinet_perception``: the neural network looks at the camera's frames."""
+"""Executable ``taxinet_perception``: run the neural network on camera frames."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _OPTIONS = (
 
 USAGE = Usage(
     executable='taxinet_perception',
-    does='Answers every camera frame with an estimate of the tracking error, by a network or by a '
-    'function of yours.',
+    does='Publishes an estimated tracking error for every camera frame, computed by a network or '
+    'your function.',
     publishes=published_topics(interface.PERCEPTION),
     subscribes=subscribed_topics(interface.PERCEPTION, interface.TRUTH.name),
     parameters=(*_OPTIONS, DIAGNOSTICS),
@@ -41,14 +41,14 @@ USAGE = Usage(
 
 
 class TaxinetPerception(PerceptionNode):
-    """Estimates from the picture alone."""
+    """Estimates from the camera image only."""
 
     def choose(self) -> Perception:
-        """The network that the parameter ``weights`` names."""
+        """The network named by the parameter ``weights``."""
         word = declare_all(self, _OPTIONS)['weights']
         if word == GroundTruth.word:
             raise UsageError(
-                f'{USAGE.executable}: parameter weights: {word} looks at no picture; start '
+                f'{USAGE.executable}: parameter weights: {word} uses no camera image; start '
                 'ground_truth_perception instead'
             )
         return make_perception(word)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taxinet_ros import __version__
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from taxinet_ros.core.perception.weights import (
     Model,
@@ -35,6 +34,7 @@ from taxinet_ros.training.data.dataset import (
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.version import __version__
 
 if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted
@@ -144,8 +144,8 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     left = len(dataset) - options.validation
     if left < 1:
         raise UsageError(
-            f'train: --validation {options.validation} leaves nothing of {len(dataset)} images to '
-            'train on; hold fewer back'
+            f'train: --validation {options.validation} leaves none of {len(dataset)} images to '
+            'train on; use fewer'
         )
     _check_batch(options, left)
     order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))

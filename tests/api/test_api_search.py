@@ -72,8 +72,8 @@ def test_given_a_function_that_fails_then_its_runs_are_infrastructure_errors(tmp
 
 
 @pytest.mark.parametrize(('asked', 'words'), [
-    ({'perception': 'external'}, 'is a node in a graph, and this needs none'),
-    ({'controller': 'cmd:steer'}, 'is a node in a graph, and this needs none'),
+    ({'perception': 'external'}, 'is a node of a graph, but this command'),
+    ({'controller': 'cmd:steer'}, 'is a node of a graph, but this command'),
     ({'sampler': 'luck'}, 'luck'),
     ({'sampler': 'ce', 'sampler_options': {'flor': 0.3}}, 'flor'),
     ({'settings': {'fog': 1}}, 'fog'),

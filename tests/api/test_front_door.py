@@ -20,6 +20,7 @@ EXAMPLES = {
     'perception_function.py': 'bright_paint: FAIL',
     'controller_function.py': 'own: PASS',
     'random_search.py': 'worst: Scenario(',
+    'wind_table.py': '| dry | 100 % ',
     'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
@@ -81,7 +82,7 @@ def test_given_a_name_that_is_not_there_then_it_is_an_attribute_error():
 
 def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypatch, tmp_path):
     blocks = re.findall(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     (tmp_path / 'bags').mkdir()
     campaign_folder.rename(tmp_path / 'bags' / 'light')
     (tmp_path / 'bags' / 'golden').symlink_to(GOLDEN)

@@ -83,7 +83,7 @@ def test_given_json_when_asked_for_info_then_it_is_one_object(taxinet: Taxinet) 
     code, out, _ = taxinet('info', 'run', '--json')
     values = json.loads(out)
     assert (code, values['whole'], values['messages']) == (0, True, 135)
-    assert values['run']['scene']['heading'] == pytest.approx(8)
+    assert values['run']['scene']['heading_deg'] == pytest.approx(8)
     assert values['run']['judged']['on_runway']['lower'] > 12
     code, out, _ = taxinet('info', 'cut', '--json')
     values = json.loads(out)
@@ -116,7 +116,7 @@ def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
     assert 'lost 1 of 135 messages' in out, 'a camera frame lies in a chunk of its own'
     code, out, _ = taxinet('recover', 'cut', '--out', 'NEW/c')
     assert code == 3
-    assert 'lost what was being written when the recording ended' in out
+    assert 'lost an unknown amount of data being written' in out
     code, out, _ = taxinet('recover', 'run', '--out', 'NEW/run')
     assert code == 0
     assert 'lost' not in out
@@ -169,18 +169,19 @@ BAD = {
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'holds no .mcap'),
-    'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'exists already'),
-    'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'lies within the bag'),
+    'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
+    'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'is inside the bag'),
     'export of a damaged bag': (
-        ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save what is sound: taxinet bag recover cut',
+        ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save the intact part: taxinet bag recover cut',
     ),
     'unknown format': (['export', 'run', '--out', 'NEW/x.xls'], 2, "'xls' is no format; known:"),
     'other suffix': (
-        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'name it x.gif',
+        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'use x.gif',
     ),
-    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2, 'one file'),
+    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2,
+                            'a single file'),
     'film of a topic': (
-        ['export', 'run', '--out', 'NEW/x.mp4', '--topics', 'clock'], 2, 'a film is of the run',
+        ['export', 'run', '--out', 'NEW/x.mp4', '--topics', 'clock'], 2, 'not for a film',
     ),
     'unknown topic': (
         ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'taxi'], 2, "no topic 'taxi'; it has",
@@ -188,9 +189,9 @@ BAD = {
     'two topics in a file': (
         ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'tracking_error'], 2, 'name one',
     ),
-    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'there is no folder'),
+    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'no such folder'),
     'file that exists': (['export', 'run', '--out', 'garbage.mcap'], 2, 'is no format'),
-    'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'exists already'),
+    'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'already exists'),
 }
 
 

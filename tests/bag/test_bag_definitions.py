@@ -8,9 +8,12 @@ import bag_samples
 import pytest
 from rosbags.typesys import get_types_from_msg
 
+from taxinet_ros.bag import topics as bag_topics
 from taxinet_ros.bag.topics import describe_topic, message_definition, type_hash
+from taxinet_ros.core import topics
 from taxinet_ros.errors import UsageError
 
+ROOT = Path(__file__).resolve().parents[2]
 INSTALLED = [
     'std_msgs/msg/Header', 'std_msgs/msg/String', 'sensor_msgs/msg/Image',
     'sensor_msgs/msg/CameraInfo', 'nav_msgs/msg/Odometry', 'rosgraph_msgs/msg/Clock',
@@ -113,3 +116,17 @@ def _install(prefix: Path, package: str, name: str, text: str) -> None:
     folder = prefix / 'share' / package / 'msg'
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f'{name}.msg').write_text(text)
+
+
+def test_given_no_ros_then_each_recorded_type_is_the_installed_one() -> None:
+    """The hash is of names and types of all fields (REP-2016), so comments alone may differ."""
+    recorded = [one.type_name for one in topics.TOPICS + topics.TRANSFORMS if one.recorded]
+    assert len(recorded) == 14
+    for name in recorded:
+        assert bag_topics._hash(name, (bag_topics._OURS,)) == type_hash(name)
+
+
+def test_given_our_definitions_then_they_are_those_that_the_interface_package_is_made_of() -> None:
+    files = {file.name: file.read_text() for file in (ROOT / 'msg_defs' / 'msg').iterdir()}
+    ours = bag_topics._OURS / 'share' / 'taxinet_msgs' / 'msg'
+    assert {file.name: file.read_text() for file in ours.iterdir()} == files

@@ -213,7 +213,7 @@ def test_given_an_exception_when_recording_then_messages_stay_but_nothing_is_dec
 
 def test_given_an_existing_folder_when_opened_then_refused_and_left_alone(tmp_path: Path) -> None:
     before = write_bag(tmp_path / 'run', samples(1)).read_bytes()
-    with pytest.raises(UsageError, match='exists already; nothing recorded'):
+    with pytest.raises(UsageError, match='already exists; nothing recorded'):
         write_bag(tmp_path / 'run', samples(2))
     assert (tmp_path / 'run' / 'run_0.mcap').read_bytes() == before
 

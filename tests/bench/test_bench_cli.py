@@ -105,7 +105,7 @@ def test_given_a_guard_without_a_graph_when_typed_then_it_is_refused(capsys, mon
     code, out, err = call(capsys, 'physics', '--guard')
     assert (code, out) == (2, '')
     assert err == (
-        'taxinet: error: bench: --guard guards the ratios of the graph; name graph or all\n'
+        'taxinet: error: bench: --guard checks the ratios of the graph; name graph or all\n'
     )
     report = {'machine': {}, 'figures': {}, 'left_out': {'graph': 'no rclpy'}}
     monkeypatch.setattr('taxinet_ros.cli.bench.subjects.run_subjects', lambda *args: report)

@@ -48,7 +48,7 @@ def test_t7_given_words_when_searched_then_each_sampler_has_its_line_for_each_la
     (['searches', 'corners'], "sampler or landscape 'corners' is unknown; known: random, "),
     (['searches', '--repeats', '0'], '--repeats is 0, needs to be 1 or more'),
     (['searches', '--guard'], '--guard: not with searches'),
-    (['camera', 'searches'], 'searches goes first'),
+    (['camera', 'searches'], 'searches must come first'),
 ])
 def test_given_a_mistake_when_searches_are_asked_for_then_one_line_says_what(
     words, message: str, capsys
@@ -71,7 +71,7 @@ def test_given_a_landscape_then_it_fails_as_often_as_it_says(shape, rate):
 def test_given_words_then_only_what_belongs_to_it_is_taken():
     assert asks_for_study('intervals', ['intervals', 'ce'], ['subjects', 'repeats', 'as_json'])
     assert not asks_for_study('intervals', ['camera'], ['compare'])
-    with pytest.raises(UsageError, match='intervals goes first'):
+    with pytest.raises(UsageError, match='intervals must come first'):
         asks_for_study('intervals', ['ce', 'intervals'], ['subjects'])
     with pytest.raises(UsageError, match='--compare: not with intervals'):
         asks_for_study('intervals', ['intervals'], ['subjects', 'compare'])

@@ -159,7 +159,7 @@ def test_given_the_lists_then_every_fault_is_drawn():
 
 
 @pytest.mark.parametrize(('words', 'message'), [
-    (['chaos', 'loop'], 'bench: chaos goes alone'),
+    (['chaos', 'loop'], 'bench: chaos cannot be combined'),
     (['chaos', '--repeats', '3'], 'bench: --repeats: not with chaos'),
     (['loop', '--trials', '3'], 'bench: --trials: only with taxinet bench chaos'),
     (['chaos', '--minutes', '0'], 'bench: --minutes is 0, needs to be more than 0'),

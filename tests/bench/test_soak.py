@@ -175,10 +175,10 @@ def test_given_a_few_runs_when_soaked_then_a_report_of_them_and_nothing_left(
 
 
 @pytest.mark.parametrize(('words', 'message'), [
-    (['soak', 'camera'], 'bench: soak goes alone'),
+    (['soak', 'camera'], 'bench: soak cannot be combined'),
     (['soak', '--repeats', '3'], 'bench: --repeats: not with soak'),
     (['camera', '--minutes', '3'], 'bench: --minutes: only with taxinet bench soak'),
-    (['soak', '--pid', '1', '--runs', '3'], 'bench: --pid watches what runs already'),
+    (['soak', '--pid', '1', '--runs', '3'], 'bench: --pid watches a running process'),
     (['soak', '--minutes', '-1'], 'bench: --minutes is -1, needs to be more than 0'),
     (['soak', '--duration', '0'], 'scenario: duration_s is 0'),
     (['soak', '--pid', str(2**22 + 1), '--minutes', '1'], 'no such process is running'),

@@ -53,7 +53,7 @@ def test_given_a_file_then_its_arms_differ_in_what_they_set_only(tmp_path):
     one = read_experiment(written(tmp_path))
     a, b = one.arms
     assert (one.name, one.compare_to, one.seed, one.specs) == ('mine', 'a', 0, ('phi_eventually',))
-    assert one.overrides == {'clouds': 'clear', 'rain': '0', 'date': '2020-06-21'}
+    assert one.overrides == {'clouds': 'clear', 'rain_percent': '0', 'date': '2020-06-21'}
     assert (a.laid_over, a.gains, a.perception) == ({}, {}, 'truth')
     assert (b.laid_over, b.gains) == ({'shadows': 'off'}, {'heading_gain': 1.2})
     assert b.perception == 'original'
@@ -82,9 +82,9 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
     found = {name: read_experiment(find_experiment(name)) for name in known_experiments()}
     varied = {name: {key for arm in one.arms for key in arm.laid_over}
               for name, one in found.items()}
-    assert varied == {'crossing': {'crossing'}, 'light': {'time_of_day'}, 'shadows': {'shadows'},
+    assert varied == {'crossing': {'crossing'}, 'light': {'time_of_day_h'}, 'shadows': {'shadows'},
                       'shadows_afternoon': {'shadows'}}
-    assert found['light'].arms[1].laid_over == {'time_of_day': '10'}
+    assert found['light'].arms[1].laid_over == {'time_of_day_h': '10'}
     with SceneSource(found['crossing'].program, seed=0) as source:
         starts = [source.scene(index).distance_m for index in range(20)]
     assert 1100 <= min(starts) < 1300
@@ -118,13 +118,16 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'arms': '[a, b]'}, 'arms: expected KEY: VALUE pairs'),
         ({'arms': '{a: {}, b/c: {}}'}, 'arms.b/c: expected a name of letters'),
         ({'arms': '{a: {}, b: {sets: {}}}'}, 'arms.b.sets: unknown key; known: set, perception, c'),
-        ({'arms': '{a: {}, b: {set: {rain: 40}}}'}, 'arms.b.set: override clouds=clear rain=40'),
+        (
+            {'arms': '{a: {}, b: {set: {rain: 40}}}'},
+            'arms.b.set: override clouds=clear rain_percent=40',
+        ),
         ({'arms': '{a: {}, b: {set: {steering.gain: 1}}}'}, 'arms.b.set.steering.gain: unknown'),
         ({'arms': '{a: {}, b: {controller: nobody}}'}, "arms.b.controller: controller: 'nobody'"),
         ({'arms': '{a: {}, b: {controller: gone.py:steer}}'}, 'arms.b.controller: controller gone'),
         ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
         ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
-         'arms.a.controller: --set steering.heading_gain: a gain of the steering law'),
+         'arms.a.controller: --set steering.heading_gain: gains apply only'),
         ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
         ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
         ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),
@@ -145,7 +148,7 @@ def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match='no shipped experiment; known: crossing, light, shadows'):
         find_experiment('shadow')
     one = read_experiment(written(tmp_path))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         arm_searches(one, tmp_path, workers=1, resume=False)
     with pytest.raises(UsageError, match='holds no arm of mine'):
         arm_searches(one, tmp_path, workers=1, resume=True)
@@ -156,7 +159,7 @@ def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
 def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes():
     free, fixed = (
         SceneSource('s_falsif', seed=4, laid_over=laid_over)
-        for laid_over in ({}, {'time_of_day': '10'})
+        for laid_over in ({}, {'time_of_day_h': '10'})
     )
     with free, fixed:
         assert len(free.space()) == len(fixed.space())
@@ -168,7 +171,7 @@ def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes
 
 
 def row(index: int, **changes) -> RunRow:
-    scene = {**Scenario(distance_m=300.0 + index).to_columns(), **changes}
+    scene = {**Scenario(distance_m=300.0 + index).to_human(), **changes}
     return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='truth',
                   outcome=Outcome.PASS, robustness=exact_intervals({'phi': 1.0}), **scene)
 
@@ -177,7 +180,7 @@ def test_given_arms_with_other_scenes_then_they_are_not_compared(tmp_path):
     one = read_experiment(written(tmp_path))
     same = {'a': (row(0), row(1)), 'b': (row(0, shadows=False), row(1, shadows=False))}
     check_paired(one, same)
-    with pytest.raises(UsageError, match=r'run 1 has heading 3.0 in b and 0.0 in a'):
+    with pytest.raises(UsageError, match=r'run 1 has heading_deg 3.0 in b and 0.0 in a'):
         check_paired(one, {**same, 'b': (row(0, shadows=False), row(1, heading_deg=3.0))})
     rejected = RunRow(run_id='r-1', index=1, program='p', seed=0, perception='truth',
                       outcome=Outcome.REJECTED)

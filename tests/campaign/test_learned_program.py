@@ -69,20 +69,23 @@ def test_given_a_learned_s_falsif_when_drawn_then_its_histograms_are_the_learned
     clouds, rain = [3.0, 1, 0, 0, 1, 1], [1.0] * 9 + [11]
     text = learn((shipped_folder() / 's_falsif.scenic').read_text(), {
         'ego.position.y': paper, 'weather': [.25, .75], 'weather[0].clouds': clouds,
-        'weather[1].rain': rain, 'ego.heading': [4, 1] * 5, 'time_of_day': [0] * 9 + [1],
+        'weather[1].rain_percent': rain, 'ego.heading': [4, 1] * 5,
+        'time_of_day_h': [0] * 9 + [1],
     })
     scenes = draw(text)
-    distances = [scene['distance'] for scene in scenes]
+    distances = [scene['distance_m'] for scene in scenes]
     assert_shares(np.histogram(distances, 10, (0, 2000))[0].tolist(), paper)
-    headings = [scene['heading'] for scene in scenes]
+    headings = [scene['heading_deg'] for scene in scenes]
     assert_shares(np.histogram(headings, 10, (-30, 30))[0].tolist(), [4, 1] * 5)
-    dry = Counter(scene['clouds'] for scene in scenes if scene['rain'] == 0)
+    dry = Counter(scene['clouds'] for scene in scenes if scene['rain_percent'] == 0)
     kinds = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
-    wet = np.histogram([s['rain'] for s in scenes if s['rain'] > 0], 10, (25, 100))[0].tolist()
+    wet_scenes = [s['rain_percent'] for s in scenes if s['rain_percent'] > 0]
+    wet = np.histogram(wet_scenes, 10, (25, 100))[0].tolist()
     assert_shares([*(dry[kind] for kind in kinds), *wet],
                   [*(.25 * share / 6 for share in clouds), *(.75 * share / 20 for share in rain)])
-    assert all(16.8 <= scene['time_of_day'] <= 18 for scene in scenes)
-    assert_shares(np.histogram([s['cross_track'] for s in scenes], 8, (-8, 8))[0].tolist(), [1] * 8)
+    assert all(16.8 <= scene['time_of_day_h'] <= 18 for scene in scenes)
+    offsets = [s['cross_track_m'] for s in scenes]
+    assert_shares(np.histogram(offsets, 8, (-8, 8))[0].tolist(), [1] * 8)
 
 
 def test_given_a_learned_program_when_read_then_it_is_the_old_one_with_other_numbers(
@@ -103,11 +106,11 @@ def test_given_a_learned_program_when_learned_from_again_then_its_choices_have_t
     client: Any, learn: Learn, draw: Callable[..., list[dict[str, Any]]],
 ) -> None:
     source = (shipped_folder() / 'runway_position.scenic').read_text()
-    draw(learn(source, {'distance': [0, 1] * 5, 'time_of_day': [1, 2] * 5}), 1)
+    draw(learn(source, {'distance_m': [0, 1] * 5, 'time_of_day_h': [1, 2] * 5}), 1)
     again = [choice['dimension']['name'] for choice in client.ask(op='space')['choices']]
     learn(source, {})
     assert again == [choice['dimension']['name'] for choice in client.ask(op='space')['choices']]
-    assert 'distance' in again
+    assert 'distance_m' in again
 
 
 def test_given_weighted_ranges_when_learned_then_the_slices_of_the_prior_are_kept_apart(
@@ -180,31 +183,33 @@ def test_given_no_docstring_and_signs_beyond_ascii_when_learned_then_the_columns
         'x = Options({("Ä", Options({3: 1})): 0.75, ("é", 1): 0.25})\nparam rain = x[1]\n'
         'y = "Ä"; z = Options({Range(-1, -0.8): 1})  # ±1 m\nego = new Plane at (z, 4)\n'
     )
-    assert 0.8 <= draw(text, 1)[0]['cross_track'] <= 1
+    assert 0.8 <= draw(text, 1)[0]['cross_track_m'] <= 1
 
 
 LEARNED = [.4, .02, .02, .02, .1, .02, .02, .1, .2, .1]
 UNIT = NormalDist()
 ROUND_TRIPS: dict[str, tuple[str, Callable[[dict[str, float]], float]]] = {
-    'normal': ('param rain = Normal(30, 5)', lambda scene: UNIT.cdf((scene['rain'] - 30) / 5)),
+    'normal': (
+        'param rain = Normal(30, 5)', lambda scene: UNIT.cdf((scene['rain_percent'] - 30) / 5)
+    ),
     'truncated normal': (
         'param rain = TruncatedNormal(20, 30, 0, 100)',
-        lambda scene: (UNIT.cdf((scene['rain'] - 20) / 30) - UNIT.cdf(-2 / 3))
+        lambda scene: (UNIT.cdf((scene['rain_percent'] - 20) / 30) - UNIT.cdf(-2 / 3))
         / (UNIT.cdf(8 / 3) - UNIT.cdf(-2 / 3))),
     'range to a drawn end': (
         'r = Range(20, 90)\nparam time_of_day = r / 10\nparam rain = Range(0, r)',
-        lambda scene: scene['rain'] / scene['time_of_day'] / 10),
+        lambda scene: scene['rain_percent'] / scene['time_of_day_h'] / 10),
     'normal of a drawn mean': (
         'm = Range(20, 60)\nparam time_of_day = m / 10\nparam rain = Normal(m, 4)',
-        lambda scene: UNIT.cdf((scene['rain'] - 10 * scene['time_of_day']) / 4)),
+        lambda scene: UNIT.cdf((scene['rain_percent'] - 10 * scene['time_of_day_h']) / 4)),
     'many whole numbers': (
-        'param rain = DiscreteRange(1, 130)', lambda scene: (scene['rain'] - 0.5) / 130),
+        'param rain = DiscreteRange(1, 130)', lambda scene: (scene['rain_percent'] - 0.5) / 130),
     'derived': (
         'x = Normal(2, 1)\nparam time_of_day = x\nparam rain = 20 + 3 * x ** 2',
-        lambda scene: UNIT.cdf(scene['time_of_day'] - 2)),
+        lambda scene: UNIT.cdf(scene['time_of_day_h'] - 2)),
     'under an option': (
         'x = Normal(0, 1)\nparam rain = x\nparam clouds = "broken"',
-        lambda scene: UNIT.cdf(scene['rain'])),
+        lambda scene: UNIT.cdf(scene['rain_percent'])),
 }
 
 

@@ -25,7 +25,7 @@ from taxinet_ros.errors import UsageError
 
 # Half of the starts lie in the first tenth of the runway.
 DISTANCE = Choice(
-    dimension=Dimension(name='distance', buckets=4), feeds=frozenset({'distance'}),
+    dimension=Dimension(name='distance', buckets=4), feeds=frozenset({'distance_m'}),
     pieces=(Piece(start=0.0, end=0.5, low=0.0, high=200.0),
             Piece(start=0.5, end=1.0, low=200.0, high=2000.0)),
 )
@@ -73,6 +73,7 @@ def test_given_what_was_learned_then_an_interval_of_values_has_its_probability()
     both = together(result(1, (0, 0, 0, 1)), result(2, (1, 0, 0, 0)))
     assert both.within('distance', 0, 100).share == pytest.approx(0.5)
     assert both.within('distance', 1100, 2000).share == pytest.approx(0.5)
+    assert both.within('distance_m', 1100, 2000) == both.within('distance', 1100, 2000)
     assert both.within('distance', 1100, 1550).share == pytest.approx(0.25)
     assert DISTANCE.probability_within(0, 200) == pytest.approx(0.5), 'by the program itself'
 

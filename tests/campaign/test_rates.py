@@ -47,7 +47,7 @@ def search(word: str, runs: int, seed: int, *, shape: str = 'band', true: float 
             run_id=f'r{index}', index=index, program='p', seed=seed, perception='truth',
             outcome=Outcome.FAIL if value <= 0 else Outcome.PASS,
             robustness=exact_intervals({'phi': value}),
-            left_runway=False, **Scenario().to_columns(),
+            left_runway=False, **Scenario().to_human(),
         )
         rows.append(row.with_choice(
             sampler=word, point={}, weight=sampler.weight(index), retries=0,

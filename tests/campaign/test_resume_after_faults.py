@@ -171,7 +171,7 @@ def test_f1_given_runs_but_no_ledger_then_resuming_says_what_is_missing(tmp_path
     out = tmp_path / 'c'
     toy.finish(toy.options(out))
     (out / 'ledger.jsonl').unlink()
-    with pytest.raises(UsageError, match='without it nobody knows what was run; put it back'):
+    with pytest.raises(UsageError, match='so the earlier options are unknown; put it back'):
         toy.finish(toy.options(out, resume=True))
 
 

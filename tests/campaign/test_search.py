@@ -261,7 +261,7 @@ def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(
     stop = parse_stop_rule('failures=1')
     words = '\n'.join(search_summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop))))
     assert 'too high on average; the interval holds all the same' in words
-    assert 'wide enough to hold wherever a search stops' in words
+    assert 'valid whenever a search stops' in words
     words = '\n'.join(
         search_summary(toy.finish(toy.options(tmp_path / 'b', sampler='random'))))
     assert 'too high' not in words
@@ -273,7 +273,7 @@ def test_t15_given_a_search_that_was_given_more_runs_then_its_interval_is_for_an
     search = toy.finish(toy.options(tmp_path / 'c', runs=30, resume=True))
     assert search.first_planned == 20
     words = '\n'.join(search_summary(search))
-    assert 'wide enough to hold wherever a search stops' in words
+    assert 'valid whenever a search stops' in words
     assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign['first_runs'] == 20
 
 
@@ -353,7 +353,7 @@ def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused
 
 
 def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
-    with pytest.raises(UsageError, match=r'nothing was begun; leave --resume out'):
+    with pytest.raises(UsageError, match=r'there is nothing to resume; leave --resume out'):
         toy.finish(toy.options(tmp_path, resume=True))
     (tmp_path / 'ledger.jsonl').write_text('{"event":"campaign","campaign":{"seed":3}}\n')
     with pytest.raises(UsageError, match='not written by taxinet falsify'):
@@ -435,7 +435,7 @@ BAD = {
     'budget that is none': ({'budget_min': float('nan')}, '--budget nan'),
     'unknown rule': ({'until': 'bored'}, '--until bored: expected failures=K'),
     'unknown images': ({'images': 'some'}, '--images some: unknown; known: all, failures, none'),
-    'resume of nowhere': ({'resume': True, 'out': None}, '--resume: say with --out'),
+    'resume of nowhere': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
 }
 
 

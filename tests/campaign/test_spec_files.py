@@ -81,7 +81,7 @@ def test_given_a_file_when_a_campaign_is_asked_for_then_its_first_formula_is_the
     ('specs: [G cte < 1]\n', 'specs: expected KEY: VALUE pairs, got '),
     ('formulas: {}\n', 'formulas: unknown key; known: predicates, specs'),
     ('', 'expected KEY: VALUE pairs with the keys predicates, specs, got None'),
-    ('specs:\n', 'holds no formula'),
+    ('specs:\n', 'has no formulas'),
     ('specs: !!python/object/apply:os.getpid []\n', 'could not determine a constructor'),
     (f'predicates:\n  p: {" and ".join(["cte < 1"] * 40)}\nspecs:\n  a: G (p and p)\n',
      r'specs\.a: .*at most 500 words'),

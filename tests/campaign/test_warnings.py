@@ -93,10 +93,19 @@ def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resume
 @pytest.mark.parametrize(
     ('overrides', 'warning'),
     [
-        ({'rain': '0.5'}, 'rain=0.5 is 0.5 %, too little to see; for half write rain=50'),
-        ({'time_of_day': '0.4'}, 'time_of_day=0.4 is 24 minutes past midnight; hours go to 24'),
-        ({'heading': '0.17'}, 'heading=0.17 is 0.17 degrees; 0.17 rad would be heading=9.7'),
-        ({'heading': '-1.5708'}, 'heading=-1.5708 is -1.5708 degrees'),
+        (
+            {'rain_percent': '0.5'},
+            'rain_percent=0.5 is 0.5 %, too little to see; for half write rain_percent=50',
+        ),
+        (
+            {'time_of_day_h': '0.4'},
+            'time_of_day_h=0.4 is 24 minutes past midnight; hours go to 24',
+        ),
+        (
+            {'heading_deg': '0.17'},
+            'heading_deg=0.17 is 0.17 degrees; 0.17 rad would be heading_deg=9.7',
+        ),
+        ({'heading_deg': '-1.5708'}, 'heading_deg=-1.5708 is -1.5708 degrees'),
     ],
 )
 def test_people2_given_a_value_that_looks_like_another_unit_when_fixed_then_it_warns(
@@ -108,8 +117,9 @@ def test_people2_given_a_value_that_looks_like_another_unit_when_fixed_then_it_w
 
 def test_people2_given_values_as_people_set_them_then_nothing_is_warned_of() -> None:
     usual = {
-        'rain': ('0', '1', '50', '100'), 'time_of_day': ('0', '1', '6.25', '9.5', '15', '24'),
-        'heading': ('0', '0.5', '-1', '1.5', '-20', '30', '0.0', '2.25'),
+        'rain_percent': ('0', '1', '50', '100'),
+        'time_of_day_h': ('0', '1', '6.25', '9.5', '15', '24'),
+        'heading_deg': ('0', '0.5', '-1', '1.5', '-20', '30', '0.0', '2.25'),
     }
     assert [doubtful_values({key: value}) for key in usual for value in usual[key]] == [
         [] for values in usual.values() for _ in values

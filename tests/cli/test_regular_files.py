@@ -65,4 +65,4 @@ def test_given_what_a_shell_offers_as_a_file_then_it_is_read(made):
         [*TAXINET, *words], input='near=always(cte < 100)\n', capture_output=True, text=True,
         check=False,
     )
-    assert 'no regular file' not in done.stderr
+    assert 'not a regular file' not in done.stderr

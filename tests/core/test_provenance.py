@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from taxinet_ros import __version__
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.provenance import (
     COMMIT,
@@ -26,6 +25,7 @@ from taxinet_ros.core.provenance import (
     without_commit,
     words,
 )
+from taxinet_ros.version import __version__
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,12 +12,12 @@ from taxinet_ros.core.scenario_fields import CLOUDS, HUMAN_KEYS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 HUMAN = st.fixed_dictionaries({
-    'cross_track': st.floats(-8, 8),
-    'distance': st.floats(0, 2000),
-    'heading': st.floats(-30, 30),
+    'cross_track_m': st.floats(-8, 8),
+    'distance_m': st.floats(0, 2000),
+    'heading_deg': st.floats(-30, 30),
     'clouds': st.sampled_from(RAIN_CLOUDS),
-    'rain': st.floats(0, 100),
-    'time_of_day': st.floats(6, 18),
+    'rain_percent': st.floats(0, 100),
+    'time_of_day_h': st.floats(6, 18),
     'shadows': st.booleans(),
 })
 
@@ -32,7 +32,7 @@ def test_given_a_scene_in_human_units_when_read_back_then_nothing_has_changed(va
 
 def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and_seconds():
     scene = scenario_from_human(
-        {'heading': 30, 'rain': 50, 'clouds': 'overcast', 'time_of_day': 6.5}
+        {'heading_deg': 30, 'rain_percent': 50, 'clouds': 'overcast', 'time_of_day_h': 6.5}
     )
     assert scene.heading_rad == pytest.approx(math.pi / 6)
     assert scene.rain_fraction == pytest.approx(0.5)
@@ -40,22 +40,37 @@ def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and
 
 
 def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
-    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 11
+    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 18
 
 
 @pytest.mark.parametrize(
     ('values', 'words'),
     [
-        ({'cross_track': 40}, 'cross_track_m is 40, outside -15..15'),
-        ({'distance': 'far'}, "distance needs a number, got 'far'"),
-        ({'heading': float('nan')}, 'heading_rad is nan'),
+        ({'cross_track_m': 40}, 'cross_track_m is 40, outside -15..15 m left of the centreline'),
+        ({'rain_percent': 120}, 'rain_percent is 120, outside 0..100 %'),
+        ({'rain': 120}, 'rain_percent is 120, outside 0..100 %'),
+        ({'heading_deg': 95}, 'heading_deg is 95, outside -90..90°, nose left positive'),
+        ({'time_of_day_h': 25}, 'time_of_day_h is 25, outside 0..24 h after local midnight'),
+        ({'duration_s': 0}, 'duration_s is 0, outside 0.1..600 s'),
+        ({'rain': 30, 'rain_percent': 40}, 'rain and rain_percent are the same; leave one out'),
+        ({'distance_m': 'far'}, "distance_m needs a number, got 'far'"),
+        ({'heading_deg': float('nan')}, 'heading_deg is nan'),
         ({'clouds': 'fog'}, "clouds is 'fog', not one of clear"),
-        ({'rain': 50}, 'rain needs clouds broken/overcast/stratus'),
+        ({'rain_percent': 50}, 'rain needs clouds broken/overcast/stratus'),
         ({'tod': 9}, "unknown key 'tod'; known: cross_track"),
         ({'shadows': 'maybe'}, "shadows needs on or off, got 'maybe'"),
         ({'aircraft': 'b747'}, "aircraft is 'b747'"),
         ({'date': 'tomorrow'}, "date is 'tomorrow', not YYYY-MM-DD"),
-        ({'cross_track': True}, 'cross_track needs a number, got True'),
+        ({'cross_track': True}, 'cross_track_m needs a number, got True'),
+        ({'wind_direction': 90}, 'wind_direction_deg has no effect without wind_speed_mps'),
+        ({'gust_seed': 1}, 'gust_seed has no effect without gust_mps'),
+        ({'gust': 2, 'gust_seed': 1.5}, 'gust_seed is 1.5, not a whole number'),
+        ({'wind_speed': 31}, 'wind_speed_mps is 31, outside 0..30 m/s'),
+        ({'speed': 0}, 'speed_mps is 0, outside 1..10 m/s'),
+        ({'slope': 6}, 'slope_percent is 6, outside -5..5 %'),
+        ({'aircraft': 'c172p', 'wind_speed': 3, 'gust': 1},
+         'aircraft c172p: wind_speed_mps + 3 gust_mps is 6, more than 5'),
+        ({'runway_state': 'snow'}, "runway_state is 'snow', not one of dry, wet, icy, auto"),
     ],
 )
 def test_given_a_bad_value_then_one_line_says_which_and_what_is_allowed(values, words):
@@ -69,3 +84,17 @@ def test_given_a_bad_value_then_one_line_says_which_and_what_is_allowed(values, 
 def test_given_a_cloud_kind_without_rain_when_it_rains_then_it_is_refused(clouds):
     with pytest.raises(UsageError, match='rain needs clouds'):
         Scenario(clouds=clouds, rain_fraction=0.3)
+
+
+@pytest.mark.parametrize(
+    ('values', 'words'),
+    [
+        ({'rain_fraction': 1.2}, 'rain_fraction is 1.2, outside 0..1 as a fraction'),
+        ({'heading_rad': 2.0}, 'heading_rad is 2, outside -1.5708..1.5708 rad, nose left positive'),
+        ({'time_of_day_s': -1.0}, 'time_of_day_s is -1, outside 0..86400 s after local midnight'),
+    ],
+)
+def test_given_a_bad_value_in_si_units_then_it_is_told_in_si_units(values, words):
+    with pytest.raises(UsageError) as error:
+        Scenario(**values)
+    assert words in str(error.value)

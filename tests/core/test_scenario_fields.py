@@ -16,12 +16,16 @@ from taxinet_ros.core.scenario_fields import (
     HUMAN_KEYS,
     PAPER_FIELDS,
     PARAMETERS,
-    PLANE_PROPERTIES,
+    PLANE_KEYS,
     RAIN_CLOUDS,
+    RUNWAY_STATES,
     SCENARIO_FIELDS,
+    SHORT_FORMS,
     Kind,
     ScenarioField,
+    by_key,
     clock_words,
+    other_form,
 )
 from taxinet_ros.errors import UsageError
 
@@ -29,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
 WORLD = ROOT / 'scenarios/runway_world.scenic'
 TYPES = {Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool'}
-UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%'}
+UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%', 'm/m': '%', '1': ''}
 """Units of the message by what people type; a duration is in seconds either way."""
 
 NUMBERS = [field for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
@@ -40,7 +44,7 @@ def keys(field: ScenarioField) -> str:
 
 
 def test_given_the_rows_then_no_name_stands_for_two_keys():
-    for name in ('key', 'attribute', 'column', 'title'):
+    for name in ('key', 'attribute', 'title', 'label'):
         names = [getattr(field, name) for field in SCENARIO_FIELDS]
         assert len(set(names)) == len(names), name
     assert tuple(field.key for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
@@ -66,7 +70,7 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
         assert all(word in comment for word in field.words), field.key
         if field.kind is Kind.NUMBER:
             unit = re.match(r'\[(.+?)\]', comment)[1]
-            assert UNITS[unit] == field.unit or unit == field.unit, field.key
+            assert unit == field.unit or UNITS[unit] == field.unit, field.key
 
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
@@ -74,26 +78,29 @@ def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_ty
     empty = {Kind.WORD: 'str', Kind.DATE: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
-        assert columns[field.column] == wanted, field.key
+        assert columns[field.key] == wanted, field.key
     frame = table([])
-    start = list(frame.columns).index(SCENARIO_FIELDS[0].column)
+    start = list(frame.columns).index(SCENARIO_FIELDS[0].key)
     assert list(frame.columns)[start:start + len(SCENARIO_FIELDS)] == [
-        field.column for field in SCENARIO_FIELDS
+        field.key for field in SCENARIO_FIELDS
     ]
     for field in SCENARIO_FIELDS:
-        assert frame[field.column].dtype == field.column_type, field.key
+        assert frame[field.key].dtype == field.column_type, field.key
 
 
 def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_properties():
     text = WORLD.read_text(encoding='utf-8')
     assert f'\nCLOUDS = {CLOUDS!r}\n' in text
+    assert all(word in text for word in RUNWAY_STATES)
     assert f'\nRAIN_CLOUDS = {RAIN_CLOUDS!r}\n' in text
     properties = re.findall(r'^    (\w+)\[dynamic, final\]:', text, re.MULTILINE)
-    assert properties == list(PLANE_PROPERTIES.values())
+    short = [key for key in SHORT_FORMS if SHORT_FORMS[key] in PLANE_KEYS]
+    assert properties == [*PLANE_KEYS, *(name for name in short if name != 'heading')]
     said = re.search(r'may set these parameters: (.*?)\.\n', text, re.DOTALL)[1]
     assert sorted(set(re.findall(r'\w+', said)) & set(BY_KEY)) == sorted(PARAMETERS)
     for field in NUMBERS:
-        assert field.plane or re.search(rf'\b{field.key} \[{field.unit}[],]', said), field.key
+        unit = rf'\[{field.unit}[],]' if field.unit else r'\('
+        assert field.plane or re.search(rf'\b{field.key} {unit}', said), field.key
 
 
 def test_given_the_rows_then_the_pages_list_them_all():
@@ -101,7 +108,7 @@ def test_given_the_rows_then_the_pages_list_them_all():
     said = re.search(r'^\| `param` of the scenario: (.*?) \|', scenic, re.MULTILINE)[1]
     assert sorted(re.findall(r'`(\w+)`', said)) == sorted(PARAMETERS)
     said = re.search(r'^\| `with (.*?) \| refused: they follow', scenic, re.MULTILINE)[1]
-    assert re.findall(r'\w+', said) == list(PLANE_PROPERTIES.values())
+    assert re.findall(r'\w+', said) == list(PLANE_KEYS)
     tour = (ROOT / 'docs/tour.md').read_text(encoding='utf-8')
     said = re.search(r'People write\n?(.*?)`--set` fixes', tour, re.DOTALL)[1]
     assert re.findall(r'`(\w+)`', said) == list(HUMAN_KEYS)
@@ -109,7 +116,7 @@ def test_given_the_rows_then_the_pages_list_them_all():
         assert all(word in said for word in field.words), field.key
     columns = (ROOT / 'docs/falsification.md').read_text(encoding='utf-8')
     said = re.search(r'^\| (.*?) \| the scene \|$', columns, re.MULTILINE)[1]
-    assert re.findall(r'`(\w+)`', said) == [field.column for field in SCENARIO_FIELDS]
+    assert re.findall(r'`(\w+)`', said) == [field.key for field in SCENARIO_FIELDS]
 
 
 @pytest.mark.parametrize('field', SCENARIO_FIELDS, ids=keys)
@@ -118,6 +125,16 @@ def test_given_a_key_when_its_value_goes_out_and_in_again_then_it_is_the_same(fi
     typed = field.to_human(value)
     assert field.from_human(str(typed) if not isinstance(typed, bool) else typed) == value
     assert getattr(scenario_from_human({field.key: typed}), field.attribute) == value
+
+
+def test_given_a_short_form_then_it_is_the_key_without_its_unit_and_means_the_same():
+    for short, key in SHORT_FORMS.items():
+        assert re.fullmatch(rf'{short}_[a-z]+', key)
+        assert (other_form(short), other_form(key)) == (key, short)
+        assert by_key({short: 1, 'clouds': 2, 'fog': 3}) == {key: 1, 'clouds': 2, 'fog': 3}
+        with pytest.raises(UsageError, match=f'{short} and {key} are the same; leave one out'):
+            by_key({key: 1, short: 1})
+    assert other_form('clouds') == other_form('fog') == ''
 
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)
@@ -132,9 +149,12 @@ def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyo
 @pytest.mark.parametrize(
     ('key', 'value', 'words'),
     [
-        ('cross_track', 2.55, '+2.5 m'), ('cross_track', 0.0, '0.0 m'), ('distance', 400, '400 m'),
-        ('heading', -20.0, '-20.0 deg'), ('rain', 30.0, '30 %'), ('time_of_day', 10.55, '10:33'),
-        ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration', 30.0, '30 s'),
+        ('cross_track_m', 2.55, '+2.5 m'), ('cross_track_m', 0.0, '0.0 m'),
+        ('distance_m', 400, '400 m'), ('heading_deg', -20.0, '-20.0 deg'),
+        ('rain_percent', 30.0, '30 %'), ('time_of_day_h', 10.55, '10:33'),
+        ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration_s', 30.0, '30 s'),
+        ('wind_direction_deg', 270.0, '270 deg'), ('slope_percent', -1.0, '-1.0 %'),
+        ('gust_seed', 7.0, '7'),
     ],
 )
 def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):

@@ -105,18 +105,18 @@ def test_people2_given_a_requirement_when_looked_at_then_it_is_told_as_understoo
                              '(by its numbers alone)'),
         (
             'a=eventually[0:60](abs(cte) <= 1.5)',
-            'a: eventually[0:60] ends at 60 s, after the run of 30 s; only what lies within the '
-            'run is judged',
+            'a: eventually[0:60] ends at 60 s, after the run of 30 s; only the part within the '
+            'run is evaluated',
         ),
         (
             'a=eventually[20:25](always[0:10](abs(cte) <= 1.5))',
             'a: always[0:10] ends at 30 s, after the run of 30 s',
         ),
-        ('a=always(cte / speed <= 1)', 'a: cte / speed has no value where speed is 0: that voids '
-                                       'the run'),
-        ('a=always(sqrt(cte) <= 1)', 'a: sqrt(cte) has no value where cte is below 0: that voids '
-                                     'the run'),
-        ('a=abs(cte) <= 10', 'a: judges the first sample alone; for the whole run write '
+        ('a=always(cte / speed <= 1)',
+         'a: cte / speed has no value where speed is 0: this invalidates the run'),
+        ('a=always(sqrt(cte) <= 1)',
+         'a: sqrt(cte) has no value where cte is below 0: this invalidates the run'),
+        ('a=abs(cte) <= 10', 'a: evaluated at the first sample only; for the whole run write '
                              'always(...)'),
     ],
 )
@@ -151,7 +151,7 @@ def test_people2_given_a_sound_requirement_when_looked_at_then_nothing_is_warned
 def test_people2_attack_given_a_window_of_the_first_sample_alone_when_looked_at_then_it_warns(
     text: str,
 ) -> None:
-    wanted = 'a: judges the first sample alone; for the whole run write always(...)'
+    wanted = 'a: evaluated at the first sample only; for the whole run write always(...)'
     assert warned(f'a={text}') == [wanted]
 
 
@@ -184,7 +184,7 @@ def test_people2_attack_given_logic_that_settles_itself_when_looked_at_then_it_w
     text: str, part: str | None, verb: str
 ) -> None:
     if part is not None:
-        wanted = f'a: {part}: nothing measured can {verb} it, by its logic alone'
+        wanted = f'a: {part}: nothing measured can {verb} it, for logical reasons'
         assert warned(f'a={text}') == ([wanted] if part else [])
         return
     assert len(warned(f'a={text}')) == 1, 'its ranges have told it already'
@@ -200,7 +200,7 @@ def test_people2_attack_given_a_negative_angle_when_told_then_its_degrees_are_ne
 def test_people2_given_a_window_beyond_a_short_run_when_looked_at_then_it_warns() -> None:
     assert warned('phi_eventually', 2.0) == [
         'phi_eventually: eventually[0:10] ends at 10 s, after the run of 2 s; only what lies '
-        'within the run is judged'
+        'within the run is evaluated'
     ]
 
 
@@ -234,7 +234,7 @@ def test_people2_given_a_run_then_no_signal_leaves_its_range() -> None:
     ('text', 'duration_s', 'message'),
     [
         ('far=always[35:40](cte < 1)', 12, 'spec far: always[35:40] begins 35 s into the run, '
-                                           'which lasts 12 s; nothing of it could be judged'),
+                                           'which lasts 12 s; it cannot be evaluated'),
         ('far=eventually[20:inf](cte < 1)', 12, 'eventually[20:inf] begins 20 s into the run'),
         ('far=always[10:12](eventually[5:6](cte < 1))', 12, 'eventually[5:6] begins 15 s into'),
         ('far=cte < 1 and always[35:40](cte < 1)', 12, 'always[35:40] begins 35 s into the run'),
@@ -256,7 +256,7 @@ def test_t17_given_a_window_without_samples_when_looked_at_then_it_is_refused(
 
 def test_t17_given_a_window_beyond_the_run_when_a_judge_is_made_then_it_refuses() -> None:
     spec = parse_spec('far=always[35:40](cte < 1)')
-    with pytest.raises(UsageError, match='nothing of it could be judged'):
+    with pytest.raises(UsageError, match='it cannot be evaluated'):
         Judge([spec], 12 * NS_PER_S, MAX_GAP_NS)
     check_windows(spec, 35 * NS_PER_S, CONTROL_PERIOD_NS)
 

@@ -184,7 +184,7 @@ def test_given_a_file_that_was_loaded_then_nothing_of_it_ends_the_process_later(
     assert steering(file(text)).command(SEEN).speed_mps == 1.0
     with pytest.raises(SystemExit, match=re.escape('os._exit(0)')):
         os._exit(0)
-    assert "os._exit(77): refused, in a thread of somebody's code" in capfd.readouterr().err
+    assert 'os._exit(77): refused in a thread of user code' in capfd.readouterr().err
 
 
 def test_given_a_file_that_makes_up_a_ctrl_c_then_it_fails(file):
@@ -264,7 +264,7 @@ def test_given_a_file_that_goes_elsewhere_when_loaded_then_we_stay_where_we_are(
 def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
     word = file('def look(x): pass\ndef _own(x): pass').removesuffix(':make')
     for text in (word, f'{word}:'):
-        with pytest.raises(UsageError, match=r'say which function, as in .*:NAME; it has: look$'):
+        with pytest.raises(UsageError, match=r'name a function, as in .*:NAME; it has: look$'):
             check_perception(text)
 
 
@@ -305,7 +305,7 @@ def test_given_an_answer_that_is_none_then_it_says_where(file, text, complaint):
 def test_given_a_node_elsewhere_then_it_is_for_graphs_only(check):
     for word in ('external', 'cmd:ros2 run my_pkg my_node', 'cmd:python3 my_node.py'):
         assert check(word, graph=True) == ''
-        with pytest.raises(UsageError, match='is a node in a graph, and this needs none'):
+        with pytest.raises(UsageError, match='is a node of a graph, but this command'):
             check(word)
     for word in ('cmd:', "cmd:ros2 'run"):
         with pytest.raises(UsageError, match=r'names no program|No closing quotation'):

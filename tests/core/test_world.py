@@ -17,8 +17,9 @@ from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.runway import KMWH_04
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import KMWH, SimulatedWorld, find_world
+from taxinet_ros.core.world import SimulatedWorld, find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
 
 SCENE = Scenario(cross_track_m=3.0, heading_rad=0.2, duration_s=2.0)
 FAR_NORTH = dataclasses.replace(

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from playing import listening, make_player, playing, spin
@@ -123,7 +124,7 @@ def test_given_nobody_to_listen_when_the_time_is_up_then_that_is_said(bag, capfd
     ):
         assert player.play(executor) == 4
     (line,) = capfd.readouterr().err.splitlines()[-1:]
-    assert 'error: bag_player: nobody subscribed to /taxi_command within 0.1 s' in line
+    assert 'error: bag_player: no subscriber on /taxi_command within 0.1 s' in line
 
 
 def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_ends_with_130(bag):
@@ -144,12 +145,12 @@ def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_en
 @pytest.mark.parametrize(
     ('parameters', 'words'),
     [
-        ({'bag': ''}, 'which one'),
+        ({'bag': ''}, 'is required'),
         ({'bag': 'nowhere'}, 'nowhere'),
         ({'rate': 0.0}, 'allowed: 0.01..1000.0'),
         ({'start_offset': 9.0}, 'is 2 s long'),
         ({'exclude': ['/taxi_comand']}, 'has no topic /taxi_comand; it has /camera'),
-        ({'wait_for': ['/clock'], 'exclude': ['/clock']}, 'drop one'),
+        ({'wait_for': ['/clock'], 'exclude': ['/clock']}, 'remove it from one'),
         ({'speed': 2.0}, "unknown parameter 'speed'"),
     ],
 )
@@ -205,3 +206,14 @@ def test_given_a_type_that_is_not_installed_then_nothing_is_imported_for_it():
     assert 'antigravity' not in sys.modules
     with pytest.raises(UsageError, match='another version'):
         message_class(topic(type_hash='RIHS01_' + '0' * 64))
+
+
+def test_given_a_scenario_of_before_there_was_wind_then_it_is_said_as_now():
+    golden = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
+    said = next(iter(read_messages(golden, ['/scenario'])))
+    recorded = next(one for one in open_bag(str(golden)).topics if one.name == '/scenario')
+    kind, present = message_class(recorded)
+    scenario = deserialize_message(present(said.cdr), kind)
+    assert kind is interface.SCENARIO.type
+    assert (scenario.run_id, scenario.duration_s) == ('truth-nominal', 12.0)
+    assert (scenario.wind_speed_mps, scenario.runway_state, scenario.speed_mps) == (0.0, 'dry', 5.0)

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.ros
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 
 
-def start(name: str, domain: int, *parameters: str, **how) -> subprocess.Popen[str]:
+def start(name: str, domain: int | str, *parameters: str, **how) -> subprocess.Popen[str]:
     words = [str(FOLDER / name)]
     for parameter in parameters:
         words += ['--ros-args', '-p', parameter]
@@ -57,6 +57,15 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         assert info.counts['/camera/image_raw'] == 31
 
 
+@pytest.mark.parametrize('domain', [-1, 233, 500, 'x', '7 '])
+def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a_verdict(domain):
+    node = start('steering_controller', domain)
+    _, errors = node.communicate()
+    assert node.returncode == 2, errors
+    assert errors == (
+        f"error: ROS_DOMAIN_ID '{domain}': a ROS domain is an integer from 0 to 232\n")
+
+
 @pytest.mark.parametrize(
     ('name', 'parameter', 'words'),
     [
@@ -64,6 +73,7 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         ('steering_controller', 'heading_gain:=100.0', 'allowed: 0.0..10.0'),
         ('steering_controller', 'heading_gain:=fast', 'expecting type'),
         ('simulator', 'answer_timeout:=-1.0', 'answer_timeout'),
+        ('simulator', 'answer_timeout:=5000', 'value: 5000.0: answer_timeout; allowed: 0.1..3600'),
         ('simulator', 'use_sim_time:=perhaps', 'use_sim_time'),
         ('mtl_monitor', 'formula:=x', "unknown parameter 'formula'"),
         ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),

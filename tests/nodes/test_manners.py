@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import signal
@@ -31,7 +32,7 @@ from taxinet_ros.nodes.live_monitor.node import LiveMonitor
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.parameters import Parameter, Usage
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 from taxinet_ros.nodes.scene_markers import SceneMarkers
 from taxinet_ros.nodes.simulator import Simulator
@@ -134,7 +135,7 @@ def test_given_the_truth_as_a_network_then_it_is_refused_and_the_node_for_it_is_
     code, _, errors = ends_of({'x': words})['x']
     assert code == 2, errors
     assert errors.splitlines() == [
-        'error: taxinet_perception: parameter weights: truth looks at no picture; start '
+        'error: taxinet_perception: parameter weights: truth uses no camera image; start '
         'ground_truth_perception instead'
     ]
 
@@ -180,6 +181,28 @@ def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_f
             assert not re.search('FATAL|Traceback|ERROR', text), text
         # Said when it lasts, and when it changes: not at every look.
         assert logs['recorder'].read_text().count('waiting for: ') <= 8
+
+
+def test_given_a_remap_that_parts_a_node_then_its_own_line_says_from_whom(tmp_path):
+    log = tmp_path / 'log'
+    expected = (
+        '[perception]: camera/image_raw is remapped to /elsewhere, but simulator publishes '
+        '/camera/image_raw'
+    )
+    with own_domain() as domain:
+        nodes = [
+            start('taxinet_perception', domain, '--ros-args', '-r', 'camera/image_raw:=/elsewhere',
+                  log=log),
+            start('simulator', domain, log=tmp_path / 'other'),
+        ]
+        try:
+            wait_for(lambda: expected in log.read_text(), log.read_text)
+        finally:
+            for node in nodes:
+                node.send_signal(signal.SIGINT)
+            assert [node.wait() for node in nodes] == [0, 0]
+    assert log.read_text().count(expected) == 1
+    assert 'remapped' not in (tmp_path / 'other').read_text()
 
 
 # Parameters ----------------------------------------------------------------------------------
@@ -228,6 +251,29 @@ def described_by(node: Node) -> list[ParameterDescriptor]:
     asker.destroy_node()
     executor.shutdown()
     return list(answer.result().descriptors)
+
+
+def test_given_a_whole_number_for_a_double_then_every_executable_takes_it():
+    taken = 0
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        try:
+            for executable in NODES:
+                doubles = [
+                    one for one in usage_of(executable).parameters if isinstance(one.default, float)
+                ]
+                whole = {one.name: math.ceil(one.limits[0]) for one in doubles if one.limits}
+                given = [Given(name, value=value) for name, value in whole.items()]
+                node = Node('taker', context=context, parameter_overrides=given)
+                found = declare_all(node, doubles)
+                assert found == whole
+                assert all(type(value) is float for value in found.values())
+                taken += len(found)
+                node.destroy_node()
+        finally:
+            rclpy.shutdown(context=context)
+    assert taken > 20
 
 
 def allowed(one: ParameterDescriptor) -> str:

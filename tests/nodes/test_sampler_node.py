@@ -207,7 +207,7 @@ def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_n
     assert code == 2, lines
     assert complaint(lines).endswith(
         f'{out} was begun with perception truth (sha256 abababababab…), but the graph has truth; '
-        'start the one it was begun with, or name another out'
+        'start the original one, or choose another out'
     )
     assert len(read_table(out)) == RUNS
     assert results(out) == results(searched)
@@ -271,7 +271,7 @@ BAD = {
     'unknown rule': ({'until': 'bored'}, 'until bored: expected failures=K'),
     'resume of nothing named': ({'resume': True}, 'resume: say with out which campaign'),
     'no sampler': ({'sampler': '', 'until': 'failures=1'}, 'until: for a sampler only; known: ran'),
-    'a gain': ({'set': ['steering.heading_gain=1']}, 'gains are parameters of its own'),
+    'a gain': ({'set': ['steering.heading_gain=1']}, 'set gains as its parameters'),
     'one formula twice': ({'specs': ['phi_always'] * 2}, 'specs: phi_always is given twice'),
     'negative budget': ({'budget': -1.0}, 'allowed: 0.0..1000000.0'),
     'typo': ({'untill': 'failures=1'}, 'did you mean until?'),

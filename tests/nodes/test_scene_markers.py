@@ -15,12 +15,12 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
 
+from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.place import runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.messages.step import odometry_cdr
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.scene_markers import AircraftMarkers, SceneMarkers, runway_markers
 

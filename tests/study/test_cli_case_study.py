@@ -60,15 +60,15 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
     (tmp_path / 'full' / 'something').touch()
     done = taxinet('case-study', '--out', 'full', cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith('taxinet: error: --out full: exists already; nothing recorded')
+    assert done.stderr.startswith('taxinet: error: --out full: already exists; nothing recorded')
     assert len(done.stderr.splitlines()) == 1
     assert [path.name for path in (tmp_path / 'full').iterdir()] == ['something']
 
 
 @pytest.mark.parametrize(('options', 'complaint'), [
-    ({'resume': True}, r'--resume: say with --out which case study to continue'),
-    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file, so no case'),
-    ({'report_only': True}, r'--report-only: say with --out of which case study'),
+    ({'resume': True}, r'--resume: name the case study to continue with --out'),
+    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file'),
+    ({'report_only': True}, r'--report-only: name the case study with --out'),
     ({'report_only': True, 'out': Path('new')}, r'--report-only: new/study.json: no such file'),
     ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
     ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
@@ -99,7 +99,7 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     assert read_study(out, '--resume').images == 240
     printed = capsys.readouterr().out
     assert 'stopped at train-original: exit code 1; once it is mended, --resume' in printed
-    with pytest.raises(UsageError, match=r'study: exists already'):
+    with pytest.raises(UsageError, match=r'study: already exists'):
         run_case_study(CaseStudyOptions(out=out))
 
 

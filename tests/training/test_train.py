@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from training_samples import foreign_folder
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
@@ -20,6 +19,7 @@ from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import parse_portion
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import get_training_data, train
+from taxinet_ros.version import __version__
 
 
 def options(out: Path, **changes: object) -> TrainOptions:
@@ -176,7 +176,7 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
 
 
 @pytest.mark.parametrize(
-    ('validation', 'batch', 'reason'), [(8, 1, 'leaves nothing of 8'), (4, 5, 'more than 4 images')]
+    ('validation', 'batch', 'reason'), [(8, 1, 'leaves none of 8'), (4, 5, 'more than 4 images')]
 )
 def test_given_too_few_rows_when_trained_then_one_line_says_so(
     validation: int, batch: int, reason: str, tmp_path: Path
@@ -224,8 +224,8 @@ def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so
     ('name', 'reason'),
     [
         ('net.pt', 'has to end in .safetensors'),
-        ('none/net.safetensors', 'is no folder'),
-        ('file/net.safetensors', 'is no folder'),
+        ('none/net.safetensors', 'is not a folder'),
+        ('file/net.safetensors', 'is not a folder'),
         ('old.safetensors', 'exists'),
         ('only_card.safetensors', 'exists'),
         ('only_curves.safetensors', 'exists'),

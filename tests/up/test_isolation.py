@@ -69,7 +69,7 @@ def test_given_another_graph_on_the_domain_then_one_line_names_it_and_nothing_is
     (line,) = errors.splitlines()
     assert line.removeprefix('taxinet: ') == (
         f'error: another graph is on ROS domain {taken}: /elsewhere/other_world publishes /clock; '
-        'end it (one that was killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
+        'end it (a killed one disappears after about 20 s), or set another ROS_DOMAIN_ID'
     )
     assert output == ''
     assert list(tmp_path.iterdir()) == []
@@ -144,7 +144,7 @@ def test_given_two_campaigns_at_once_then_each_is_what_it_is_alone(tmp_path):
 def test_t17_domain_by_hand_takes_one_worker_and_nothing_is_written(words, tmp_path, monkeypatch):
     monkeypatch.setenv(BY_HAND, '77')
     monkeypatch.chdir(tmp_path)
-    message = 'TAXINET_DOMAIN_ID 77: one domain takes one graph, and there are 2 workers; say'
+    message = 'TAXINET_DOMAIN_ID 77: a single domain, but 2 workers need one each; use'
     with pytest.raises(UsageError, match=message):
         app([*words, '--workers', '2'], standalone_mode=False)
     assert list(tmp_path.iterdir()) == []

@@ -96,8 +96,8 @@ def test_given_a_node_that_dies_again_and_again_then_it_is_started_so_often_and_
 ):
     said = looked_after(start, 'recorder', 'torn', SupervisionOptions(limit=2, window_s=3600))
     assert said == [
-        'recorder died: exit code 3; started again (1 of 2 in 3600 s)',
-        'recorder died: exit code 3; started again (2 of 2 in 3600 s)',
+        'recorder died: exit code 3; restarted (1 of 2 in 3600 s)',
+        'recorder died: exit code 3; restarted (2 of 2 in 3600 s)',
         'GraphLostError: recorder died: exit code 3; it has died 3 times in 3600 s; '
         f'see {tmp_path}/recorder.log',
     ]

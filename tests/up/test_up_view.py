@@ -62,8 +62,8 @@ def test_given_a_graph_amid_a_run_then_the_table_names_each_nodes_state_and_the_
 @pytest.mark.parametrize(
     ('changes', 'words'),
     [
-        ({'running': False}, 'run s_falsif-s0-00012: getting ready'),
-        ({'running': False, 'run_id': ''}, 'no run at hand'),
+        ({'running': False}, 'run s_falsif-s0-00012: starting'),
+        ({'running': False, 'run_id': ''}, 'idle'),
     ],
 )
 def test_given_no_step_yet_then_the_line_on_runs_says_why(supervisor, changes, words, tmp_path):

@@ -1,4 +1,4 @@
-"""How a perception fares on labelled frames from elsewhere, and how our camera sees their poses."""
+"""Evaluate a perception on labelled frames, and render the same poses with our camera."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
 PAIRS = 8
-LIGHT: Mapping[str, object] = {'time_of_day': 9 + 4 / 60, 'clouds': 'clear'}
+LIGHT: Mapping[str, object] = {'time_of_day_h': 9 + 4 / 60, 'clouds': 'clear'}
 """Light of our pictures where none is named: that of the published X-Plane frames."""
 
 _RESOLUTION = 1e-9
@@ -195,8 +195,8 @@ def comparison_scenes(
     scenes, reason = {}, ''
     for frame in frames:
         pose = {
-            'cross_track': frame.truth.cte_m, 'heading': math.degrees(frame.truth.he_rad),
-            'distance': frame.distance_m + distance_offset_m,
+            'cross_track_m': frame.truth.cte_m, 'heading_deg': math.degrees(frame.truth.he_rad),
+            'distance_m': frame.distance_m + distance_offset_m,
         }
         try:
             scenes[frame] = scenario_from_human({**base, **pose})
@@ -204,7 +204,7 @@ def comparison_scenes(
             reason = f'{frame.image}: {str(error).removeprefix("scenario: ")}'
     if not scenes:
         raise UsageError(
-            f'no frame lies on our runway, such as {reason}; see --distance-offset'
+            f'no frame lies on our runway (first: {reason}); see --distance-offset'
         )
     return [(frame, scenes[frame]) for frame in spread_out(list(scenes))]
 

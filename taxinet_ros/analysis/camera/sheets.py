@@ -188,7 +188,7 @@ def _wrap_line(text: str, width: int) -> list[str]:
 
 HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)
 """Local hours of a sheet where none are named: dawn and dusk closer together than the day."""
-POSE = {'cross_track': 1.0, 'heading': 4.0, 'distance': 900.0}
+POSE = {'cross_track_m': 1.0, 'heading_deg': 4.0, 'distance_m': 900.0}
 """Pose of a sheet where none is named: centreline, both edges and, after noon, our own shadow."""
 
 
@@ -216,7 +216,7 @@ def sheet_scenes(
     return [
         [
             scenario_from_human(
-                {**POSE, **settings, 'time_of_day': hour, 'clouds': cloud, 'rain': rain}
+                {**POSE, **settings, 'time_of_day_h': hour, 'clouds': cloud, 'rain_percent': rain}
             )
             for hour in hours
         ]
@@ -246,6 +246,6 @@ def pose_words(scene: Scenario) -> str:
     """The start pose of a scene in the units people read."""
     human = scene.to_human()
     return (
-        f'{human["distance"]:.0f} m past the threshold, CTE {human["cross_track"]:+.1f} m, '
-        f'heading {human["heading"]:+.0f}°'
+        f'{human["distance_m"]:.0f} m past the threshold, CTE {human["cross_track_m"]:+.1f} m, '
+        f'heading {human["heading_deg"]:+.0f}°'
     )

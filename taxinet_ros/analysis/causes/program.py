@@ -18,13 +18,13 @@ from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
 from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, other_form
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
 _FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
 _VALUES = {
-    field.column: f'ego.{field.plane}' if field.plane else f'scene_{field.key}'
+    field.key: f'ego.{field.key}' if field.plane else f'scene_{field.key}'
     for field in SCENARIO_FIELDS
 }
 """How a requirement of a program names what is in a column of the table."""
@@ -49,7 +49,7 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
     required = [f'require {_condition(part)}' for part in cause.region.parts]
     # A requirement knows the names of a program, but not the parameters of the world.
     named = sorted({word for text in required for word in re.findall(r'\bscene_\w+', text)})
-    required[:0] = [f'{word} = globalParameters.{word.removeprefix("scene_")}' for word in named]
+    required[:0] = [f'{word} = globalParameters.{_parameter(word, source)}' for word in named]
     return '\n'.join([
         source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
@@ -89,6 +89,14 @@ def _source(runs: CampaignRuns) -> str | None:
         return next(iter(own.values())).lstrip('\n') if len(own) == 1 else None
     word = runs.program.removesuffix(SUFFIX)
     return find_program(word).read_text(encoding='utf-8') if word in known_programs() else None
+
+
+def _parameter(word: str, source: str) -> str:
+    """The parameter that a requirement calls ``word``, in the form in which the program sets it."""
+    key = word.removeprefix('scene_')
+    short = other_form(key)
+    said = short and re.search(rf'^[ \t]*param\b.*\b{short}[ \t]*=', source, re.MULTILINE)
+    return short if said else key
 
 
 def _value(name: str) -> str:

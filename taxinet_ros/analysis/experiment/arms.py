@@ -22,7 +22,9 @@ from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 Rows = Mapping[str, Sequence[RunRow]]
 """Runs of an experiment, by the name of their arm."""
 
-_NUMBERS = ('time_of_day', 'distance', 'cross_track', 'heading', 'rain')
+_NUMBERS = (
+    'time_of_day_h', 'distance_m', 'cross_track_m', 'heading_deg', 'rain_percent',
+)
 """What a picture may be drawn over, in the order in which it is tried."""
 
 _SIGNIFICANT = 0.05
@@ -96,7 +98,7 @@ def paired_arms(experiment: Experiment, rows: Rows) -> PairedArms:
             compare_arms(experiment.compare_to, base, arm.name, rows[arm.name])
             for arm in experiment.others
         ),
-        over=experiment.over or next(iter(numbers), 'time_of_day'), alone=len(varied) <= 1,
+        over=experiment.over or next(iter(numbers), 'time_of_day_h'), alone=len(varied) <= 1,
     )
 
 

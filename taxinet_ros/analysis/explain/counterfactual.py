@@ -1,4 +1,4 @@
-"""The same moment in another world: what the network would have seen without a shadow, or dry.
+"""Counterfactual images: the network's estimate of the same moment without shadow, rain, etc.
 
 The camera is deterministic, so one property of the scene can be changed and nothing else. If the
 error goes with the property, the property causes it; no gradient is needed, and it holds for any
@@ -81,7 +81,7 @@ class Effect:
     Attributes:
         factor: the factor.
         outcomes: one for each moment.
-        removed: share of the moments' error that goes with it; negative where it grows.
+        removed: share of the moments' error removed by the edit; negative if the error grows.
         changed: whether it changes any of the pictures.
     """
 
@@ -158,7 +158,7 @@ def _best_single(found: Sequence[Effect]) -> float:
 
 def _outcome(camera: Camera, moment: Moment, look: Estimator, gains: SteeringGains) -> ChangedView:
     if moment.state is None:
-        raise ValueError(f'step {moment.seq}: its state is not known')
+        raise ValueError(f'step {moment.seq}: its state is unknown')
     image = camera.render(moment.state, moment.seq * CONTROL_PERIOD_NS)
     estimate = look(image)
     return ChangedView(

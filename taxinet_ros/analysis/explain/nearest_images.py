@@ -30,7 +30,7 @@ FAR = 0.99
 """A frame beyond this share of the data set's own distances is called out of distribution."""
 
 _PART = 4
-_NUMBERS = ('cte_m', 'heading_error_deg', 'time_of_day', 'rain')
+_NUMBERS = ('cte_m', 'heading_error_deg', 'time_of_day_h', 'rain_percent')
 _WORDS = ('clouds',)
 
 
@@ -43,7 +43,8 @@ class TrainingImages:
         total: images in the folder; the sample may be smaller.
         pictures: reduced to what a network sees, (N, 64, 192) uint8.
         scenes: a row for each: ``cte_m``, ``heading_error_deg``, and as far as the folder tells
-            ``distance_m``, ``time_of_day`` [h], ``clouds``, ``rain`` [%]; and ``image``, its name.
+            ``distance_m``, ``time_of_day_h``, ``clouds``, ``rain_percent``; and
+            ``image``, its name.
     """
 
     name: str

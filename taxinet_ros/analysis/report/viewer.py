@@ -234,7 +234,7 @@ def _words(facts: RunFacts) -> dict[str, str]:
         words['perception'] = perception.implementation
     words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'
     for name, value in facts.scene.items():
-        words[name.replace('_', ' ')] = _scene_words(value) + BY_KEY[name].unit_mark
+        words[BY_KEY[name].label] = _scene_words(value) + BY_KEY[name].unit_mark
     return {name: word for name, word in words.items() if word}
 
 

@@ -1,11 +1,10 @@
-"""A recording of several runs as a bag of each, as our recorder would have made it."""
+"""Split a recording of several runs into one bag per run, as written by the recorder node."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
@@ -15,6 +14,7 @@ from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.rewrite.copying import storable_topic, write_steps
 from taxinet_ros.bag.run.message_values import scenario_json
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, outcome_words
 from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
 from taxinet_ros.bag.run.topics import NODE_STATUS, RUN_STATUS, SCENARIO, VERDICT
 from taxinet_ros.bag.writer import BagWriter
@@ -40,11 +40,11 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
     for run in numbers.values():
         if run.scenario is None:
             raise UsageError(
-                f'{recording.path}: run {run.name}: no message on {SCENARIO}, so nothing tells '
-                'what was run'
+                f'{recording.path}: run {run.name}: no message on {SCENARIO}, so its scenario is '
+                'unknown'
             )
         if not is_run_name(run.run_id):
-            raise BagForeign(f'{recording.path}: run {run.run_id!r:.80} is no name for a folder')
+            raise BagForeign(f'{recording.path}: run {run.run_id!r:.80} is not a valid folder name')
         if run.unclear:
             raise BagForeign(f'{recording.path}: run {run.name}: {run.unclear}')
     held: dict[int, list[StoredMessage]] = {i: [] for i in numbers}
@@ -83,15 +83,8 @@ def _write_run(
         ))
         for stored in messages:
             if stored.topic.name == f'/{RUN_STATUS}':
-                _add_outcome(bag, decode(stored.topic, stored.cdr), len(run.stamps_ns))
-
-
-def _add_outcome(bag: BagWriter, status: Any, steps: int) -> None:
-    bag.add_metadata('taxinet_outcome', {
-        'outcome': str(status.outcome), 'kind': str(status.kind), 'who': str(status.who),
-        'detail': str(status.detail), 'steps': str(steps),
-        'perception': str(status.perception), 'weights_sha256': str(status.fingerprint),
-    })
+                status = decode(stored.topic, stored.cdr)
+                bag.add_metadata(OUTCOME_METADATA, outcome_words(status, len(run.stamps_ns)))
 
 
 def _place(stored: StoredMessage) -> tuple[int, int, int, str]:

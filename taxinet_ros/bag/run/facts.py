@@ -1,6 +1,6 @@
-"""What a bag tells of its run: what was asked for, enough to run it again, and the outcome.
+"""Facts of a recorded run: request (sufficient for a rerun) and outcome.
 
-A bag that ends before it tells all is read as far as it goes.
+An incomplete bag is read as far as it goes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from taxinet_ros.core.provenance import NAMES, Provenance
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -66,7 +66,7 @@ class RecordedRun:
     timing: Timing = AT_ONCE
 
 
-def recorded_run(recording: Recording) -> RecordedRun:
+def recorded_run(recording: StoredRuns) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
     scenario: Any = None
@@ -83,7 +83,7 @@ def recorded_run(recording: Recording) -> RecordedRun:
         for error in recording.damaged_places:
             raise error
     if scenario is None:
-        raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
+        raise BagEmpty(f'{path}: no message on /scenario, so its run is unknown', path=path)
     try:
         eyes, law = kinds.get('perception'), kinds.get('steering_controller')
         world = kinds.get(SIMULATOR)
@@ -97,7 +97,7 @@ def recorded_run(recording: Recording) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
-            world=world.detail if world and world.fingerprint else '',
+            world=world.detail.partition(' ')[0] if world and world.fingerprint else '',
             world_fingerprint=world.fingerprint if world else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
@@ -134,7 +134,7 @@ def parse_gains(words: str) -> dict[str, float]:
 
 def _request(message: Any) -> RunRequest:
     if not is_run_name(message.run_id):
-        raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
+        raise ValueError(f'run_id {message.run_id!r} is not a valid folder name')
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,
         seed=int(message.seed), scenario=scenario_of(message),
@@ -148,15 +148,18 @@ _NO_FIGURES = frozenset({'header', 'run_id', 'specs', 'complete', 'satisfied'})
 
 @dataclass(frozen=True, kw_only=True)
 class NodeFacts:
-    """What one node said of itself.
+    """Facts reported by a node.
 
     Attributes:
         implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
-        fingerprint: sha256 of its weights, or ''.
+        fingerprint: sha256 of its weights or package, or ''.
+        origin: ``NAME of PACKAGE VERSION`` where a package brought it (of the simulator: its
+            world); of earlier versions the world's name alone, or ''.
     """
 
     implementation: str
     fingerprint: str
+    origin: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +179,7 @@ class RecordedRobustness:
 
 @dataclass(frozen=True, kw_only=True)
 class RunFacts:
-    """A run as its bag tells of it.
+    """Facts of a run recorded in its bag.
 
     Attributes:
         run_id, program, seed, index: who asked for it.
@@ -206,7 +209,7 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def run_facts(recording: Recording) -> RunFacts | None:
+def run_facts(recording: StoredRuns) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
     told = _FactsReader(recording.path)
     for relative, stored in recording.messages(_FACT_TOPICS):
@@ -272,7 +275,7 @@ class _FactsReader:
             if message.state == NODE_READY:
                 self.nodes[str(message.node)] = NodeFacts(
                     implementation=str(message.implementation),
-                    fingerprint=str(message.fingerprint),
+                    fingerprint=str(message.fingerprint), origin=str(message.detail),
                 )
         elif relative == RUN_STATUS:
             if message.state == RUN_ENDED:

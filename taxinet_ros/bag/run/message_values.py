@@ -1,18 +1,21 @@
-"""Messages of a run as values of the core, whether they come from a bag or from the graph.
+"""Messages of a run as values of the core, and back; whether of a bag or of the graph.
 
 Floats pass unchanged, so what is judged, or run once more, has the bits of what was recorded.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from typing import Any
 
-from taxinet_ros.core.loop import ROLLING_ON, signals
-from taxinet_ros.core.mtl import Assumptions, parse_assumptions
+from taxinet_ros.core.judge import Judgement
+from taxinet_ros.core.loop import rolling_on, signals
+from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
+from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, ScenarioField
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, ScenarioField
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
@@ -74,10 +77,15 @@ def command_of(message: Any) -> TaxiCommand:
 class HeldCommand:
     """In a free run frames may have no command: the last one holds, as the monitor has it too."""
 
-    def __init__(self, *, free: bool) -> None:
-        """``free``: it is a free run, else one of the lockstep."""
+    def __init__(self, scenario: Any, *, free: bool) -> None:
+        """Begin a run.
+
+        Args:
+            scenario: its message.
+            free: it is a free run, else one of the lockstep.
+        """
         self._free = free
-        self._held: Any = None
+        self._held: Any = rolling_on(float(_value(scenario, SPEED)))
 
     def at(self, command: Any) -> Any:
         """What holds at a frame.
@@ -90,7 +98,7 @@ class HeldCommand:
         """
         if not self._free:
             return command
-        self._held = command or self._held or ROLLING_ON
+        self._held = command or self._held
         return self._held
 
 
@@ -128,3 +136,59 @@ def scenario_json(message: Any) -> bytes:
         'participants': list(message.participants),
     }
     return json.dumps(values, indent=2).encode() + b'\n'
+
+
+def scenario_values(request: RunRequest) -> dict[str, Any]:
+    """The fields of the scenario message that asks for a run, less its header."""
+    return {
+        'run_id': request.run_id,
+        'index': request.index,
+        'program': request.program,
+        'seed': request.seed,
+        'specs': list(request.judging.specs),
+        'stop_on': request.judging.stop_on,
+        'bounds': list(request.judging.bounds),
+        'rates': list(request.judging.rates),
+        'participants': list(request.participants),
+        **dataclasses.asdict(request.scenario),
+    }
+
+
+def reading_values(spec: Spec, reading: Reading, run_id: str, seq: int) -> dict[str, Any]:
+    """The fields of a robustness message, less its header."""
+    return {
+        'run_id': run_id,
+        'seq': seq,
+        'spec': spec.name,
+        'formula': spec.text,
+        'rho_lower': reading.lower,
+        'rho_upper': reading.upper,
+        'verdict': int(reading.verdict),
+        'final': reading.final,
+        'valid': reading.valid,
+        'trusted': reading.trusted,
+        'samples': reading.samples,
+        'rejected': reading.rejected,
+    }
+
+
+def verdict_values(judgement: Judgement, run_id: str) -> dict[str, Any]:
+    """The fields of a verdict, less its header and the readings."""
+    figures = judgement.statistics
+    cte, he = figures.cte_error, figures.he_error
+    return {
+        'run_id': run_id,
+        'complete': judgement.complete,
+        'stopped_early': judgement.stopped_early,
+        'satisfied': judgement.satisfied,
+        'left_runway': figures.left_runway,
+        'max_cross_track_error': figures.max_cross_track_m,
+        'settle_time': figures.settle_time_s,
+        'estimate_cte_error_mean': cte.mean,
+        'estimate_cte_error_mean_abs': cte.mean_abs,
+        'estimate_cte_error_max_abs': cte.max_abs,
+        'estimate_he_error_mean': he.mean,
+        'estimate_he_error_mean_abs': he.mean_abs,
+        'estimate_he_error_max_abs': he.max_abs,
+        'unusable_estimates': figures.unusable_estimates,
+    }

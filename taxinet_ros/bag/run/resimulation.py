@@ -1,9 +1,8 @@
-"""The world of a recorded run once more: states and pictures out of scenario and commands.
+"""Re-simulate a recorded run: states and images from scenario and commands.
 
-The recorded attitude is a quaternion, whose rounding does not give the angles back to the bit, and
-the picture follows from the angles. So the aircraft is not read off the bag but driven again: the
-scenario and the recorded commands determine every state, and the recorded odometry and truth, which
-must come out equal to the bit, prove that they did.
+The recorded attitude is a quaternion, from which the exact angles cannot be restored, but images
+depend on the angles. So the aircraft is re-simulated from the scenario and the recorded commands,
+and checked bit for bit against the recorded odometry and truth.
 """
 
 from __future__ import annotations
@@ -14,27 +13,31 @@ from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.loop import ROLLING_ON, LateCommands
+from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import KMWH, Observation, World, find_world
+from taxinet_ros.core.world import ChosenWorld, Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
-    """Driven again, the aircraft is elsewhere: another version or machine has recorded the bag."""
+    """The re-simulated aircraft deviates: the bag is from another version or machine."""
 
 
-def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterator[Observation]:
+def observations(
+    recording: StoredRuns, run: RecordedRun, wanted: Callable[[int], bool]
+) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
     recorded, commands = _states_and_commands(recording)
-    world = _world(recording)
-    held = _held(recording, commands)
+    world = recorded_world(path, run).make(run.request.scenario)
+    held = _held(recording, run, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
             return
@@ -50,41 +53,35 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
             return
 
 
-def _world(recording: Recording) -> World:
-    """The run's world at its beginning.
+def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
+    """The world that the run of the bag at ``path`` took place in.
 
     Raises:
         UsageError: a package brought it that is not installed, or is another one now.
     """
-    path, run = recording.path, recording.run
     try:
-        chosen = find_world(run.world or KMWH)
+        return find_world(run.world or KMWH, run.world_fingerprint)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
-    if chosen.fingerprint != run.world_fingerprint:
-        raise UsageError(
-            f'{path}: world {run.world} is {chosen.fingerprint[:12]} now, it was '
-            f'{run.world_fingerprint[:12]}'
-        )
-    return chosen.make(run.request.scenario)
 
 
 def _held(
-    recording: Recording, commands: dict[int, TaxiCommand]
+    recording: StoredRuns, run: RecordedRun, commands: dict[int, TaxiCommand]
 ) -> Callable[[int], TaxiCommand | None]:
     """Which command held from each step to the next; None where the bag does not tell."""
-    path, run = recording.path, recording.run
+    path = recording.path
+    first = rolling_on(run.request.scenario.speed_mps)
     if not run.timing.free:
-        late = LateCommands(run.timing, run.request.seed, run.request.index)
+        late = LateCommands(run.timing, run.request.seed, run.request.index, first)
         return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
-    account = recording.free_account
+    account = free_account(recording.info)
     if account is None:
         raise BagEmpty(
-            f'{path}: a free run that does not tell which command held when, for it was not ended '
-            'in order', path=path,
+            f'{path}: a free run without the record of its commands in effect, since it did not '
+            'end in order', path=path,
         )
     applied = account.applied
-    known = {**commands, -1: ROLLING_ON}
+    known = {**commands, -1: first}
 
     def held(seq: int) -> TaxiCommand | None:
         return known.get(applied[seq]) if seq < len(applied) else None
@@ -93,7 +90,7 @@ def _held(
 
 
 def _states_and_commands(
-    recording: Recording,
+    recording: StoredRuns,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
@@ -134,7 +131,7 @@ def _compare(path: Path, seq: int, before: dict[str, float], now: dict[str, floa
         if now[name] != value:
             raise WorldDiffers(
                 f'{path}: step {seq}: {name} of the aircraft is {value!r} in the bag and '
-                f'{now[name]!r} when driven again: recorded by another version or on another '
+                f'{now[name]!r} when re-simulated: recorded by another version or on another '
                 'machine',
                 path=path,
             )

@@ -1,4 +1,4 @@
-"""The runs within a bag, whoever recorded it: told apart, and in simulated time.
+"""Separate the runs within a bag of any recorder, and assign simulated time.
 
 Our recorder makes a bag of each run, in which every message is logged at the simulated time
 that it belongs to. ``ros2 bag record`` makes one of all that it hears: several runs one after
@@ -96,7 +96,7 @@ class RunPart:
     def words(self) -> str:
         """For people: name, and how much of it there is."""
         if not self.stamps_ns:
-            return f'{self.name} (no step of it)'
+            return f'{self.name} (no steps)'
         low, high = min(self.stamps_ns) / NS_PER_S, max(self.stamps_ns) / NS_PER_S
         return f'{self.name} ({low:g}-{high:g} s)'
 
@@ -281,8 +281,8 @@ class _RunsReader:
             ]
             if mixed:
                 run.unclear = (
-                    f'its messages lie among those of {mixed[0]}; odometry and frames name no run, '
-                    'so whose they are cannot be told'
+                    f'its messages lie among those of {mixed[0]}; odometry and frames have no '
+                    'run_id, so they cannot be assigned'
                 )
         namespaces = {self.runs[i].namespace for i in stepping}
         for (namespace, relative), stretches in self._stretches.items():

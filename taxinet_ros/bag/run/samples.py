@@ -1,4 +1,4 @@
-"""The monitored signals of a run, out of its bag, with what was recorded of its judgement."""
+"""Monitored signals of a recorded run, with its recorded robustness."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
@@ -121,7 +121,7 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def run_samples(
-    recording: Recording, names: Collection[str] | None = None
+    recording: StoredRuns, names: Collection[str] | None = None
 ) -> list[RunSamples]:
     """The samples of every run in a recording; damage is told in the result, not raised.
 
@@ -151,7 +151,7 @@ class _NotPlainError(Exception):
     """The bag is not one run as our recorder logs it."""
 
 
-def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
+def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
     """The quick way, for recordings as they should be: runs need not be told apart."""
     if not recording.checked:
         return None
@@ -165,7 +165,7 @@ def _read_plain(recording: Recording, names: Collection[str] | None) -> _Samples
     return reader
 
 
-def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
+def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[RunSamples]:
     """The slow way, which tells runs apart, and says what is wrong."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]
@@ -174,7 +174,7 @@ def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunS
     readers = [_SamplesReader(names) for _ in recording.runs]
     if all(run.scenario is None for run in recording.runs):
         kind = BagEmpty if trouble else BagForeign
-        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown', path=path)
     try:
         # What a run's own formulas need is known from its scenario, which a recorder that came
         # late may have been told last.
@@ -189,7 +189,7 @@ def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunS
             except BagCorrupt as error:
                 trouble.append(str(error))
     except _UNREADABLE as error:
-        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+        raise BagForeign(f'{path}: not a run of taxinet_ros: {error}', path=path) from error
     alone = recording.plain or len(recording.runs) == 1
     pairs = list(zip(recording.runs, readers, strict=True))
     present = [pair for pair in pairs if not pair[0].absent] or pairs
@@ -201,7 +201,7 @@ def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunS
     notes = [unchecked_files(path)]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
-        notes.append(f'tells how these ended, and has not one step of them: {", ".join(absent)}')
+        notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
     found[0] = dataclasses.replace(found[0], note='; '.join(filter(None, notes)))
     return found
 
@@ -213,12 +213,12 @@ def _samples(
         return RunSamples(
             run=run, duration_ns=0, specs=(), assumptions=NO_ASSUMPTIONS, stamps_ns=(), samples=(),
             recorded={}, stopped_early=False, unusable_estimates=0, there=(),
-            trouble=f'no message on {SCENARIO}, so nothing tells what was run',
+            trouble=f'no message on {SCENARIO}, so its scenario is unknown',
         )
     try:
         return reader.run(run, trouble, unclear)
     except _UNREADABLE as error:
-        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+        raise BagForeign(f'{path}: not a run of taxinet_ros: {error}', path=path) from error
 
 
 def _timing(words: str) -> str:
@@ -308,7 +308,7 @@ class _SamplesReader:
         )
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
-        commands = HeldCommand(free=self.free)
+        commands = HeldCommand(self.scenario, free=self.free)
         samples = [self._sample(stamp, commands) for stamp in stamps]
         if self.free:  # What a frame lacks is no loss: nobody answered it.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
@@ -318,7 +318,7 @@ class _SamplesReader:
                     sample.update(watch.signals(stamp, sample))
         begins_ns = min(self.steps[TRUTH], default=0)
         if begins_ns > 0 and not trouble:
-            trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
+            trouble = f'begins at {begins_ns / NS_PER_S:g} s: earlier steps were not recorded'
         return RunSamples(
             run=run,
             duration_ns=duration_ns,
@@ -341,7 +341,7 @@ class _SamplesReader:
             if self.free and topic in (ESTIMATE, COMMAND):
                 continue
             if not messages and last_ns >= 0:
-                found[topic] = f'{topic}: no message of it, so what reads it is not judged'
+                found[topic] = f'{topic}: no messages, so formulas that read it are not evaluated'
             elif min(messages, default=0) > min(self.steps[TRUTH], default=0):
                 found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
             elif max(messages, default=last_ns) < last_ns - CONTROL_PERIOD_NS:

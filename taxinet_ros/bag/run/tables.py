@@ -25,7 +25,7 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 LONGEST_ARRAY = 40
 """Arrays with more elements than a 6 x 6 covariance has get no column for each."""
@@ -52,7 +52,7 @@ _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
 
 
 def topic_tables(
-    recording: Recording, topics: Collection[str] | None
+    recording: StoredRuns, topics: Collection[str] | None
 ) -> dict[str, pd.DataFrame]:
     """See :meth:`.recording.Recording.tables`."""
     chosen = _chosen(recording, topics)
@@ -64,13 +64,13 @@ def topic_tables(
     return {name: _table(rows[name], topic) for name, topic in chosen.items()}
 
 
-def units_of(topic: TopicInfo) -> dict[str, str]:
+def units_of(topic: TopicInfo) -> Mapping[str, str]:
     """Units of a topic's columns, as far as its definition or a standard fixes them.
 
     A definition says it in brackets at the beginning of a field's comment: ``# [rad] left
     positive``.
     """
-    return dict(_units(topic))
+    return _units_within(topic.type, topic.definition)
 
 
 def titles(table: pd.DataFrame) -> dict[str, str]:
@@ -101,7 +101,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value.item() if isinstance(value, np.generic) else value
 
 
-def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
     """The topics wanted, by name, in the order of the file."""
     path, known = recording.path, recording.topics
     if wanted is None:
@@ -116,13 +116,9 @@ def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, T
 def _table(rows: list[dict[str, Any]], topic: TopicInfo) -> pd.DataFrame:
     columns = list(dict.fromkeys(name for row in rows for name in row)) or ['t_s', 'stamp_ns']
     table = pd.DataFrame(rows, columns=columns)
-    units = {'t_s': 's', 'stamp_ns': 'ns', **_units(topic)}
+    units = {'t_s': 's', 'stamp_ns': 'ns', **units_of(topic)}
     table.attrs['units'] = {name: unit for name, unit in units.items() if name in table.columns}
     return table
-
-
-def _units(topic: TopicInfo) -> Mapping[str, str]:
-    return _units_within(topic.type, topic.definition)
 
 
 @lru_cache(maxsize=64)

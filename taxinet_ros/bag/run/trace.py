@@ -26,7 +26,8 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.trace import STEP_UNITS
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.core.world import Observation
 
 Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
@@ -51,7 +52,7 @@ class CameraFrame(NamedTuple):
     recorded: bool
 
 
-def trace_columns(recording: Recording) -> dict[str, Column]:
+def trace_columns(recording: StoredRuns) -> dict[str, Column]:
     """See :attr:`.recording.Recording.columns`."""
     table, path = _TraceColumns(), recording.path
     for name, stamp_ns, message in _messages(recording):
@@ -64,27 +65,28 @@ def trace_columns(recording: Recording) -> dict[str, Column]:
     return table.columns()
 
 
-def recorded_steps(recording: Recording) -> frozenset[int]:
+def recorded_steps(recording: StoredRuns) -> frozenset[int]:
     """See :attr:`.recording.Recording.recorded_steps`."""
     return frozenset(_steps_of(recording, IMAGE))
 
 
 def camera_frames(
-    recording: Recording, wanted: Callable[[int], bool], *, render: bool
+    recording: StoredRuns, wanted: Callable[[int], bool],
+    render: Callable[[Callable[[int], bool]], Iterator[Observation]] | None,
 ) -> Iterator[CameraFrame]:
-    """See :meth:`.recording.Recording.frames`."""
+    """See :meth:`.recording.Recording.frames`; ``render`` makes pictures, None none."""
     there = recorded_steps(recording)
     if any(wanted(seq) for seq in there):
         for stamp_ns, image in _recorded_images(recording):
             if wanted(seq := stamp_ns // CONTROL_PERIOD_NS):
                 yield CameraFrame(seq, stamp_ns, image, recorded=True)
     if render and any(wanted(seq) and seq not in there for seq in _steps_of(recording, TRUTH)):
-        for now in recording.observations(lambda seq: wanted(seq) and seq not in there):
+        for now in render(lambda seq: wanted(seq) and seq not in there):
             if now.image is not None:
                 yield CameraFrame(now.seq, now.stamp_ns, now.image, recorded=False)
 
 
-def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
+def _steps_of(recording: StoredRuns, relative: str) -> Iterator[int]:
     """Control steps of the messages on a topic, by the stamps in their headers."""
     for _, stored in recording.messages((relative,)):
         try:
@@ -94,7 +96,7 @@ def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
             raise BagCorrupt(text, path=recording.path) from error
 
 
-def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
+def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
     """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
 
     Raises:
@@ -193,7 +195,7 @@ _FILL = {
 }
 
 
-def _messages(recording: Recording) -> Iterator[tuple[str, int, Any]]:
+def _messages(recording: StoredRuns) -> Iterator[tuple[str, int, Any]]:
     """Decoded messages by relative name, for a run may have been recorded in a namespace."""
     path, chosen, run_id = recording.path, dict[str, str](), ''
     for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):

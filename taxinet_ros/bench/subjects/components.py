@@ -48,10 +48,10 @@ def _scene(
     return Scene(scenario=scenario_from_human(values), state=state)
 
 SCENES = {
-    'noon': _scene(x_m=1000.0, y_m=1.5, heading_deg=4.0, time_of_day=12.0),
-    'own-shadow': _scene(x_m=700.0, y_m=-2.0, heading_deg=0.0, time_of_day=15.5),
-    'low-sun': _scene(x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day=7.2),
-    'rain': _scene(x_m=450.0, y_m=3.0, heading_deg=-8.0, clouds='stratus', rain=60.0),
+    'noon': _scene(x_m=1000.0, y_m=1.5, heading_deg=4.0, time_of_day_h=12.0),
+    'own-shadow': _scene(x_m=700.0, y_m=-2.0, heading_deg=0.0, time_of_day_h=15.5),
+    'low-sun': _scene(x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day_h=7.2),
+    'rain': _scene(x_m=450.0, y_m=3.0, heading_deg=-8.0, clouds='stratus', rain_percent=60.0),
     'stratus': _scene(x_m=1100.0, y_m=0.0, heading_deg=10.0, clouds='stratus'),
     'nose-up': _scene(
         x_m=1600.0, y_m=5.0, heading_deg=-15.0, pitch_deg=-5.0, roll_deg=-2.0, clouds='broken',

@@ -35,7 +35,7 @@ from taxinet_ros.processes.child import ChildProcess, module_command, package_en
 
 _NAME = 'start-up'
 _RUN = (
-    'run', 's_falsif', '--perception', 'taxinet', '--images', 'none', '--set', 'duration=1',
+    'run', 's_falsif', '--perception', 'taxinet', '--images', 'none', '--set', 'duration_s=1',
 )
 _MAGIC_BYTES, _CHUNK = 8, 6
 _HEAD = struct.Struct('<BQ')

@@ -1,1 +1,1 @@
-"""Recorded runs of campaigns: found, checked, judged by more requirements, and run again."""
+"""Recorded runs of campaigns: find, check, evaluate further requirements, and rerun."""

@@ -1,4 +1,4 @@
-"""Requirements put to the runs of a campaign after they are over: columns added to its table."""
+"""Evaluate further requirements on a recorded campaign, and add columns to its table."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
             that name judged its runs.
     """
     if not (folder / LEDGER_NAME).is_file():
-        raise UsageError(f'--add: {folder / LEDGER_NAME}: no such file, so that is no campaign')
+        raise UsageError(f'--add: {folder / LEDGER_NAME}: no such file; not a campaign')
     with Ledger(folder / LEDGER_NAME):
         content = read_ledger(folder / LEDGER_NAME)
     own = _own_formulas(content)

@@ -1,7 +1,7 @@
-"""A run of some campaign, found again: what was run, and how it was judged.
+"""A recorded run of a campaign: scenario, settings and verdict.
 
-A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it is there, for a bag has
-the scenario to the last bit; else the campaign's ledger, so a bag that was deleted is not missed.
+A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it exists, since only the bag
+has the exact scenario; else the campaign's ledger, so the bag may be deleted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, WORLD, recorded_world
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import STEERING, SteeringGains
@@ -26,6 +26,7 @@ from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
 
 _NO_FACTS: Mapping[str, Any] = {}
 
@@ -44,6 +45,8 @@ class JudgedRun:
         controller, controller_fingerprint: the word of what steers, or what an unknown one said of
             itself; and the hash that it told.
         timing: when answers took effect, with the run's own draws.
+        world, world_fingerprint: name of the world that it took place in, and the hash of the
+            package that brings it, or ''.
     """
 
     run_id: str
@@ -58,6 +61,8 @@ class JudgedRun:
     controller: str
     controller_fingerprint: str
     timing: Timing
+    world: str = KMWH
+    world_fingerprint: str = ''
 
     @property
     def headline(self) -> str:
@@ -88,7 +93,7 @@ def find_run(path: Path) -> JudgedRun:
             raise UsageError(str(error)) from error
     rows = {row.run_id: row for row in content.rows} if content else {}
     if whole.name not in rows:
-        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, as its bag is named')
+        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, the path of its bag')
     return _of_row(rows[whole.name], facts)
 
 
@@ -103,7 +108,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
     ending = recording.metadata.get('taxinet_outcome')
     if ending is None and recording.runs and not recording.plain:
         raise UsageError(
-            f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
+            f'{path}: from another recorder; split it into one bag per run and name one of them: '
             f'taxinet bag split {path} --out DIR'
         )
     outcome = Outcome((ending or {}).get('outcome', Outcome.INTERRUPTED))
@@ -122,6 +127,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
         controller=_controller(facts, run.controller),
         controller_fingerprint=run.controller_fingerprint,
         timing=run.timing.of_run(run.request.seed, run.request.index),
+        world=run.world or KMWH, world_fingerprint=run.world_fingerprint,
     )
 
 
@@ -135,6 +141,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
     if None in row.scene.values():
         raise UsageError(f'{row.run_id}: {row.outcome}, no scene was drawn')
     formulas: Mapping[str, str] = facts.get('specs', {})
+    world, package = recorded_world(facts)
     return JudgedRun(
         run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(row.scene),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
@@ -143,6 +150,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
         timing=parse_timing(row.timing).of_run(row.seed, row.index),
+        world=world, world_fingerprint=package,
     )
 
 
@@ -174,7 +182,7 @@ def bag_differences(
     """
     told = bag.facts
     if told is None:
-        return ['is of no run of ours']
+        return ['has no run of taxinet_ros']
     pairs: dict[str, tuple[Any, Any]] = {
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
         'seed': (told.seed, row.seed), **_of_scene(told, row), **_of_formulas(told, facts),
@@ -186,6 +194,7 @@ def bag_differences(
             for name, one in told.judged.items()
         }
         pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}
+        pairs |= _of_world(told, facts)
     return [
         f'its {name} is {_short(here)}, the row has {_short(there)}'
         for name, (here, there) in pairs.items() if here != there
@@ -257,6 +266,16 @@ def _of_controller(
     }
 
 
+def _of_world(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Where it took place; ours says nothing of itself in a bag."""
+    world = told.nodes.get('simulator')
+    if WORLD not in facts:
+        return {}
+    here = (world.origin.partition(' ')[0] or KMWH, world.fingerprint) if world else (KMWH, '')
+    there = recorded_world(facts)
+    return {'world': (here[0], there[0]), "world's package": ({here[1]}, {there[1]})}
+
+
 def _short(value: Any) -> str:
     if isinstance(value, set):
         return next(iter(value), 'the truth')[:12]
@@ -281,7 +300,7 @@ def check_same_run(
     for what in bag_differences(row, facts, bag, whole=whole):
         raise UsageError(
             f'{bag.path}: is not the bag of its run: {what}; was the folder moved here from '
-            f'another campaign? taxinet doctor {bag.path.parent} checks all of them'
+            f'another campaign? Check all with taxinet doctor {bag.path.parent}'
         )
 
 

@@ -1,9 +1,9 @@
-"""Whose fault failures are: a campaign's failed runs once more, with the truth for the network.
+"""Localise faults: rerun a campaign's failed runs with the truth in place of the network.
 
 The trials are made in worker processes, each with something in the network's place. The folder
-holds ``trials.jsonl``, append-only and flushed to the disk after every trial: what is done is
-never done again, so the same command goes on where an interrupted one was, and so does one that
-asks for more runs or other substitutions.
+holds ``trials.jsonl``, append-only and flushed to the disk after every trial: finished trials are
+never repeated, so the same command continues after an interrupt, also with more runs or other
+substitutions.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
     open_failed_campaign,
     spread_evenly,
 )
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import (
     STEERING,
@@ -52,10 +53,12 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.registry import KMWH
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,6 +71,8 @@ class TrialSetup:
         gains: steering gains that differ from the defaults.
         controller: word of what steers.
         timing: when answers take effect, in words.
+        world: name of the world that they take place in.
+        world_sha256: what the package that brings it has to be, or ''.
     """
 
     perception: str
@@ -75,6 +80,8 @@ class TrialSetup:
     gains: Mapping[str, float]
     controller: str = STEERING
     timing: str = ''
+    world: str = KMWH
+    world_sha256: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -186,6 +193,7 @@ def make_trial(
             task.scenario, perception, specs=bench.judging.parsed_specs, controller=controller,
             stop_on=bench.judging.stop_on, assumptions=bench.judging.assumptions,
             timing=parse_timing(bench.timing), draws=task.seed,
+            make_world=find_world(bench.world, bench.world_sha256).make,
         )
     except (InfraError, UserCodeError) as error:
         return _unjudged(task, str(error))
@@ -274,11 +282,12 @@ def make_localize_options(
     found = open_failed_campaign(campaign)
     if is_free(found.timing):
         raise UsageError(
-            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
-            'failure is; localize a campaign with --latency'
+            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
+            'a campaign with --latency'
         )
+    find_world(*recorded_world(found.facts))  # or it says which package is missing, or another one
     if not found.judging.specs:
-        raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
+        raise UsageError(f'{campaign}: its ledger does not record the formulas')
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
@@ -311,10 +320,11 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
+        world, package = recorded_world(options.campaign.facts)
         bench = TrialSetup(
             perception=options.perception, judging=options.campaign.judging,
             gains=dict(options.campaign.gains), controller=options.controller,
-            timing=options.campaign.timing,
+            timing=options.campaign.timing, world=world, world_sha256=package,
         )
         for trial in run_trials(tasks, bench, options.workers):
             _append(journal, {'event': 'trial', 'trial': trial.to_json()})
@@ -384,6 +394,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
     campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
+    world = recorded_world(campaign.facts)
     facts = {
         **{name: campaign.facts.get(name) for name in names},
         **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
@@ -392,6 +403,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **({} if options.controller == STEERING else {
             'controller_sha256': campaign.facts.get('controller_sha256')
         }),
+        **({} if world[0] == KMWH else {'world': world}),
         'perception_sha256': campaign.counterexamples[0].fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
@@ -401,12 +413,12 @@ def _open(options: LocalizeOptions) -> Journal:
     path = options.out / TRIALS_NAME
     try:
         if options.out.is_dir() and not path.exists() and any(options.out.iterdir()):
-            raise UsageError(f'--out {options.out}: holds something else; name another folder')
+            raise UsageError(f'--out {options.out}: contains something else; choose another folder')
         options.out.mkdir(parents=True, exist_ok=True)
         journal = Journal(path)
         sync_folder(options.out)
     except BlockingIOError as error:
-        raise UsageError(f'{path}: another taxinet localize is at work on it') from error
+        raise UsageError(f'{path}: in use by another taxinet localize') from error
     except OSError as error:
         raise UsageError(f'--out {options.out}: cannot be used: {error.strerror}') from error
     return journal
@@ -428,8 +440,8 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
                     trials[trial.run_id, trial.word] = trial
             elif event['facts'] != facts:
                 raise UsageError(
-                    f'--out {options.out}: holds trials of another campaign or network; '
-                    'name another folder'
+                    f'--out {options.out}: contains trials of another campaign or network; choose '
+                    'another folder'
                 )
             else:
                 before = known(event.get('provenance'))

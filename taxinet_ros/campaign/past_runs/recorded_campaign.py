@@ -1,4 +1,4 @@
-"""A campaign that is on disk, read without writing: its facts, runs, rates and counterexamples."""
+"""Read-only access to a recorded campaign: facts, runs, rates and counterexamples."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCampaign:
-    """A campaign as its ledger has it, be it over, interrupted or under way.
+    """A recorded campaign, whether finished, interrupted or running.
 
     Attributes:
         folder: the campaign's.
-        content: what the ledger says.
+        content: content of the ledger.
     """
 
     folder: Path
@@ -36,12 +36,12 @@ class RecordedCampaign:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What the campaign is, as in ``campaign.json``: program, seed, perception, formulas, …."""
+        """Facts of the campaign as in ``campaign.json``: program, seed, perception, formulas."""
         return self.content.campaign
 
     @property
     def rows(self) -> tuple[RunRow, ...]:
-        """The newest result of each run, by index, in the units people read."""
+        """Latest result of each run, by index, in display units."""
         return self.content.rows
 
     @property
@@ -56,7 +56,7 @@ class RecordedCampaign:
 
     @property
     def judging(self) -> Judging:
-        """What decided the verdicts; its ``specs`` are empty where the ledger does not tell."""
+        """Judging options; ``specs`` is empty if not recorded."""
         return Judging.from_facts(self.facts)
 
     @property
@@ -67,63 +67,63 @@ class RecordedCampaign:
 
     @property
     def timing(self) -> str:
-        """When answers took effect, in words (:mod:`taxinet_ros.core.pacing.timing`)."""
+        """Timing of answers as text (:mod:`taxinet_ros.core.pacing.timing`)."""
         told = next((row.timing for row in self.counterexamples or self.rows), '')
         return str(self.facts.get('timing') or told)
 
     @property
     def sampler(self) -> str:
-        """Word of the sampler that chose the scenes, '' where they were simply drawn."""
+        """Word of the sampler; '' if the program drew the scenes."""
         return next((row.sampler for row in self.counterexamples or self.rows), '')
 
     @property
     def planned_runs(self) -> int | None:
-        """Number of runs that was settled before the first of them, where that is known."""
+        """Number of runs planned before the first one, if known."""
         planned = self.facts.get('first_runs', self.facts.get('runs'))
         return None if planned is None else int(planned)
 
     @property
     def failure_rate(self) -> ProgramRate:
-        """How often the program fails, with its interval (:mod:`taxinet_ros.campaign.rates`)."""
+        """Failure rate of the program with its interval (:mod:`taxinet_ros.campaign.rates`)."""
         return failure_rate(self.rows, self.planned_runs)
 
     @property
     def off_runway_rate(self) -> ProgramRate | None:
-        """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+        """Off-runway rate; None if a run was stopped too early to tell."""
         return off_runway_rate(self.rows, self.planned_runs)
 
     def table(self) -> pd.DataFrame:
-        """One line per run, by index, with the columns and types of ``runs.parquet``."""
+        """Table with one row per run, by index, with the columns and types of ``runs.parquet``."""
         return table(self.rows, tuple(self.facts.get('specs', {})))
 
     def bag(self, row: RunRow) -> Path | None:
-        """Folder of a run's bag; None where there is none."""
+        """Folder of a run's bag; None if there is none."""
         found = self.folder / row.bag
         return found if row.bag and found.is_dir() else None
 
     def scenario(self, row: RunRow) -> tuple[Scenario, bool]:
-        """The scenario of a run, and whether it is known to the last bit.
+        """The scenario of a run, and whether it is bit-exact.
 
         Raises:
-            UsageError: there is no scene of it, or its bag is of another run.
+            UsageError: it has no recorded scene, or its bag belongs to another run.
         """
         return scenario_of_row(row, self.folder, self.facts)
 
 
 def open_campaign(folder: Path) -> RecordedCampaign:
-    """The campaign in a folder; nothing is written, and one that is under way may be read.
+    """Open the campaign in a folder read-only; it may be running.
 
     Raises:
-        UsageError: it is no campaign, or its ledger is damaged.
+        UsageError: not a campaign, or its ledger is damaged.
     """
     path = folder / LEDGER_NAME
     if not path.is_file():
-        raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
+        raise UsageError(f'{folder}: not a campaign (no {LEDGER_NAME}')
     return RecordedCampaign(folder=folder, content=read_ledger(path))
 
 
 def open_failed_campaign(folder: Path) -> RecordedCampaign:
-    """The campaign in a folder, which has counterexamples.
+    """Open a campaign that has counterexamples.
 
     Raises:
         UsageError: as :func:`open_campaign`, or no run failed.
@@ -145,7 +145,7 @@ def spread_evenly(rows: Sequence[RunRow], most: int | None) -> tuple[RunRow, ...
 def scenario_of_row(
     row: RunRow, folder: Path, facts: Mapping[str, Any]
 ) -> tuple[Scenario, bool]:
-    """The scenario of a run, and whether it is known to the last bit.
+    """The scenario of a run, and whether it is bit-exact.
 
     The bag has all its bits; the ledger has nine decimals in the units people read. That is not
     enough to repeat a run: a picture differs by a code here and there, and the loop carries it on.
@@ -171,5 +171,5 @@ def scenario_of_row(
         except BagError:
             pass  # a damaged bag says less than the ledger does
     if None in row.scene.values():
-        raise UsageError(f'{folder / row.run_id}: has neither a bag nor a scene in the ledger')
+        raise UsageError(f'{folder / row.run_id}: has neither a bag nor a recorded scene')
     return scenario_from_human(row.scene), False

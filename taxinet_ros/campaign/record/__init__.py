@@ -1,1 +1,1 @@
-"""A campaign on disk: what was asked, the ledger, the rows and the table of its runs."""
+"""A campaign on disk: options, ledger, rows and table of its runs."""

@@ -1,10 +1,9 @@
-"""A campaign on disk: what was asked, the ledger, and the table, kept in step; and resumed.
+"""A campaign on disk: options, ledger and table, kept consistent and resumable.
 
 A plain campaign, a search, each arm of an experiment and a shrinking all hold one book. They
 choose the next scene; numbers, names and rows of runs, second chances, and what must be the same
-for a campaign to go on are here. While the book is open its files are watched: what was moved,
-deleted or replaced under a campaign ends it, for nobody would find its verdicts where it says
-that they are.
+for a campaign to go on are here. While the book is open, its files are watched: if they are moved,
+deleted or replaced, the campaign ends, since its verdicts would be lost.
 """
 
 from __future__ import annotations
@@ -22,12 +21,16 @@ from typing import Any, Self
 from taxinet_ros.campaign.options import CampaignOptions, check_new, make_out
 from taxinet_ros.campaign.record.facts import (
     ARMS,
+    EXTENSIONS,
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
+    WORLD,
+    package_words,
     recorded_stacks,
     stack_difference,
     this_stack,
+    with_present_keys,
     write_facts,
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
@@ -42,6 +45,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path
+from taxinet_ros.registry import KMWH
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -305,14 +309,14 @@ class CampaignBook:
             yield
         except OSError as error:
             where = error.filename or self._out
-            raise RecordError(f'{where}: {disk_words(error)}; --resume goes on') from error
+            raise RecordError(f'{where}: {disk_words(error)}; continue with --resume') from error
         self._check_in_place()
 
     def _check_in_place(self) -> None:
         self._ledger.check_in_place()
         if not (self._out / FACTS_NAME).is_file():
             raise RecordError(
-                f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was under way'
+                f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was running'
             )
 
 
@@ -328,12 +332,12 @@ def check_resumable(out: Path) -> None:
     there = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
     if not there:
         raise UsageError(
-            f'--resume: {path}: no such file, so nothing was begun; leave --resume out'
+            f'--resume: {path}: no such file, so there is nothing to resume; leave --resume out'
         )
     if not there <= _NOT_OF_A_RUN:
         raise UsageError(
-            f'--resume: {path}: no such file, and without it nobody knows what was run; put it '
-            'back, or name another --out'
+            f'--resume: {path}: no such file, so the earlier options are unknown; put it back, or '
+            'choose another --out'
         )
 
 
@@ -346,7 +350,7 @@ _MAY_DIFFER = frozenset({
 may warn of more than another, and another machine or version is warned of."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
-    'controller': STEERING, 'controller_sha256': '', 'timing': '',
+    'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
 }
 """What a fact was before there was a choice, and so was not written down."""
 _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
@@ -369,8 +373,8 @@ def read_same_campaign(
     content = read_ledger(out / LEDGER_NAME)
     if content.rows and not content.campaign:
         raise UsageError(
-            f'--resume: {out / LEDGER_NAME}: has runs, and does not say of which campaign; see '
-            f'taxinet doctor {out}, then mend it: taxinet doctor --mend {out}'
+            f'--resume: {out / LEDGER_NAME}: has runs but no campaign record; see taxinet doctor '
+            f'{out}, then repair it: taxinet doctor --mend {out}'
         )
     if content.campaign:
         _check_same(out, content.campaign, {
@@ -381,15 +385,29 @@ def read_same_campaign(
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
-    before = {**_DEFAULTS_OF_BEFORE, **before}
+    before = {**_DEFAULTS_OF_BEFORE, **with_present_keys(before)}
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
+    _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     for name in now:
         if name not in _MAY_DIFFER and before.get(name) != now[name]:
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now[name])}; repeat its options, or name another --out'
+                f'{short_json(now[name])}; repeat its options, or choose another --out'
+            )
+
+
+def _check_same_packages(
+    out: Path, before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]
+) -> None:
+    for kind in before.keys() & now.keys():
+        one, other = before[kind], now[kind]
+        if one != other and one['name'] == other['name']:
+            raise UsageError(
+                f'--resume: {out} was begun with {package_words(kind, one)}, which is now of '
+                f'{other["distribution"]} {other["version"]} (sha256 {other["sha256"][:12]}…); put '
+                'the package back as it was, or name another --out'
             )
 
 

@@ -1,24 +1,26 @@
-"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger.
+"""Facts of a campaign, written to ``campaign.json`` and the ledger before its first run.
 
-When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then vouches for the
-tables, and says where the ledger ended.
+When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then has checksums of
+    the tables and the end of the ledger.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
+from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
-from taxinet_ros.registry import origins
+from taxinet_ros.registry import KMWH, WORLDS, find, origins
+from taxinet_ros.version import __version__
 
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
@@ -28,6 +30,12 @@ ARMS = 'experiment_arms'
 
 EXTENSIONS = 'extensions'
 """The fact that names the packages of what is not shipped, with their versions and hashes."""
+
+_BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
+"""Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
+
+WORLD = 'world'
+"""The fact that names the world that the runs take place in; versions without a choice had none."""
 
 STACKS = 'stacks'
 """The fact that names every machine, with its libraries and code, on which runs were made."""
@@ -67,12 +75,16 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
-        **extension_facts(perceptions=options.perception, controllers=options.controller),
+        # A graph that was there before has a world of its own, of which the bags tell.
+        **({} if options.standing_graph else {WORLD: options.world}),
+        **extension_facts(
+            perceptions=options.perception, controllers=options.controller, worlds=options.world
+        ),
     }
 
 
 def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, Any]:
-    """Where perception, controller or sampler come from, of those that a package has added.
+    """Where perception, controller, world or sampler come from, of those that a package added.
 
     Args:
         before: facts that may tell of others already.
@@ -80,6 +92,48 @@ def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, 
     """
     found = {**before.get(EXTENSIONS, {}), **origins(**chosen)}
     return {EXTENSIONS: found} if found else {}
+
+
+def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
+    """Name of the world that a campaign's runs take place in, and SHA-256 of who brings it, or ''.
+
+    Args:
+        facts: of the campaign.
+    """
+    package = facts.get(EXTENSIONS, {}).get(WORLDS, {})
+    return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
+
+
+@contextlib.contextmanager
+def missing_packages_named(out: Path | None) -> Iterator[None]:
+    """Within the ``with``, who refuses a name that nobody has any more says whose it was.
+
+    Args:
+        out: folder of the campaign that tells whose, or of several; None for none.
+
+    Raises:
+        UsageError: as within.
+    """
+    try:
+        yield
+    except UsageError as error:
+        for folder in () if out is None else (out, *sorted(out.glob('*/'))):
+            told = read_facts(folder)
+            for kind, one in (told.values.get(EXTENSIONS, {}) if told else {}).items():
+                if repr(one['name']) in str(error) and find(kind, one['name']) is None:
+                    raise UsageError(
+                        f'{error}; in {folder} it was {package_words(kind, one)}, which is not '
+                        'installed any more'
+                    ) from error
+        raise
+
+
+def package_words(kind: str, told: Mapping[str, str]) -> str:
+    """An extension as a campaign tells of it: what it is, whose, and the hash of its package."""
+    return (
+        f'{kind.removesuffix("s")} {told["name"]} of {told["distribution"]} {told["version"]} '
+        f'(sha256 {told["sha256"][:12]}…)'
+    )
 
 
 def this_stack() -> str:
@@ -90,6 +144,14 @@ def this_stack() -> str:
 def this_stack_record() -> dict[str, dict[str, str]]:
     """The record of this process under its name, to be added to those of earlier sittings."""
     return {this_stack(): dict(provenance())}
+
+
+def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Facts with scenario keys as they are written now: before, they had no units."""
+    present: dict[str, Any] = {name: by_key(facts[name]) for name in _BY_KEY if name in facts}
+    if 'parameters' in facts:
+        present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
+    return {**facts, **present}
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
@@ -118,7 +180,7 @@ def read_facts(folder: Path) -> SealedJson | None:
     """
     path = folder / FACTS_NAME
     if (path.is_symlink() or path.exists()) and not path.is_file():
-        raise UsageError(f'{path}: is no regular file')
+        raise UsageError(f'{path}: is not a regular file')
     try:
         return read_sealed(path)
     except (FileNotFoundError, NotADirectoryError):

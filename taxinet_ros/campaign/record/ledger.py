@@ -1,7 +1,8 @@
-"""The record of a campaign that survives a power cut: JSON lines, only ever appended.
+"""Crash-safe record of a campaign: append-only JSON lines.
 
-Before a run its intent is written, after it its result, each flushed to the disk. So a run is on
-record as finished, as begun, or not at all, and a campaign resumes by doing what has no result.
+The intent is written before a run and the result after it, each flushed to disk. So a run is
+recorded as finished, as started, or not at all, and a campaign resumes with the runs that have no
+result.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts
+from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_present_keys
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
@@ -26,7 +27,7 @@ from taxinet_ros.files.plain_values import check_kind
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LedgerContent:
-    """What a ledger says.
+    """Content of a ledger.
 
     Attributes:
         campaign: what :meth:`Ledger.campaign` wrote; empty if nothing yet.
@@ -138,7 +139,7 @@ def read_ledger(path: Path) -> LedgerContent:
     content = ledger_content(path, events, finished=ended is not None and len(events) == ended[0])
     if facts is None and events:
         warn_once(
-            f'{path}: unverified, for no {FACTS_NAME} beside it says how many lines it has to have'
+            f'{path}: unverified, since no {FACTS_NAME} beside it records its number of lines'
         )
     elif facts is not None and facts.sealed and content.campaign:
         _check_same(path, facts.values, events)
@@ -215,6 +216,7 @@ def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
 
 def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
     """Name of the first fact by which two are of different campaigns, or ''."""
+    before, facts = with_present_keys(before), with_present_keys(facts)
     for name in _IDENTITY:
         one, other = before.get(name), facts.get(name)
         told = name in before and name in facts and (name != 'perception' or (one and other))
@@ -266,7 +268,7 @@ class _Events:
 
     def _campaign(self, facts: Mapping[str, Any]) -> None:
         if name := other_campaign(self.campaign, facts):
-            raise ValueError(f"another campaign's line: its {name} is another")
+            raise ValueError(f'line of another campaign: its {name} differs')
         self.campaign.update(facts)
 
     def _intent(self, event: Mapping[str, Any]) -> None:
@@ -303,6 +305,6 @@ def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[s
     name = next(key for key in {**last, **facts} if facts.get(key, none) != last.get(key, none))
     raise UsageError(
         f'{path.with_name(FACTS_NAME)}: has another {name} than {path.name} beside it; was it '
-        f'edited, or copied from another campaign? Restore it, or write it anew from the ledger: '
+        'edited, or copied from another campaign? Restore it, or rebuild it from the ledger: '
         f'taxinet doctor --mend {path.parent}'
     )

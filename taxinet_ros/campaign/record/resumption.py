@@ -1,6 +1,6 @@
-"""What an interrupted search left behind, and whether it is the same search.
+"""State of an interrupted search, and whether it is the same search.
 
-Where the graph decides on perception and timing, that is known from its first answer on only.
+If the graph determines perception and timing, they are known only after its first result.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
     )
     if is_free(result.timing):
         raise UsageError(
-            f'the graph lets runs go free, and a search goes by verdicts that come again: '
+            f'the graph is free-running, but a search needs reproducible verdicts: '
             f'{NOT_REPRODUCIBLE}; start the simulator with lockstep:=true, or leave the sampler out'
         )
     if not result.perception:
@@ -50,13 +50,13 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
     if facts['timing'] != result.timing:
         raise UsageError(
             f'{out} was begun with {timing_words(facts["timing"])}, but the graph has '
-            f'{timing_words(result.timing)}; start the one it was begun with, or name another --out'
+            f'{timing_words(result.timing)}; start the original one, or choose another --out'
         )
     if _same_perception(facts, found):
         return {}
     raise UsageError(
         f'{out} was begun with perception {_shown(facts)}, but the graph has {_shown(found)}; '
-        'start the one it was begun with, or name another --out'
+        'start the original one, or choose another --out'
     )
 
 
@@ -115,7 +115,9 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
     rows = {row.index: row for row in content.rows if row.index not in to_repeat}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
     if begun > facts['runs']:
-        raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
+        raise UsageError(
+            f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
+        )
     kept = _kept_facts(content.campaign, of_graph)
     return EarlierRuns(
         rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun, content=content,

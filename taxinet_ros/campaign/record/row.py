@@ -1,4 +1,4 @@
-"""One run as one row: what was asked, how it ended, in the units people read."""
+"""One run as a table row: request and result, in display units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -43,7 +43,8 @@ class RunRow:
         free: of a free run how it went, by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
-            crossing, aircraft, duration_s: the scenario, see
+            crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
+            runway_state, slope_percent, speed_mps, duration_s: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
@@ -90,6 +91,13 @@ class RunRow:
     shadows: bool | None = None
     crossing: bool | None = None
     aircraft: str = ''
+    wind_speed_mps: float | None = None
+    wind_direction_deg: float | None = None
+    gust_mps: float | None = None
+    gust_seed: float | None = None
+    runway_state: str = ''
+    slope_percent: float | None = None
+    speed_mps: float | None = None
     duration_s: float | None = None
     kind: str = ''
     who: str = ''
@@ -128,13 +136,13 @@ class RunRow:
                 campaign's folder, a number is not finite, or a word is none that there is.
         """
         if not is_run_name(self.run_id):
-            raise ValueError(f'run_id is {self.run_id!r:.80}, no plain name')
+            raise ValueError(f'run_id is {self.run_id!r:.80}, not a plain name')
         if self.index < 0:
             raise ValueError(f'index is {self.index}')
         if self.bag and not is_run_name(self.bag):
-            raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
+            raise ValueError(f'bag is {self.bag!r:.80}, not a plain name')
         for known in SCENARIO_FIELDS:
-            value = getattr(self, known.column)
+            value = getattr(self, known.key)
             if known.words and value and value not in known.words:
                 raise ValueError(
                     f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
@@ -142,7 +150,7 @@ class RunRow:
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f'{_KEYS.get(column.name, column.name)} is {value}')
+                raise ValueError(f'{ON_DISK.get(column.name, column.name)} is {value}')
         try:
             parse_timing(self.timing)
         except UsageError as error:
@@ -166,7 +174,7 @@ class RunRow:
     @property
     def scene(self) -> dict[str, Any]:
         """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
-        return {known.key: getattr(self, known.column) for known in SCENARIO_FIELDS}
+        return {known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}
 
     @property
     def unusable_share(self) -> float:
@@ -240,7 +248,7 @@ class RunRow:
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, fingerprint=result.fingerprint,
             timing=result.timing, free=dict(result.free),
-            **request.scenario.to_columns(),
+            **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             robustness=dict(result.robustness), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
@@ -267,12 +275,12 @@ class RunRow:
                 values['rho_lower'] = {spec: interval.lower for spec, interval in ends.items()}
                 values['rho_upper'] = {spec: interval.upper for spec, interval in ends.items()}
             else:
-                values[_KEYS.get(name, name)] = value
+                values[ON_DISK.get(name, name)] = value
         return {**values, 'outcome': self.outcome.value}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`to_json` gave.
+        """Read back what :meth:`to_json` gave, now or before scenario keys had units.
 
         Raises:
             UsageError: a column is missing, unknown or of another kind, the outcome is none of the
@@ -281,14 +289,14 @@ class RunRow:
         # Rows from before there was a key have its value of then, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
-            known.column: known.absent if drawn else None for known in SCENARIO_FIELDS
-            if known.absent is not None
+            known.key: known.to_human(known.absent) for known in SCENARIO_FIELDS
+            if drawn and known.absent is not None
         }
         try:
-            if stray := values.keys() & _KEYS.keys():
+            if stray := values.keys() & ON_DISK.keys():
                 raise ValueError(f'unexpected {min(stray)}')
             columns = {
-                _COLUMNS.get(name, name): value for name, value in values.items()
+                _ATTRIBUTES.get(name, name): value for name, value in by_key(values).items()
                 if name not in _BOUNDS
             }
             row = cls(**{
@@ -296,7 +304,7 @@ class RunRow:
                 'robustness': _robustness(values),
             })
             for column in dataclasses.fields(cls):
-                name = _KEYS.get(column.name, column.name)
+                name = ON_DISK.get(column.name, column.name)
                 check_kind(name, str(column.type), getattr(row, column.name))
             row.check()
             return row
@@ -307,12 +315,7 @@ class RunRow:
 ON_DISK = {'fingerprint': 'perception_fingerprint'}
 """Columns of ledgers and tables that have a longer name than a row's attribute."""
 _BOUNDS = ('rho', 'rho_lower', 'rho_upper')
-_KEYS = {
-    **{known.column: known.key for known in SCENARIO_FIELDS if known.column != known.key},
-    **ON_DISK,
-}
-"""The ledger has a scene by its keys, a row by the columns of the table."""
-_COLUMNS = {key: column for column, key in _KEYS.items()}
+_ATTRIBUTES = {name: attribute for attribute, name in ON_DISK.items()}
 
 
 def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:

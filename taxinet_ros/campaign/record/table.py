@@ -1,4 +1,4 @@
-"""The table of a campaign, as CSV for people and as Parquet for programs; made from its rows.
+"""Table of a campaign as CSV and Parquet, made from its rows.
 
 Every column has the same type in every table, even where all its values are missing, so tables of
 several campaigns can be put together.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +49,7 @@ _BEFORE_POINT = {
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
-    **{field.column: field.column_type for field in SCENARIO_FIELDS},
+    **{field.key: field.column_type for field in SCENARIO_FIELDS},
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
@@ -158,19 +159,19 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
         UsageError: one is not.
     """
     facts = read_facts(folder)
-    mend = f'write the tables anew from the ledger: taxinet doctor --mend {folder}'
+    mend = f'rebuild the tables from the ledger: taxinet doctor --mend {folder}'
     vouched = False
     for path in (folder / CSV_NAME, folder / PARQUET_NAME):
         if facts is not None and path.is_file():
             vouched |= facts.check_file(path, mend) and path == wanted
     if wanted is not None and not vouched:
-        where = 'is not there' if facts is None else 'does not vouch for them'
-        warn_once(f'{folder}: its tables are unverified, for {FACTS_NAME} {where}')
+        where = 'is not there' if facts is None else 'has no checksums of them'
+        warn_once(f'{folder}: its tables are unverified, since {FACTS_NAME} {where}')
     ledger = folder / LEDGER_NAME
     ended = facts.journals.get(LEDGER_NAME) if facts else None
     if vouched and ended and ledger.is_file() and ledger.read_bytes().count(b'\n') > ended.lines:
         warn_once(
-            f'{folder}: its tables are older than its ledger; is the campaign under way? Else '
+            f'{folder}: its tables are older than its ledger; is the campaign running? If not, '
             f'--resume it, or {mend}'
         )
     own = facts.values.get('specs') if facts else None
@@ -193,15 +194,31 @@ def read_any_table(path: Path) -> pd.DataFrame:
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
     if len(set(names)) < len(names):
-        raise UsageError(f'{path}: damaged (a column is there twice)')
+        raise UsageError(f'{path}: damaged (a column occurs twice)')
     dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
     figures = [name.removeprefix(_FREE) for name in names if name.startswith(_FREE)]
     kinds = _kinds(_specs_of(frame), dimensions, figures)
     # A table from before a column was thought of is still a table.
     try:
-        return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+        frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
     except (ValueError, TypeError, OverflowError) as error:
         raise _damaged(path, error) from error
+    _add_what_was_so(frame)
+    return frame
+
+
+def _add_what_was_so(frame: pd.DataFrame) -> None:
+    """Columns of a scene that could not be varied yet: their value of then, if there is a scene."""
+    for before, field in pairwise(SCENARIO_FIELDS):
+        if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
+            continue
+        value, nothing = field.to_human(field.absent), '' if field.words else None
+        drawn = frame[SCENARIO_FIELDS[0].key].notna()
+        frame.insert(
+            list(frame.columns).index(before.key) + 1, field.key,
+            [value if there else nothing for there in drawn],
+        )
+        frame[field.key] = frame[field.key].astype(field.column_type)  # type: ignore[call-overload]
 
 
 def _specs_of(frame: pd.DataFrame) -> list[str]:
@@ -222,16 +239,16 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     """
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
-    known = {field.column: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
+    known = {field.key: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
     known['outcome'] = [*Outcome]
     for name, words in known.items():
         if name in frame.columns:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
     for name in {'run_id', 'bag'} & set(frame.columns):
         plain = frame[name].fillna('').map(lambda word: not word or is_run_name(str(word)))
-        _refuse(path, ~plain, f'its {name} is no plain name')
+        _refuse(path, ~plain, f'its {name} is not a plain name')
     for name in ('run_id', 'index'):
-        _refuse(path, frame[name].duplicated(), f'its {name} is there twice')
+        _refuse(path, frame[name].duplicated(), f'its {name} occurs twice')
     _refuse(path, frame['index'] < 0, 'its index is negative')
     for name in frame.select_dtypes('float64').columns:
         if not str(name).startswith('rho'):
@@ -259,8 +276,8 @@ def _check_robustness(
             above &= lower > 0
         if name in (own or specs):
             below |= upper <= 0
-    _refuse(path, passed & ~above, 'PASS, and a robustness that is not above 0')
-    _refuse(path, failed & ~below, 'FAIL, and no robustness of 0 or less')
+    _refuse(path, passed & ~above, 'PASS, but a robustness is not above 0')
+    _refuse(path, failed & ~below, 'FAIL, but no robustness is 0 or less')
 
 
 def _refuse(path: Path, wrong: Any, what: str) -> None:

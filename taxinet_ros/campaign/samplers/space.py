@@ -44,7 +44,7 @@ class Dimension:
     """One random choice of a program.
 
     Attributes:
-        name: unique in its space, and readable: ``ego.position.x``, ``time_of_day``, ``weather``.
+        name: unique in its space, and readable: ``ego.position.x``, ``time_of_day_h``, ``weather``.
         weights: of a discrete choice, the prior's weight of each category; quantiles fall to the
             categories in this order, each owning an interval as long as its share. Empty: the
             choice is continuous.

@@ -1,7 +1,7 @@
 """The random choices of a compiled Scenic scenario: found, named, and put at a quantile.
 
 A name is the parameter or variable that holds the choice, else the property of the object that
-it ends in, and the way from there: ``time_of_day``, ``weather``, ``weather[1].rain``,
+it ends in, and the way from there: ``time_of_day_h``, ``weather``, ``weather[1].rain_percent``,
 ``ego.position.x``, ``ego.heading``. Names and order follow from the program's text alone. Each
 choice takes the value at a quantile of its own prior, by the inverse distribution function.
 
@@ -42,14 +42,14 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
-from taxinet_ros.campaign.scenes.values import scenario_parameters
+from taxinet_ros.campaign.scenes.values import plane_property, scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
     buckets_of,
     default_buckets,
     pieces_of,
     place_of,
 )
-from taxinet_ros.core.scenario_fields import PLANE_PROPERTIES
+from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
 """Choices whose inverse distribution function is known here; not their subclasses.
@@ -110,7 +110,7 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
 def random_keys(scenario: Any) -> list[str]:
     """Keys of the scenario whose values are not the same in every scene."""
     ego = scenario.egoObject
-    moved = set(PLANE_PROPERTIES) if isinstance(ego, Constructible) and _draws(ego) else set()
+    moved = set(PLANE_KEYS) if isinstance(ego, Constructible) and _draws(ego) else set()
     return sorted(moved | {
         key for key, values in _entries(scenario).items()
         if key != REQUIREMENTS and any(needsSampling(value) for value in values)
@@ -250,7 +250,7 @@ def _labels(scenario: Any) -> dict[int, str]:
 
 
 def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
-    """After ``param rain = weather[1]``, the second coordinate of ``weather`` is called rain."""
+    """After ``param rain_percent = weather[1]``, that coordinate of ``weather`` has this name."""
     names: dict[int, dict[int, str]] = {}
     for name, value in params.items():
         if isinstance(value, OperatorDistribution) and value.operator == '__getitem__':
@@ -262,10 +262,11 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 
 def _entries(scenario: Any) -> dict[str, list[Any]]:
     """What each key of the scenario is drawn as, and what decides whether a scene is accepted."""
-    entries = {key: [value] for key, value in scenario_parameters(scenario.params).items()}
-    for key, name in PLANE_PROPERTIES.items():
+    parameters = by_key(scenario_parameters(scenario.params))
+    entries = {key: [value] for key, value in parameters.items()}
+    for key in PLANE_KEYS:
         # An ego of another class is reported when its scene is drawn.
-        entries[key] = [vars(scenario.egoObject or object).get(name)]
+        entries[key] = [plane_property(scenario.egoObject, key)]
     judged = [value for req in scenario.userRequirements for value in req.dependencies]
     if len(scenario.objects) > 1:  # they may be in each other's way
         judged += scenario.objects

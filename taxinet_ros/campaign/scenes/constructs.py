@@ -43,7 +43,15 @@ from taxinet_ros.campaign.scenes.values import (
     plain_value,
     scenario_parameters,
 )
-from taxinet_ros.core.scenario_fields import CLOUDS, HUMAN_KEYS, PARAMETERS, PLANE_PROPERTIES
+from taxinet_ros.core.scenario_fields import (
+    CLOUDS,
+    HUMAN_KEYS,
+    PARAMETERS,
+    PLANE_KEYS,
+    RAIN,
+    SHORT_FORMS,
+    other_form,
+)
 from taxinet_ros.errors import UsageError
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -52,11 +60,11 @@ _STATEMENTS = {
     'record': ('record', 'the bag of a run holds all of it'),
     'record_initial': ('record initial', 'the bag of a run holds all of it'),
     'record_final': ('record final', 'the bag of a run holds all of it'),
-    'terminate_when': ('terminate when', 'a run ends after "param duration" or by --stop-on'),
+    'terminate_when': ('terminate when', 'a run ends after "param duration_s" or by --stop-on'),
     'terminate_simulation_when': (
-        'terminate simulation when', 'a run ends after "param duration" or by --stop-on'
+        'terminate simulation when', 'a run ends after "param duration_s" or by --stop-on'
     ),
-    'terminate_after': ('terminate after', 'write "param duration = SECONDS"'),
+    'terminate_after': ('terminate after', 'write "param duration_s = SECONDS"'),
     'require_monitor': ('require monitor', 'what a run has to fulfil is a formula of --spec'),
     'override': ('override', 'nothing changes an aircraft under way but its controller'),
     'simulator': ('simulator', 'the graph of taxinet_ros runs the scenes'),
@@ -121,6 +129,10 @@ _USES: Mapping[str, tuple[type, ...]] = {
     ),
 }
 
+_PARAMETER_FORMS = tuple(
+    name for name in (*PARAMETERS, *SHORT_FORMS) if SHORT_FORMS.get(name, name) in PARAMETERS
+)
+
 _DRAWS = 64
 """Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
 
@@ -128,11 +140,12 @@ _KEPT = frozenset({'name', 'allowCollisions', 'requireVisible', 'occluding'})
 """Properties whose word is kept though nothing changes: a label, and an aircraft that is alone."""
 
 _OF_THE_PAPER = {
-    'zulu_time': 'time_of_day, in hours of local time: (seconds of GMT) / 3600 - 8, such as '
-                 '"param time_of_day = Range(6, 18)"',
+    'zulu_time': 'time_of_day_h, in hours of local time: (seconds of GMT) / 3600 - 8, such as '
+                 '"param time_of_day_h = Range(6, 18)"',
     'cloud_type': 'clouds, a word for each type 0-5: clear, cirrus, scattered, broken, overcast, '
                   'stratus, such as "param clouds = Uniform(*CLOUDS)"',
-    'rain_percent': 'rain, in percent: 100 * (fraction), such as "param rain = Range(25, 100)"',
+    'rain_percent': 'rain_percent, in percent: 100 * (fraction), such as '
+                    '"param rain_percent = Range(25, 100)"',
 }
 _OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
 
@@ -182,16 +195,16 @@ class Constructs:
 
     def notes(self, scenario: Any) -> list[list[Any]]:
         """File, line and text of what a program may mean otherwise than it says."""
-        values = [float(value) for value in _drawn(scenario.params.get('rain', 0))
-                  if isinstance(value, Real)]
+        name = RAIN.key if RAIN.key in scenario.params else RAIN.short
+        values = _numbers(scenario.params.get(name, 0))
         if not 0 < max(values, default=0) <= 1:
             return []
         shown = ' to '.join(dict.fromkeys(f'{end:.2g}' for end in (min(values), max(values))))
         text = (
-            f'param rain is {shown}, and rain is in percent: less than anybody sees; if fractions '
-            'are meant, write 100 times as much'
+            f'param {name} is {shown}, and rain is in percent: less than anybody sees; if '
+            'fractions are meant, write 100 times as much'
         )
-        return [[*self.params.get('rain', (self._program, 0)), text]]
+        return [[*self.params.get(name, (self._program, 0)), text]]
 
     def check(self, scenario: Any) -> None:
         """Refuse what a compiled program says in vain.
@@ -203,6 +216,8 @@ class Constructs:
         params = scenario_parameters(scenario.params)
         for name in params:
             self._check_name(name)
+        self._check_forms(params)
+        self._check_fraction(params)
         for name, value in params.items():
             self._check_value(name, value)
         for made in self._made.values():
@@ -258,7 +273,7 @@ class Constructs:
                 name: specifier._taxinet_place for specifier in specifiers
                 for name in specifier.priorities if hasattr(specifier, '_taxinet_place')
             }
-            for name in PLANE_PROPERTIES.values():
+            for name in (*PLANE_KEYS, *map(other_form, PLANE_KEYS)):
                 if name in given and name in getattr(kind, '_finalProperties', ()):
                     raise ProgramError(
                         f'with {name}: it follows from where the aircraft stands; say that with '
@@ -283,16 +298,34 @@ class Constructs:
     def _check_name(self, name: str) -> None:
         place = self.params.get(name)
         word = name.rpartition('/')[2].removesuffix('[0]')
-        if name in PLANE_PROPERTIES:
+        key = SHORT_FORMS.get(name, name)
+        if key in PLANE_KEYS:
             raise ProgramError(
                 f'parameter {name!r} belongs to the plane: place the ego there', place
             )
+        if key in HUMAN_KEYS:
+            return
         if word in _OF_THE_PAPER:
             raise ProgramError(f'param {name}: here it is {_OF_THE_PAPER[word]}', place)
-        if name not in HUMAN_KEYS:
+        raise ProgramError(
+            f'param {name}: unknown, so it has no effect{_meant(name, _PARAMETER_FORMS)}; '
+            f'known: {", ".join(PARAMETERS)}', place,
+        )
+
+    def _check_forms(self, params: Mapping[str, Any]) -> None:
+        for short, key in SHORT_FORMS.items():
+            if short in params and key in params:
+                raise ProgramError(
+                    f'param {short} and param {key} are the same; leave one out',
+                    self.params.get(short),
+                )
+
+    def _check_fraction(self, params: Mapping[str, Any]) -> None:
+        """The paper's rain has our key and is a fraction; so small a percentage nobody varies."""
+        value = params.get(RAIN.key)
+        if needsSampling(value) and 0 < max(_numbers(value), default=0) <= 1:
             raise ProgramError(
-                f'param {name}: unknown, so it has no effect{_meant(name, PARAMETERS)}; '
-                f'known: {", ".join(PARAMETERS)}', place,
+                f'param {RAIN.key}: here it is {_OF_THE_PAPER[RAIN.key]}', self.params.get(RAIN.key)
             )
 
     def _check_value(self, name: str, value: Any) -> None:
@@ -373,6 +406,11 @@ def _drawn(value: Any) -> list[Any]:
     return values
 
 
+def _numbers(value: Any) -> list[float]:
+    """Those among what a parameter is in some draws, or for ever."""
+    return [float(number) for number in _drawn(value) if isinstance(number, Real)]
+
+
 @functools.cache
 def watch_constructs() -> Constructs:
     """The watch on Scenic's statements, of which a process has one, as it has one Scenic.
@@ -390,7 +428,7 @@ def _sentence(word: str, why: str) -> str:
 
 def _meant(name: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, known, 1)
-    return f'; did you mean {close[0]}?' if close else ''
+    return f'; did you mean {SHORT_FORMS.get(close[0], close[0])}?' if close else ''
 
 
 def _place(frame: FrameType) -> Place:

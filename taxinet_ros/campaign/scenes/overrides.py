@@ -11,14 +11,33 @@ from collections.abc import Mapping
 from typing import Any
 
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    GUST,
+    GUST_SEED,
+    HEADING,
+    RAIN,
+    RAIN_CLOUDS,
+    SKY,
+    TIME_OF_DAY,
+    WIND_DIRECTION,
+    WIND_SPEED,
+    by_key,
+)
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
-WEATHER = ('clouds', 'rain')
+WEATHER = (SKY.key, RAIN.key)
 """The two keys that bind each other: rain falls from rain clouds only."""
 
-_DOUBTED = ('rain', 'time_of_day', 'heading')
+_BOUND = (
+    WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
+    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
+)
+"""Keys that bind each other."""
+_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
+"""Beside these every value of another key can be."""
+_DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
 
@@ -30,20 +49,23 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     """See that each override alone is a known key with a possible value.
 
     Raises:
-        UsageError: unknown key, bad value, or rain and clouds that contradict each other.
+        UsageError: unknown key, bad value, one key in both its forms, or rain and clouds that
+            contradict each other.
     """
+    overrides = by_key(overrides)
     for key, value in overrides.items():
-        # Rain is checked under a sky that allows it; the pair follows below.
-        _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
+        # Each among others that allow it, as rain under a sky; the pair follows below.
+        _build({**_ALLOWING, key: value}, f'override {key}={value}')
     if all(key in overrides for key in WEATHER):
-        _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+        given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
+        _build(overrides, f'override {given}')
 
 
 def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
     """Fixed values that are possible, and look as if they were meant in another unit.
 
     Args:
-        overrides: checked by :func:`check_overrides`.
+        overrides: by key, checked by :func:`check_overrides`.
 
     Returns:
         A line for each.
@@ -52,16 +74,18 @@ def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
     found = []
     rain, hours, heading = (numbers.get(key, 0.0) for key in _DOUBTED)
     if 0 < rain < 1:
-        found.append(f'rain={rain:g} is {rain:g} %, too little to see; for half write rain=50')
+        found.append(
+            f'{RAIN.key}={rain:g} is {rain:g} %, too little to see; for half write {RAIN.key}=50'
+        )
     if 0 < hours < 1:
         found.append(
-            f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
+            f'{TIME_OF_DAY.key}={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
         )
     # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
     if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
         found.append(
-            f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
-            f'heading={math.degrees(heading):.1f}'
+            f'{HEADING.key}={heading:g} is {heading:g} degrees; {heading:g} rad would be '
+            f'{HEADING.key}={math.degrees(heading):.1f}'
         )
     return found
 
@@ -70,8 +94,8 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     """The scenario of the ``drawn`` human values with ``overrides`` laid over them.
 
     Args:
-        drawn: what the program says, in human units.
-        overrides: checked by :func:`check_overrides`.
+        drawn: what the program says, by key, in human units.
+        overrides: by key, checked by :func:`check_overrides`.
         where: program and scene, to head an error.
 
     Raises:
@@ -81,7 +105,7 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     values = {**drawn, **overrides}
     # With both or neither overridden a contradiction is not between an override and the program.
     if sum(key in overrides for key in WEATHER) == 1:
-        _check_weather(values, 'rain' in overrides, where)
+        _check_weather(values, RAIN.key in overrides, where)
     scenario = _build(values, where)
     try:
         last_step(scenario)
@@ -91,21 +115,21 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
 
 
 def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> None:
-    clouds = values.get('clouds', Scenario().clouds)
+    clouds = values.get(SKY.key, Scenario().clouds)
     try:
-        rain = float(values.get('rain', 0.0))
+        rain = float(values.get(RAIN.key, 0.0))
     except (TypeError, ValueError):
         return  # what it is is not known to be rain
     if clouds in RAIN_CLOUDS or not rain > 0:
         return
     if rain_is_set:
         raise Contradiction(
-            f'override rain={values["rain"]}: {where} has clouds {clouds}, which cannot '
+            f'override {RAIN.key}={values[RAIN.key]}: {where} has clouds {clouds}, which cannot '
             f'rain; set clouds={RAIN_CLOUDS[0]} (or {"/".join(RAIN_CLOUDS[1:])}) as well'
         )
     raise Contradiction(
         f'override clouds={clouds}: {where} has {rain:.0f} % rain, '
-        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
+        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set {RAIN.key}=0 as well'
     )
 
 
@@ -120,13 +144,24 @@ def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     return found
 
 
+def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
+    """Keys of values that no scenario could have together, though each of them alone."""
+    found: set[str] = set()
+    for keys in _BOUND:
+        try:
+            scenario_from_human({key: values[key] for key in keys if key in values})
+        except UsageError:
+            found.update(keys)
+    return found
+
+
 def check_value(key: str, value: Any) -> None:
     """See that a scenario could have this value, whatever the others were.
 
     Raises:
         UsageError: none could.
     """
-    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
+    last_step(scenario_from_human({**_ALLOWING, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

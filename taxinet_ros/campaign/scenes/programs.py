@@ -16,7 +16,7 @@ from typing import Any
 
 import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import PARAMETERS, PLANE_PROPERTIES, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'runway_world'
@@ -153,11 +153,10 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
     lines += [
         f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in PARAMETERS
     ]
-    lines += ['', *(f'# {key} {remarks[key]}' for key in PLANE_PROPERTIES if key in remarks)]
-    right, along = _literal(0 - values['cross_track']), _literal(values['distance'])
-    lines.append(
-        f'ego = new Plane at ({right}, {along}), facing {_literal(values["heading"])} deg'
-    )
+    lines += ['', *(f'# {key} {remarks[key]}' for key in PLANE_KEYS if key in remarks)]
+    right, along = _literal(0 - values['cross_track_m']), _literal(values['distance_m'])
+    nose_left = _literal(values['heading_deg'])
+    lines.append(f'ego = new Plane at ({right}, {along}), facing {nose_left} deg')
     return '\n'.join(lines) + '\n'
 
 
@@ -168,7 +167,10 @@ def _exact(scenario: Scenario) -> dict[str, Any]:
         field: (getattr(scenario, field.attribute), getattr(read, field.attribute))
         for field in SCENARIO_FIELDS
     }
-    return {field.key: value / field.si for field, (value, back) in values.items() if value != back}
+    return {
+        field.key: value / field.si
+        for field, (value, back) in values.items() if value != back
+    }
 
 
 def _literal(value: float | str | bool) -> str:

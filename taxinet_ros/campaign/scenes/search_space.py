@@ -11,6 +11,7 @@ from statistics import NormalDist
 from typing import Any, Self
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import UsageError
 
 _PLACE = ('file', 'line', 'column', 'end_line', 'end_column')
@@ -126,7 +127,7 @@ class Choice:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """A choice as the Scenic child describes it."""
+        """A choice as the Scenic child describes it, or as one did before keys had units."""
         place = values['place']
         dimension = values['dimension']
         when = (Branch(parent, tuple(categories))
@@ -135,7 +136,7 @@ class Choice:
             dimension=Dimension(
                 **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
             ),
-            feeds=frozenset(values['feeds']),
+            feeds=frozenset(SHORT_FORMS.get(key, key) for key in values['feeds']),
             place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
             pieces=tuple(
                 Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']

@@ -20,6 +20,7 @@ from taxinet_ros.campaign.scenes.overrides import (
     Contradiction,
     apply_overrides,
     check_overrides,
+    contradicting_keys,
     impossible_keys,
 )
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
@@ -27,7 +28,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import DURATION, HUMAN_KEYS, by_key
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -109,8 +110,8 @@ class SceneSource:
         Args:
             program: word of a shipped program, or path of a ``.scenic`` file.
             seed: of the campaign, 0..2^63-1.
-            overrides: human keys and values that replace what is drawn; choices that they make
-                idle are no dimensions.
+            overrides: human keys, or their short forms, and values that replace what is drawn;
+                choices that they make idle are no dimensions.
             laid_over: likewise, but the dimensions are those without them, so a point gives the
                 scene that it gives without them, with these values changed.
             timeout_s: most wall-clock time for compiling, and for each scene [s].
@@ -121,10 +122,11 @@ class SceneSource:
         """
         if not 0 <= seed < 1 << 63:
             raise UsageError(f'seed is {seed}; it has to be within 0..2^63-1')
+        overrides, laid_over = by_key(overrides), by_key(laid_over)
         check_overrides({**overrides, **laid_over})
         self.program = find_program(program)
         self._seed = seed
-        self._overrides = dict(overrides)
+        self._overrides = overrides
         self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
         self._meanwhile = meanwhile
@@ -170,7 +172,7 @@ class SceneSource:
     @property
     def fixed_length(self) -> Mapping[str, str]:
         """The duration among the overrides, if it is there."""
-        return {key: value for key, value in self._values.items() if key == 'duration'}
+        return {key: value for key, value in self._values.items() if key == DURATION.key}
 
     @property
     def drawn_notes(self) -> tuple[str, ...]:
@@ -245,7 +247,7 @@ class SceneSource:
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & set(WEATHER))  # two that contradict each other
+        return bool(drawn & contradicting_keys(values))
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else be rejected for an override that a person can mend.
@@ -384,11 +386,12 @@ def accepted_scene(
     )
 
 
-def first_duration_s(source: SceneSource) -> float:
-    """Length of a program's first scene that is accepted [s], the usual one where none is.
+def first_scene(source: SceneSource) -> Scenario:
+    """A program's first scene that is accepted, the usual one where none is.
 
     Raises:
-        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+        UsageError: as :meth:`SceneSource.scene`, or its length is no whole number of
+            control periods.
     """
     first = apply_overrides({}, source.fixed_length, source.program.name)
     for index in range(_FIRST_SCENES):
@@ -398,7 +401,7 @@ def first_duration_s(source: SceneSource) -> float:
         if source.fixed_length:
             break
     last_step(first)
-    return first.duration_s
+    return first
 
 
 def sample_scenarios(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taxinet_ros.core.scenario_fields import PLANE_PROPERTIES
+from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key, other_form
 
 SAMPLER_PARAMETERS = (
     'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler',
@@ -52,27 +52,36 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
             plane's to say, or a value of another kind.
     """
     ego = scene.egoObject
-    if ego is None or not all(hasattr(ego, name) for name in PLANE_PROPERTIES.values()):
+    if ego is None or any(plane_property(ego, key) is None for key in PLANE_KEYS):
         raise ProgramError(
             'no plane to start from; write "model runway_world" and "ego = new Plane at (x, y)"'
         )
     check_level(ego)
     values = {
-        'cross_track': 0 - ego.position.x,  # -x would turn a zero into a minus zero
-        'distance': ego.position.y,
-        'heading': math.degrees(ego.heading),
+        'cross_track_m': 0 - ego.position.x,  # -x would turn a zero into a minus zero
+        'distance_m': ego.position.y,
+        'heading_deg': math.degrees(ego.heading),
     }
-    for key, name in PLANE_PROPERTIES.items():
-        if not math.isclose(getattr(ego, name), values[key], abs_tol=1e-6):
+    for key in PLANE_KEYS:
+        said = plane_property(ego, key)
+        if not math.isclose(said, values[key], abs_tol=1e-6):
             raise ProgramError(
-                f'{name} is {getattr(ego, name):g}, but where the aircraft stands it is '
+                f'{key} is {said:g}, but where the aircraft stands it is '
                 f'{values[key]:g}; only its place can say'
             )
-    for name, value in scenario_parameters(scene.params).items():
+    for name, value in by_key(scenario_parameters(scene.params)).items():
         if name in values:
             raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
         values[name] = value
     return {name: plain_value(name, value) for name, value in values.items()}
+
+
+def plane_property(plane: Any, key: str) -> Any:
+    """What an aircraft says of a key; None where it has no such property.
+
+    World models of before the keys had units know short forms only.
+    """
+    return getattr(plane, key, getattr(plane, other_form(key), None))
 
 
 def check_level(plane: Any, place: Place | None = None) -> None:

@@ -20,24 +20,29 @@ from typing import Any
 from taxinet_ros.campaign.options import DEFAULT_ROOT, CampaignOptions, make_options, new_folder
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
+from taxinet_ros.campaign.scenes.overrides import WEATHER
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.runway import CROSSING_X_M
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS, by_key
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
 DISTANCES_M = (1000.0, 1800.0)
 """Nominal starts before and beyond the crossing, each within a stretch of ``nominal.scenic``."""
 NOMINAL_HOUR = 10.0
-STEPS = {'cross_track': 0.1, 'distance': 10.0, 'heading': 0.5, 'rain': 1.0, 'time_of_day': 0.05}
-"""Step of each parameter that is a number: m, m, degrees, percent, h (that is 3 min)."""
+STEPS = {
+    'cross_track_m': 0.1, 'distance_m': 10.0, 'heading_deg': 0.5, 'rain_percent': 1.0,
+    'time_of_day_h': 0.05,
+}
+"""Step of each parameter that is a number; 0.05 h are 3 min."""
 KEYS = (
-    'cross_track', 'heading', 'distance', 'time_of_day', 'clouds', 'rain', 'shadows', 'crossing',
-    'date', 'aircraft',
+    'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
+    'shadows', 'crossing', 'date', 'aircraft',
 )
 """What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
 
@@ -104,11 +109,11 @@ class ShrinkSpace:
         keys = [one.key for one in self.moving]
         values = {
             key: next(one for one in self.parameters if one.key == key).values[steps]
-            for key, steps in self.steps(point).items() if key in ('clouds', 'rain')
+            for key, steps in self.steps(point).items() if key in WEATHER
         }
-        if values['clouds'] in RAIN_CLOUDS or values['rain'] == 0:
+        if values['clouds'] in RAIN_CLOUDS or values['rain_percent'] == 0:
             return point
-        other = keys.index('clouds' if keys[axis] == 'rain' else 'rain')
+        other = keys.index('clouds' if keys[axis] == 'rain_percent' else 'rain_percent')
         return (*point[:other], 0, *point[other + 1:])
 
 
@@ -126,8 +131,8 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     drawn = original.to_human()
     beyond = original.distance_m > CROSSING_X_M
     usual = {
-        'cross_track': 0.0, 'heading': 0.0, 'clouds': 'clear', 'rain': 0.0,
-        'time_of_day': NOMINAL_HOUR, 'distance': DISTANCES_M[beyond],
+        'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
+        'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
     }
     try:
         nominal = scenario_from_human({**drawn, **usual, **chosen})
@@ -146,9 +151,9 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
 
 def _chosen(settings: Iterable[str]) -> dict[str, str]:
     try:
-        chosen = split_options(settings)
+        chosen = by_key(split_options(settings))
     except UsageError as error:
-        text = str(error).removeprefix('sampler option ')
+        text = str(error).removeprefix('sampler option ').removeprefix('scenario: ')
         raise UsageError(f'--nominal {text}') from None
     for key in chosen:
         if key not in KEYS:
@@ -242,7 +247,7 @@ def make_shrink_options(
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
         controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
-        processes=False, images=images, resume=resume,
+        processes=False, images=images, resume=resume, world=_world(run),
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
@@ -298,3 +303,11 @@ def _controller(run: JudgedRun) -> str:
             f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
         )
     return run.controller
+
+
+def _world(run: JudgedRun) -> str:
+    """Where it failed."""
+    try:
+        return find_world(run.world, run.world_fingerprint).name
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}') from error

@@ -33,6 +33,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.core.world import world_options
 
 
 class Shrinking:
@@ -358,6 +359,7 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
     words += controller_options(campaign.controller)
+    words += world_options(campaign.world)
     specs = campaign.judging.parsed_specs
     if specs != tuple(parse_spec(text) for text in DEFAULT_SPECS):
         words += [word for text in campaign.judging.specs for word in ('--spec', text)]

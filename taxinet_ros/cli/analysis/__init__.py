@@ -1,1 +1,1 @@
-"""Commands that analyse: analyze, explain, gate, localize, monitor, spec."""
+"""Analysis commands: analyze, explain, gate, localize, monitor, spec."""

@@ -1,4 +1,4 @@
-"""``taxinet analyze``: from a table of runs to why they fail."""
+"""``taxinet analyze``: find the causes of failures in a table of runs."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ def run_analyze(
     campaign: Path, baselines: Sequence[Path], out: Path | None, *, spec: str | None, alpha: float,
     viewers: int, as_json: bool,
 ) -> int:
-    """Analyse a campaign, write the analysis down and print its summary.
+    """Analyse a campaign, write the analysis and print its summary.
 
     Args:
         campaign: folder or table.
-        baselines: others to hold it against.
-        out: folder for the analysis, or None for the one beside the table.
-        spec: formula that says which runs failed, or None for the headline.
-        alpha: level of the causes.
-        viewers: most failed runs that the page shows step by step.
+        baselines: other campaigns to compare with.
+        out: folder for the analysis; None: beside the table.
+        spec: formula that decides which runs failed; None: the headline.
+        alpha: significance level of the causes.
+        viewers: maximum number of failed runs shown step by step on the page.
         as_json: print ``analysis.json`` in place of the summary.
 
     Returns:
-        Exit code: 0, or 3 where the campaign tells no rate: its shares are of the runs made.
+        Exit code: 0, or 3 if the campaign yields no failure rate (its shares refer to the runs
+        made).
 
     Raises:
         UsageError: bad input.
@@ -61,14 +62,14 @@ def run_analyze(
 
 
 def _print(console: Console, findings: Findings, folder: Path) -> None:
-    """The summary; the causes as a table in place of their sentences."""
+    """Print the summary, with the causes as a table instead of sentences."""
     in_table = set(cause_sentences(findings)[1:])
     for sentence in summary(findings):
         if sentence not in in_table:
             console.print(sentence, soft_wrap=True, markup=False)
     if findings.causes.found:
         console.print(_causes(findings))
-        # A region that was picked for its rate says too much of itself: fresh scenes do not.
+        # A region selected for its rate overestimates it; fresh scenes do not.
         for cause in findings.causes.found:
             if (command := confirmation_command(findings.runs, cause, folder)) is not None:
                 console.print(f'test cause {cause.rank} on fresh scenes: {command}',
@@ -79,7 +80,7 @@ def _causes(findings: Findings) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column('#', justify='right')
     table.add_column('cause')
-    for title in ('runs', 'fail', 'elsewhere', 'holds', 'goes with it', 'p'):
+    for title in ('runs', 'fail', 'elsewhere', 'holds', 'associated', 'p'):
         table.add_column(title, justify='right', no_wrap=True)
     for cause in findings.causes.found:
         inside = cause.inside
@@ -103,7 +104,7 @@ def _beside(campaign: Path) -> Path:
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """What is being done, on one line that is gone in the end; only a terminal gets to see it."""
+    """Show the current step on one transient line, on terminals only."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         yield lambda _: None

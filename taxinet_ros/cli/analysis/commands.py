@@ -1,4 +1,4 @@
-"""The commands that analyse results: arguments, options and help; the work is imported later."""
+"""Analysis commands: arguments, options and help; implementations are imported on use."""
 
 from __future__ import annotations
 
@@ -26,24 +26,26 @@ def analyze(
         typer.Option(metavar='CAMPAIGN', help='another campaign to compare with; repeatable'),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help='folder to write; CAMPAIGN/analysis by default')
+        Path | None, typer.Option(help='output folder (default CAMPAIGN/analysis)')
     ] = None,
     spec: Annotated[
-        str | None, typer.Option(metavar='NAME', help='formula to analyse, not the headline')
+        str | None, typer.Option(metavar='NAME', help='formula to analyse instead of the headline')
     ] = None,
     alpha: Annotated[
         float, typer.Option(help='accepted probability of naming a false cause')
     ] = 0.05,
     viewers: Annotated[
-        int, typer.Option(min=0, help='most failed runs that the page shows step by step')
+        int, typer.Option(min=0, help='maximum number of failed runs shown step by step on the '
+        'page')
     ] = 20,
     as_json: JsonOption = False,
 ) -> None:
     """Find the causes of a campaign's failures, and write a report.
 
-    Names the hours, clouds, places and poses in which runs fail more than chance allows, singly and
-    in pairs, groups the counterexamples, draws robustness over each feature, and compares networks.
-    Exit code 3 where a sampler chose all runs, so that they tell no rate of the program.
+    Identifies hours, clouds, positions and poses (singly and in pairs) where runs fail
+    significantly more often, clusters the counterexamples, plots robustness over each feature and
+    compares networks. Exit code 3 if a sampler chose all runs, so that the program's failure rate
+    cannot be estimated.
     """
     from taxinet_ros.cli.analysis.analyze import run_analyze
 
@@ -56,50 +58,52 @@ def localize(
     campaign: CampaignArgument,
     runs: Annotated[
         int | None,
-        typer.Option(help='examine at most so many failed runs, evenly spread over all'),
+        typer.Option(help='maximum number of failed runs to examine, evenly spread'),
     ] = None,
     substitutions: Annotated[
         list[str] | None,
         typer.Option(
             '--with', metavar='SUBSTITUTION',
-            help='truth, truth-heading, truth-cte (these three where none is named), '
+            help='truth, truth-heading, truth-cte (default: these three), '
             'delayed:SECONDS, truth-delayed:SECONDS or noisy:SIGMA_M; repeatable',
         ),
     ] = None,
     workers: ProcessesCountOption = 1,
     out: Annotated[
         Path | None,
-        typer.Option(help='folder for table and page; what is done in it is not done again'),
+        typer.Option(help='output folder for table and page; finished trials in it are kept'),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(metavar='FILE', help="the runs' network, where it has moved")
+        str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find which part causes failures: network or controller.
 
-    Runs a campaign's failed runs again with the truth in place of the network's estimate, of its
-    heading error alone and of its cross-track error alone, and once as they were. Interrupted, the
-    same command goes on.
+    Reruns a campaign's failed runs unchanged and with the truth in place of the whole estimate, of
+    its heading error only and of its cross-track error only. After an interrupt, the same command
+    continues.
     """
     from taxinet_ros.campaign.past_runs.localisation import make_localize_options
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.analysis.localize import run_localize
 
-    options = make_localize_options(
-        campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
-        perception=perception,
-    )
+    with missing_packages_named(campaign):
+        options = make_localize_options(
+            campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
+            perception=perception,
+        )
     raise typer.Exit(run_localize(options, as_json=as_json))
 
 
 def explain(
     bag: Annotated[
-        Path, typer.Argument(metavar='BAG', help="a run's folder, usually of a counterexample")
+        Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
     ],
     run_id: RunOption = None,
     perception: Annotated[
         str | None,
-        typer.Option(metavar='WORD|FILE', help='network to examine; default: the one of the run'),
+        typer.Option(metavar='WORD|FILE', help="network to examine (default: the run's)"),
     ] = None,
     dataset: Annotated[
         Path | None,
@@ -108,19 +112,19 @@ def explain(
     frames: Annotated[
         int,
         typer.Option(
-            min=1, max=20, help='examine at most so many frames: the worst, and the first'
+            min=1, max=20, help='maximum number of frames to examine: the worst ones and the first'
         ),
     ] = 4,
     out: Annotated[
-        Path | None, typer.Option(help='folder for page and pictures; must be new')
+        Path | None, typer.Option(help='output folder for page and images; must be new')
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find why the network failed in one run.
+    """Explain why the network failed in one run.
 
-    Shows where its estimates are wrong, what it sees at the worst moments without shadow, crossing
-    or rain, under another sky and at another hour, which part of the picture its estimate depends
-    on, and the nearest training images.
+    Shows where its estimates are wrong; what it would estimate at the worst moments without shadow,
+    crossing or rain, under another sky and at another hour; which image region the estimate depends
+    on; and the nearest training images.
     """
     from taxinet_ros.cli.analysis.explain import ExplainOptions, run_explain
     from taxinet_ros.cli.bag.input import readable_run
@@ -138,25 +142,25 @@ def doctor(
         Path,
         typer.Argument(
             metavar='CAMPAIGN',
-            help='folder of a campaign, an experiment, a dataset, a study; anything that holds '
-            'such',
+            help='folder of a campaign, experiment, dataset or study, or a folder that contains '
+            'some',
         ),
     ],
     mend: Annotated[
         bool,
         typer.Option(
             '--mend',
-            help='write tables and campaign.json anew from the ledger; put a damaged ledger '
-            'aside and go on with its sound lines',
+            help='rebuild tables and campaign.json from the ledger; keep a copy of a damaged '
+            'ledger and continue with its intact lines',
         ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Check every file of a results folder against what was recorded of it.
+    """Verify every file in a results folder.
 
-    Every line of every ledger, tables against the ledger, each bag against its row, each picture
-    of a dataset against its label, and leftovers of killed processes. Exit codes: 0 all is sound,
-    3 something is incomplete or damaged, 2 nothing to check.
+    Checks every ledger line, tables against the ledger, each bag against its row and each dataset
+    image against its label, and finds leftovers of killed processes. Exit codes: 0 no findings, 3
+    something is incomplete or damaged, 2 nothing to check.
     """
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
@@ -167,31 +171,33 @@ def gate(
     campaign: CampaignArgument,
     min_satisfaction: Annotated[
         float | None,
-        typer.Option(metavar='SHARE', help='least share of runs that satisfy their formulas'),
+        typer.Option(metavar='SHARE', help='minimum share of runs that satisfy their formulas'),
     ] = None,
     max_off_runway: Annotated[
-        float | None, typer.Option(metavar='SHARE', help='largest share that leaves the runway')
+        float | None, typer.Option(metavar='SHARE', help='maximum share of runs that leave the '
+        'runway')
     ] = None,
     max_infra: Annotated[
-        int, typer.Option(help='accepted number of runs that ended in an infrastructure error')
+        int, typer.Option(help='maximum number of runs with an infrastructure error')
     ] = 0,
-    confidence: Annotated[float, typer.Option(help='of each one-sided bound')] = 0.95,
+    confidence: Annotated[float, typer.Option(help='confidence of each one-sided bound')] = 0.95,
     inconclusive: Annotated[
         str,
         typer.Option(
-            metavar='WORD', help='what INCONCLUSIVE exits with: report (3), pass (0) or fail (1)'
+            metavar='WORD', help='exit code for INCONCLUSIVE: report (3), pass (0) or fail (1)'
         ),
     ] = 'report',
     junit: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='JUnit XML to write, a test case per run')
+        Path | None, typer.Option(metavar='FILE', help='JUnit XML file to write, one test case per '
+        'run')
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Decide whether a campaign proves what is asked of it.
+    """Check a campaign against acceptance thresholds.
 
     PASS (exit code 0) only if the one-sided bound of each share clears its threshold, FAIL (1) if
-    the whole interval of one is beyond it, else INCONCLUSIVE (3) with about how many more runs are
-    needed. Runs that ended in an infrastructure error are excluded, and counted apart.
+    the whole interval of one violates it, else INCONCLUSIVE (3) with an estimate of the additional
+    runs needed. Runs with an infrastructure error are excluded and counted separately.
     """
     from taxinet_ros.analysis.gate import GateOptions
     from taxinet_ros.cli.analysis.gate import run_gate
@@ -217,7 +223,7 @@ def monitor(
         typer.Option(
             '--spec', metavar='FORMULA',
             help='phi_eventually, phi_always, on_runway, usable, NAME=FORMULA, a formula, or a '
-            'YAML file of them; repeatable; default: those that judged the run',
+            "YAML file of them; repeatable; default: the run's own",
         ),
     ] = None,
     run_id: RunOption = None,
@@ -225,7 +231,7 @@ def monitor(
         Path | None,
         typer.Option(
             metavar='FILE.png|DIR',
-            help='draw signals, bounds and robustness over time; a folder for several bags',
+            help='PNG plot of signals, bounds and robustness over time; a folder for several bags',
         ),
     ] = None,
     bound: BoundOption = None,
@@ -234,14 +240,14 @@ def monitor(
         bool, typer.Option('--add', help="add a column for each new formula to a campaign's table")
     ] = False,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
-    workers: Annotated[int, typer.Option(min=1, help='processes that judge; same results')] = 2,
+    workers: Annotated[int, typer.Option(min=1, help='worker processes; same results')] = 2,
 ) -> None:
     """Judge recorded runs by their own requirements or by new ones.
 
-    Needs no ROS and no pictures. A bag of several runs, as ros2 bag record makes them, gets a
-    verdict for each. A formula that judged a run gets the recorded robustness again,
-    to the last bit. Exit codes: 0 all satisfied, 1 some violated, 2 bad input, 3 some bag is
-    incomplete or damaged, or contradicts what was recorded in it.
+    Needs neither ROS nor camera frames. A bag of several runs, as written by ros2 bag record, gets
+    one verdict per run. Re-evaluating a run's own formula reproduces the recorded robustness bit
+    for bit. Exit codes: 0 all satisfied, 1 some violated, 2 bad input, 3 some bag is incomplete,
+    damaged or inconsistent with its recorded verdict.
     """
     from taxinet_ros.cli.analysis.monitor import run_monitor
 
@@ -261,16 +267,16 @@ def spec(
             help='phi_eventually, usable, NAME=FORMULA, a formula, or a YAML file of them',
         ),
     ],
-    duration: Annotated[float, typer.Option(help='length of the runs that it will judge [s]')] = 30,
+    duration: Annotated[float, typer.Option(help='length of the runs to be judged [s]')] = 30,
     settings: Annotated[
         list[str] | None,
-        typer.Option('--set', metavar='steering.GAIN=VALUE', help='a gain of the controller'),
+        typer.Option('--set', metavar='steering.GAIN=VALUE', help='a controller gain'),
     ] = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
     """Show how requirements are parsed, and warn of likely mistakes.
 
-    Nothing is run. Exit codes: 0 they can be judged, with or without warnings; 2 they cannot.
+    Runs nothing. Exit codes: 0 valid, with or without warnings; 2 invalid.
     """
     from taxinet_ros.cli.analysis.monitor import show_specs
 

@@ -1,4 +1,4 @@
-"""``taxinet explain``: why the network failed in one recorded run."""
+"""``taxinet explain``: explain why the network failed in one recorded run."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
@@ -30,23 +31,23 @@ from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 
 MOST_IMAGES = 4000
-"""Of a data set so many images are looked at, evenly spread; reading them takes 4 ms each."""
+"""Maximum number of images compared, evenly spread over the data set; reading takes 4 ms each."""
 
 _THREADS = 2
-_SCENE = ('time_of_day', 'clouds', 'rain')
+_SCENE = ('time_of_day_h', 'clouds', 'rain_percent')
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions:
-    """What a person asked for.
+    """Options of ``taxinet explain``.
 
     Attributes:
         bag: a run folder or an ``.mcap`` file.
-        perception: word or file; the run's own where None.
+        perception: word or file; None: the run's own.
         dataset: folder of training images, or None.
-        frames: most moments to look into.
-        out: new folder for page and pictures; where None, one below ``bags/``.
-        as_json: print the JSON in place of the summary.
+        frames: maximum number of moments to examine.
+        out: new folder for page and images; None: one below ``bags/``.
+        as_json: print the JSON instead of the summary.
     """
 
     recording: Recording
@@ -58,7 +59,7 @@ class ExplainOptions:
 
 
 def run_explain(options: ExplainOptions) -> int:
-    """Look into the run, write page, pictures and JSON, and print the summary.
+    """Examine the run, write page, images and JSON, and print the summary.
 
     Returns:
         Exit code: 0.
@@ -92,13 +93,13 @@ def run_explain(options: ExplainOptions) -> int:
 
 
 def _network(run: RecordedRun, asked: str | None) -> str:
-    """Word or file of the network to ask: the run's own, if it is here."""
+    """Word or file of the network to examine; by default the run's own, if available."""
     name = run.request.run_id
     if asked == 'truth':
-        raise UsageError('--perception truth: looks at no picture; name a network')
+        raise UsageError('--perception truth: uses no camera image; name a network')
     if asked is None and run.perception == 'truth':
         raise UsageError(
-            f'{name}: the truth took part, and no network; name one with --perception')
+            f'{name}: was run with ground truth, not a network; name one with --perception')
     word, fingerprint = perception_of(run, asked)
     if asked is None and fingerprint != run.fingerprint:
         raise UsageError(
@@ -109,7 +110,7 @@ def _network(run: RecordedRun, asked: str | None) -> str:
 
 
 def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> NearestImages:
-    """An even sample of a data set, as networks see it."""
+    """Load evenly spaced images of a data set, preprocessed as network input."""
     total = len(folder)
     if total < 2:
         raise UsageError(f'--dataset {folder.path}: holds {total} image; needs two or more')
@@ -129,7 +130,7 @@ def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> Nea
 
 
 def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
-    """Labels of rows, and what else of the scene the table tells."""
+    """Labels of rows, and further scene values from the table."""
     frames = [folder.frames[row] for row in rows]
     scenes = pd.DataFrame({
         'image': [frame.image for frame in frames],
@@ -138,7 +139,7 @@ def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
         'distance_m': [frame.distance_m for frame in frames],
     })
     if folder.table.suffix == '.parquet':
-        table = pd.read_parquet(folder.table)
+        table = pd.read_parquet(folder.table).rename(columns=SHORT_FORMS)
         for name in _SCENE:
             if name in table:
                 scenes[name] = table[name].to_numpy()[rows]
@@ -153,7 +154,7 @@ def _make(out: Path) -> None:
 
 
 def _write(found: Explanation, out: Path) -> Path:
-    """Pictures, JSON and page; the page's path."""
+    """Write images, JSON and page; return the page's path."""
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 

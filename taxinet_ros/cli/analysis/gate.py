@@ -1,4 +1,4 @@
-"""``taxinet gate``: a campaign held against what continuous integration asks of it."""
+"""``taxinet gate``: check a campaign against acceptance thresholds in continuous integration."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from taxinet_ros.files.atomic import write_atomically
 INCONCLUSIVE_WORDS = {
     'pass': ExitCode.OK, 'fail': ExitCode.VIOLATED, 'report': ExitCode.INCOMPLETE,
 }
-"""What ``--inconclusive`` makes of the exit code."""
+"""Exit code of each ``--inconclusive`` word."""
 
 
 def run_gate(
     folder: Path, options: GateOptions, *, inconclusive: str, junit: Path | None, as_json: bool
 ) -> int:
-    """Print the answer, and write it as JUnit XML if asked.
+    """Print the verdict and optionally write it as JUnit XML.
 
     Returns:
         Exit code: 0 PASS, 1 FAIL, 3 INCONCLUSIVE unless ``inconclusive`` says otherwise.
 
     Raises:
-        UsageError: it is no campaign, or it cannot answer.
+        UsageError: not a campaign, or not usable for this check.
     """
     if inconclusive not in INCONCLUSIVE_WORDS:
         known = ', '.join(INCONCLUSIVE_WORDS)
@@ -51,7 +51,7 @@ def run_gate(
             inconclusive_passes=inconclusive == 'pass',
         )
         if not junit.parent.is_dir():
-            raise UsageError(f'--junit {junit}: there is no folder {junit.parent}')
+            raise UsageError(f'--junit {junit}: no such folder: {junit.parent}')
         write_atomically(junit, document)
     print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
     codes = {Verdict.PASS: ExitCode.OK, Verdict.FAIL: ExitCode.VIOLATED}
@@ -59,15 +59,15 @@ def run_gate(
 
 
 def _record_notes(content: LedgerContent) -> Iterator[str]:
-    """What the record itself has that a reader has to know."""
+    """Notes about the campaign's record."""
     if found := differences(*recorded_stacks(content.campaign).values()):
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
-        yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
+        yield f'run {ranges(content.unfinished)}: started but has no result'
     if content.never_begun:
-        yield f'run {ranges(content.never_begun)}: has a result, but nothing says that it was begun'
+        yield f'run {ranges(content.never_begun)}: has a result but no record of its start'
     for timing in sorted({row.timing for row in content.rows if row.timing}):
-        again = ', so their verdicts need not come again' if is_free(timing) else ''
+        again = ', so their verdicts are not reproducible' if is_free(timing) else ''
         yield f'timing of the runs: {timing}{again}'
     yield from content.lost
 
@@ -84,7 +84,7 @@ def _json(answer: GateResult, options: GateOptions) -> dict[str, Any]:
     return {
         'verdict': answer.verdict.value,
         'confidence': options.confidence,
-        'bounds': 'one-sided, each at this confidence over all looks at the campaign',
+        'bounds': 'one-sided; each holds at this confidence, however often the campaign is checked',
         'judged': answer.judged,
         'effective': answer.effective,
         'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},

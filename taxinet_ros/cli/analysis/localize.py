@@ -1,4 +1,4 @@
-"""``taxinet localize``: whether network or controller is to blame for a campaign's failures."""
+"""``taxinet localize``: find whether network or controller causes a campaign's failures."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from taxinet_ros.processes.interrupts import interrupts
 
 
 def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
-    """Make the trials, write down what came of them, and print that.
+    """Run the trials, write the results and print a summary.
 
     Returns:
-        Exit code: 0 done, 130 interrupted; the same command goes on.
+        Exit code: 0 done, 130 interrupted; the same command continues.
 
     Raises:
         UsageError: bad input.
@@ -62,7 +62,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         console.print('\n'.join(lines), soft_wrap=True, markup=False)
     if unfinished:
         left = options.wanted - len(trials)
-        console.print(f'interrupted, {left} trials left; the same command goes on', soft_wrap=True)
+        console.print(f'interrupted, {left} trials left; run it again to continue', soft_wrap=True)
     return ExitCode.INTERRUPTED if unfinished else ExitCode.OK
 
 

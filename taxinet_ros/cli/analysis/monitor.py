@@ -1,4 +1,4 @@
-"""``taxinet monitor`` and ``spec``: judge recorded runs by requirements, explain those."""
+"""``taxinet monitor`` and ``spec``: evaluate requirements on recorded runs; check requirements."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs
+from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs, describe_specs
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
@@ -41,21 +41,21 @@ from taxinet_ros.errors import ExitCode, UsageError
 def show_specs(
     formulas: Iterable[str], *, duration_s: float, settings: Iterable[str], as_json: bool
 ) -> None:
-    """Print how requirements are understood, and what is to be minded.
+    """Print how requirements are parsed, with warnings.
 
     Args:
         formulas: requirements as text, or files of them.
-        duration_s: length of the runs that they will judge [s].
-        settings: gains of the controller, ``steering.<gain>=value``.
+        duration_s: length of the runs to be judged [s].
+        settings: controller gains, ``steering.<gain>=value``.
         as_json: print one JSON document.
 
     Raises:
-        UsageError: one is none, or no run of this length can be judged by it.
+        UsageError: one is invalid or cannot be decided on runs of this length.
     """
     specs = [parse_spec(text) for text in read_specs(formulas)]
     others, gains = split_settings(settings)
     if others:
-        raise UsageError(f'--set {next(iter(others))}: only gains of the controller matter here')
+        raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
     Scenario(duration_s=duration_s)
     found = check_specs(specs, duration_s, SteeringGains(**gains))
     if as_json:
@@ -79,7 +79,7 @@ _STYLES = {
 
 
 def bag_lines(bag: JudgedBag) -> Iterator[Text]:
-    """A line for each requirement, and one for what is wrong with the bag."""
+    """One line per requirement, and one for each problem with the bag."""
     name = bag.name
     width = max((len(one.spec.name) for one in bag.verdicts), default=0)
     for one in bag.verdicts:
@@ -90,7 +90,7 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         line.append(f'  {bag.timing}' if bag.timing else '', style='cyan')
         yield line
         if one.breach_s is not None:
-            text = f'a bound or rate broken at {one.breach_s:g} s counts no more'
+            text = f'assumption violated at {one.breach_s:g} s counts no more'
             yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
         if one.verdict is BagVerdict.UNCLEAR:
             yield Text(f'{name}  {one.why}', style='yellow')
@@ -106,9 +106,9 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
 
 
 def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
-    """How many bags say what of each requirement, and how many repeat what was recorded.
+    """Count verdicts per requirement, and those that reproduce the recorded verdict.
 
-    Runs whose answers took effect at different times are never counted together.
+    Runs with different timing are counted separately.
     """
     lines = []
     unit = 'runs' if any(bag.run for bag in bags) else 'bags'
@@ -127,11 +127,11 @@ def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
         when = f' ({timing_words(timing)})' if mixed or timing else ''
         lines.append(f'{name}{when}: {words} of {len(own)} {unit}{again}')
     unread = sum(not bag.verdicts for bag in bags)
-    return lines + ([f'{unread} bags tell of no run'] if unread else [])
+    return lines + ([f'{unread} bags without a run'] if unread else [])
 
 
 def as_document(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> str:
-    """All of it as JSON; an end of an interval that is not known is null."""
+    """JSON document; an unknown interval bound is null."""
     values = {'warnings': list(warnings), 'bags': [_bag_document(bag) for bag in bags]}
     return json.dumps(values, indent=2, allow_nan=False)
 
@@ -184,19 +184,18 @@ def run_monitor(
     places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
     workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (), run: str | None = None,
 ) -> int:
-    """Judge bags and print what they say.
+    """Judge bags and print the verdicts.
 
     Args:
         places: run folders, ``.mcap`` files, or folders of campaigns.
-        specs: requirements as text or files of them; where empty, each bag's own.
-        plot: PNG file, or where there are several bags a folder, to draw to.
-        add: put the requirements into the tables of the campaigns.
+        specs: requirements as text or files; empty: each bag's own.
+        plot: PNG file, or a folder for several bags.
+        add: add the requirements to the campaigns' tables.
         as_json: print one JSON document.
-        workers: processes that judge.
-        bounds: what is vouched for of the signals' values; without any, and without rates, what
-            each bag says was.
-        rates: of their change per second.
-        run: which run of the one bag that is named; all of them where None.
+        workers: worker processes.
+        bounds: assumed ranges of signals; without bounds and rates, those recorded in each bag.
+        rates: assumed maximum rates of change per second.
+        run: which run of the one bag named; None: all.
 
     Returns:
         Exit code: 1 where a run violates a requirement in a bag that holds several; 3 where a bag
@@ -212,10 +211,10 @@ def run_monitor(
     found = {place: _bags(place) for place in places}
     bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
     if run is not None and len(bags) > 1:
-        raise UsageError(f'--run {run}: there are {len(bags)} bags; name the one that holds it')
+        raise UsageError(f'--run {run}: {len(bags)} bags given; name the one with this run')
     to_add = {place: addable(place, chosen) for place in places} if add else {}
     if add and not chosen:
-        raise UsageError('--add: say with --spec which requirement to add')
+        raise UsageError('--add: name the requirement to add with --spec')
     told = _RequirementNotes(chosen)
     if plot is not None:
         _check_plot(plot, bags)
@@ -241,17 +240,17 @@ def run_monitor(
 
 
 def _bags(place: Path) -> list[Path]:
-    """The bags at a place that the user named."""
+    """The bags at a given path."""
     if place.is_file():
         return [place]
     if not place.is_dir():
         raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
-    # What is compressed, or of another storage, is to be refused by name.
+    # Compressed bags and other storage formats are refused by name.
     if any(path for kind in (f'*.{STORAGE_ID}*', '*.db3') for path in place.glob(kind)):
         return [place]
     bags = campaign_bags(place)
     if not bags:
-        what = 'no run of it left a bag' if (place / LEDGER_NAME).is_file() else 'holds no bag'
+        what = 'none of its runs left a bag' if (place / LEDGER_NAME).is_file() else 'holds no bag'
         raise UsageError(f'{place}: {what}')
     return bags
 
@@ -260,7 +259,7 @@ def _judged(
     bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
     as_json: bool, named: Sequence[Path], run: str | None, told: _RequirementNotes,
 ) -> list[JudgedBag]:
-    """Judge all of them, and print each as soon as it is known."""
+    """Judge all bags and print each verdict as soon as it is available."""
     console = Console(highlight=False, stderr=as_json)
     chosen = None if run is None else open_recording(bags[0]).choose(run).name
     judged: list[JudgedBag] = []
@@ -281,15 +280,15 @@ def _judged(
             if len(bags) > 1:
                 show('judging', len({one.path for one in judged}), len(bags))
     if not judged:
-        raise UsageError(f'--run {run}: there is not one step of it in {bags[0]}')
+        raise UsageError(f'--run {run}: no step of it in {bags[0]}')
     return judged
 
 
 class _RequirementNotes:
-    """Says of each requirement once how it is understood, and of each length of run what to mind.
+    """Prints once how each requirement is parsed, and its warnings for each run length.
 
     Attributes:
-        warnings: all that there were.
+        warnings: all warnings printed.
     """
 
     def __init__(self, specs: Sequence[Spec]) -> None:
@@ -298,7 +297,7 @@ class _RequirementNotes:
         self._lengths_s: set[float] = set()
 
     def of(self, bag: JudgedBag) -> list[Text]:
-        """What is to be said before the verdicts of a bag."""
+        """Lines to print before the verdicts of a bag."""
         if bag.duration_s in self._lengths_s or not bag.duration_s > 0:
             return []
         found = describe_specs(self._specs, bag.duration_s, _gains(bag.path))
@@ -312,9 +311,10 @@ class _RequirementNotes:
 
 
 def _gains(bag: Path) -> SteeringGains | None:
-    """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
+    """Controller gains recorded in a bag; None if the bag does not say which controller ran."""
     try:
-        return SteeringGains(**open_recording(bag).run.gains)
+        run = open_recording(bag).run
+        return bounding_gains(SteeringGains(**run.gains), run.request.scenario)
     except (BagError, UsageError):
         return None
 
@@ -322,8 +322,8 @@ def _gains(bag: Path) -> SteeringGains | None:
 def _exit_code(bags: Iterable[JudgedBag]) -> int:
     judged = list(bags)
     violated = [bag for bag in judged if any(one.verdict.failed for one in bag.verdicts)]
-    # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
-    # Nor does a topic that is missing unsay what others tell: damage leaves no verdict at all.
+    # A recording of several runs usually ends during the last one; the others remain valid. A
+    # missing topic does not invalidate the others; damage leaves no verdict at all.
     if any(bag.run or bag.trouble for bag in violated):
         return ExitCode.VIOLATED
     if not all(bag.sound for bag in judged):
@@ -333,7 +333,7 @@ def _exit_code(bags: Iterable[JudgedBag]) -> int:
 
 def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
     if plot.suffix == _PICTURE and len(bags) > 1:
-        raise UsageError(f'--plot {plot}: there are {len(bags)} bags; name a folder')
+        raise UsageError(f'--plot {plot}: {len(bags)} bags given; name a folder')
     if plot.suffix not in ('', _PICTURE):
         raise UsageError(f'--plot {plot}: write NAME.png, or name a folder')
     folder = plot.parent if plot.suffix else plot
@@ -358,7 +358,7 @@ def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     judged = []
     for spec in specs:
         verdict, readings = judge_spec(samples, spec, vouched)
-        # Where a topic that it reads is missing, no more is known than before.
+        # If a topic it reads is missing, nothing more is known.
         at = dict(zip(samples.seen_by(spec).stamps_ns, readings, strict=False))
         known = accumulate(
             (at.get(stamp) for stamp in samples.stamps_ns), lambda old, new: new or old,

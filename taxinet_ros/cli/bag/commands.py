@@ -1,7 +1,7 @@
-"""``taxinet bag``: look into the bags of runs, check, mend, compare, replay and export them.
+"""``taxinet bag``: inspect, check, repair, compare, replay and export bags of runs.
 
 Exit codes: 0 the bag is whole, 2 bad input, or nothing in the bag can be
-read, 3 something of it is lost or wrong, 4 no room for what was to be written.
+read, 3 something in it is lost or wrong, 4 no disk space for the output.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ def render(
     bag: BagArgument,
     out: Annotated[
         Path | None,
-        typer.Option(metavar='NEW', help='folder for a new bag; without it, BAG itself gets them'),
+        typer.Option(metavar='NEW', help='folder for a new bag (default: add them to BAG itself)'),
     ] = None,
     run_id: RunOption = None,
 ) -> None:
-    """Add the camera frames to a bag that was recorded without them.
+    """Add camera frames to a bag recorded without them.
 
-    Bit for bit those of the run: the recorded commands drive the aircraft again, and the recorded
-    odometry proves that it went the same way. Under the same name the new bag has the very bytes
-    of one recorded with --images all.
+    The frames are bit-identical to those of the run: the aircraft is re-simulated from the recorded
+    commands and checked against the recorded odometry. Under the same name, the new bag is
+    byte-identical to one recorded with --images all.
     """
     from taxinet_ros.cli.bag.repair import run_render
 
@@ -49,32 +49,32 @@ def replay(
     perception: Annotated[
         str | None,
         typer.Option(
-            help="another one than the run's: a word, a weights file, an .onnx network or "
+            help="replaces the run's perception: a word, weights file, .onnx network or "
             'FILE.py:NAME'
         ),
     ] = None,
     controller: OwnControllerOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar='DIR', help='new folder for picture and table, else below bags/'),
+        typer.Option(metavar='DIR', help='new folder for plot and table (default: below bags/)'),
     ] = None,
     tolerance_cte: Annotated[
         float,
         typer.Option(
-            metavar='M', help='how far cross-track estimates may be off; 0: every bit counts'
+            metavar='M', help='tolerance of cross-track estimates; 0: bit-identical'
         ),
     ] = 0.0,
     tolerance_he: Annotated[
         float,
         typer.Option(
-            metavar='DEG', help='how far heading estimates may be off; 0: every bit counts'
+            metavar='DEG', help='tolerance of heading estimates; 0: bit-identical'
         ),
     ] = 0.0,
 ) -> None:
-    """Feed a recorded run to one node; compare its answers with those recorded.
+    """Replay a recorded run into one node and compare its outputs.
 
-    The regression test for a retrained network. Frames that the bag lacks are rendered. Exit code:
-    0 equal within the tolerances, 1 different, 2 bad input, 4 the node broke.
+    Regression test for a retrained network. Missing frames are rendered. Exit code: 0 equal within
+    the tolerances, 1 different, 2 bad input, 4 the node failed.
     """
     from taxinet_ros.cli.bag.input import readable_run
     from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
@@ -92,21 +92,21 @@ def compare(
     bag: BagArgument,
     other: Annotated[Path, typer.Argument(metavar='OTHER', help='the bag to compare with')],
     tolerance: Annotated[
-        float, typer.Option(help='how far floating-point numbers may be apart; 0: every bit counts')
+        float, typer.Option(help='tolerance of floating-point values; 0: bit-identical')
     ] = 0.0,
     skip: Annotated[
         list[str] | None,
-        typer.Option(metavar='TOPIC', help='leave out (camera/image_raw, …); repeatable'),
+        typer.Option(metavar='TOPIC', help='topic to leave out (camera/image_raw, …); repeatable'),
     ] = None,
     run_id: RunOption = None,
     other_run: Annotated[
         str | None,
-        typer.Option(metavar='RUN_ID', help='which run of OTHER, where that holds several'),
+        typer.Option(metavar='RUN_ID', help='which run of OTHER, if it holds several'),
     ] = None,
 ) -> None:
-    """Find where two bags begin to differ: topic, step and field.
+    """Find the first difference between two bags: topic, step and field.
 
-    Names of runs are not compared. Exit code: 0 the same, 1 different, 2 bad input.
+    Run names are ignored. Exit code: 0 identical, 1 different, 2 bad input.
     """
     from taxinet_ros.bag.limits import read_within_limits
     from taxinet_ros.cli.bag.compare import run_compare
@@ -125,13 +125,14 @@ def golden(
         Path, typer.Argument(metavar='[DIR]', help='folder of bags', show_default=True)
     ] = Path('bags/golden'),
     update: Annotated[
-        bool, typer.Option('--update', help='show the differences, then record anew what differs')
+        bool, typer.Option('--update', help='show the differences, then re-record the bags that '
+        'differ')
     ] = False,
 ) -> None:
-    """Run the golden bags' scenes again and compare, to see what a change has changed.
+    """Rerun the scenes of the golden bags and compare, to see the effect of a change.
 
-    Where processor or libraries are others than those that the bags come from, numbers may be a
-    little apart. Exit code: 0 the same, 1 different, with --update 0 also then.
+    On another processor or library version, values may differ slightly. Exit code: 0 identical, or
+    updated with --update; 1 different.
     """
     from taxinet_ros.cli.bag.rerun import run_golden
 
@@ -141,13 +142,13 @@ def golden(
 bag_app = typer.Typer(
     rich_markup_mode=None,
     help='Inspect, check, repair and export bags. Exit codes: 0 the bag is '
-    'whole, 2 bad input, or nothing in the bag can be read, 3 something of it is lost or wrong, '
-    '4 no room for what was to be written.',
+    'whole, 2 bad input, or nothing in the bag can be read, 3 something in it is lost or wrong, 4 '
+    'no disk space for the output.',
 )
 RecordedBagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
-JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object instead')]
+JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
 
 
 @bag_app.callback(invoke_without_command=True)
@@ -158,7 +159,7 @@ def _bag(context: typer.Context) -> None:
 
 @bag_app.command()
 def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
-    """Show what is in a bag: run, scene, outcome, robustness, topics."""
+    """Show the contents of a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag.info import show_info
 
     with read_within_limits(bag):
@@ -171,14 +172,14 @@ def doctor(
     as_json: JsonOption = False,
     images: Annotated[
         bool,
-        typer.Option('--images', help='also render every camera frame once more and compare'),
+        typer.Option('--images', help='also re-render every camera frame and compare'),
     ] = False,
     run_id: RunOption = None,
 ) -> None:
-    """Check everything about a bag; say what is wrong, where, and what mends it.
+    """Check a bag; report each problem, where it is and how to repair it.
 
-    Checksums, indexes, counts, stamps, type hashes, completeness of every step, and whether the
-    verdict follows from the recorded truth.
+    Checks checksums, indexes, counts, stamps, type hashes, the completeness of every step, and the
+    verdict against the recorded truth.
     """
     from taxinet_ros.cli.bag.doctor import run_bag_doctor
 
@@ -190,12 +191,12 @@ def doctor(
 def recover(
     bag: RecordedBagArgument,
     out: Annotated[
-        Path, typer.Option(metavar='NEW', help='folder for the new bag, which must not exist')
+        Path, typer.Option(metavar='NEW', help='folder for the new bag; must not exist')
     ],
 ) -> None:
-    """Write all sound messages of a damaged or unfinished bag into a new one.
+    """Copy all intact messages of a damaged or unfinished bag to a new one.
 
-    The bag itself is never touched.
+    The original bag is never modified.
     """
     from taxinet_ros.cli.bag.repair import run_recover
 
@@ -217,7 +218,7 @@ def export(
         list[str] | None,
         typer.Option(
             metavar='TOPIC',
-            help='topic to make a table of (taxi_command, …); repeatable, default all but frames',
+            help='topic to export (taxi_command, …); repeatable (default: all except frames)',
         ),
     ] = None,
     file_format: Annotated[
@@ -226,11 +227,11 @@ def export(
     ] = None,
     run_id: RunOption = None,
 ) -> None:
-    """Make tables of topics, or a film of the run.
+    """Export topics as tables, or the run as a film.
 
-    A table has a row per message, nested fields as columns with dots. Without --topics a single
-    file gets the run's trace, a row per control step. The film shows the camera's frames with the
-    error, the estimate, the steering and the robustness interval.
+    A table has one row per message; nested fields become dotted column names. Without --topics, a
+    single file holds the run's trace, one row per control step. The film shows the camera frames
+    with error, estimate, steering and robustness interval.
     """
     from taxinet_ros.cli.bag.export import run_export
 
@@ -248,10 +249,10 @@ def split(
         Path, typer.Option(metavar='DIR', help='folder for the new bags; must be new or empty')
     ],
 ) -> None:
-    """Make a bag of each run that a recording holds, as our own recorder would have.
+    """Split a recording into one bag per run, as recorded by the recorder node.
 
-    For what ros2 bag record made: several runs in one bag, logged by the wall clock, with topics of
-    others. Each new bag is named as its run; the recording itself is never touched.
+    For bags from ros2 bag record: several runs in one bag, logged by wall-clock time, with foreign
+        topics. Each new bag is named after its run; the recording is never modified.
     """
     from taxinet_ros.cli.bag.repair import run_split
 

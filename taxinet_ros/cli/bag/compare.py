@@ -1,4 +1,4 @@
-"""``taxinet bag compare``: where two bags begin to differ, topic by topic."""
+"""``taxinet bag compare``: find the first difference of two bags on each topic."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def run_compare(one: Path, other: Path, *, tolerance: float, skip: Collection[st
         warn_of_stacks(console, *(made_on(read_info(bag)) for bag in (one, other)))
         print_comparison(console, topics, tolerance)
         if _bytes(one) == _bytes(other):
-            console.print('the files are the same byte for byte')
+            console.print('the files are byte-identical')
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
 
 def print_comparison(
     console: Console, topics: Sequence[TopicComparison], tolerance: float
 ) -> None:
-    """Print a line for every topic that differs, and what it comes to."""
+    """Print one line per differing topic, and a summary."""
     differing = [topic for topic in topics if not topic.equal]
     within = f' within {tolerance:g}' if tolerance else ''
     messages = sum(max(topic.counts) for topic in topics)
@@ -78,7 +78,7 @@ def _words(topic: TopicComparison) -> str:
 
 
 def _topics(names: Collection[str], *bags: Path) -> list[str]:
-    """Names as bags have them.
+    """Topic names as recorded in bags.
 
     Raises:
         UsageError: no bag has such a topic.

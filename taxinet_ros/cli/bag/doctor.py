@@ -23,13 +23,13 @@ from taxinet_ros.errors import ExitCode
 def run_bag_doctor(
     bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
 ) -> int:
-    """Check a bag and print what was found.
+    """Check a bag and print the findings.
 
     Args:
         bag: a run folder or an ``.mcap`` file.
         as_json: print one JSON object.
-        images: render every frame once more, and compare.
-        run: of which run, where the bag holds several.
+        images: re-render every frame and compare.
+        run: which run, if the bag holds several.
 
     Returns:
         Exit code: 0 nothing is wrong, 2 not readable, 3 something is wrong.
@@ -50,7 +50,7 @@ def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
 
 
 def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
-    """Print a line for each check, what each found, and what mends it."""
+    """Print one line per check, its findings and the repair command."""
     findings = [finding for check in checks for finding in check.findings]
     if as_json:
         print(json.dumps({
@@ -78,7 +78,7 @@ def _conclusion(findings: Sequence[Finding], bag: Path) -> str:
     lost = mends.pop('', 0)
     parts = [f'{number} mended by: {command}' for command, number in mends.items()]
     if lost:
-        parts.append(f'{lost} by nothing but running the scene again')
+        parts.append(f'{lost} only by rerunning the scene')
     return f'{len(findings)} found, {"; ".join(parts)}'
 
 
@@ -104,13 +104,13 @@ def _mend(finding: Finding, bag: Path) -> str:
 
 
 def run_results_doctor(folder: Path, *, mended: bool, as_json: bool) -> int:
-    """Check a folder, after mending it if asked, and print a line for each finding.
+    """Check a folder, after repairing it if asked, and print one line per finding.
 
     Returns:
         Exit code: 0 all is sound, 3 something is not whole.
 
     Raises:
-        UsageError: there is nothing to be checked, or somebody is at work on it.
+        UsageError: there is nothing to check, or the folder is in use.
     """
     done = mend(folder) if mended else []
     found = examine(folder, _show_bag_name)
@@ -130,7 +130,7 @@ def _results_words(found: Examination, done: list[str], folder: Path) -> str:
     mends = Counter(_mend_command(one.mend, folder) for one in found.findings)
     lost = mends.pop('', 0)
     parts = [f'{number} mended by: {command}' for command, number in mends.items()]
-    parts += [f'{lost} by nothing but making it again'] if lost else []
+    parts += [f'{lost} only by making it again'] if lost else []
     summary = f'{len(found.findings)} found; {"; ".join(parts)}' if found.findings else 'sound'
     return '\n'.join([
         *(f'mended  {line}' for line in done),

@@ -1,4 +1,4 @@
-"""``taxinet bag export``: tables of topics, or a film of the run."""
+"""``taxinet bag export``: export topics as tables, or the run as a film."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 def run_export(
     bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
 ) -> int:
-    """Write what is asked for and say where.
+    """Write the requested files and print their paths.
 
     Args:
         bag: a bag's folder or an ``.mcap`` file.
         out: file or folder.
-        topics: to make tables of; where empty, the run's trace or all topics.
-        file_format: where the name of ``out`` does not tell.
-        run: which run, where the bag holds several.
+        topics: topics to export; empty: the run's trace or all topics.
+        file_format: format, if not given by the suffix of ``out``.
+        run: which run, if the bag holds several.
 
     Returns:
-        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no room.
+        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no disk space.
 
     Raises:
         UsageError: bad input, or a topic that is not in the bag.
     """
     kind = _format(out, file_format, topics)
     _check_new(out)
-    if topics and not any(map(is_run_topic, topics)):  # Of others, as /rosout: as recorded.
+    if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.
         return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
     def export() -> int:
@@ -63,21 +63,21 @@ def _format(out: Path, named: str | None, topics: Sequence[str]) -> str:
     if kind not in (*TABLES, *FILMS):
         raise UsageError(f'export: {kind!r} is no format; known: {known}')
     if suffix and suffix != kind:
-        raise UsageError(f'--out {out}: is not named as {kind}; name it {out.stem}.{kind}')
+        raise UsageError(f'--out {out}: not a {kind} file name; use {out.stem}.{kind}')
     if kind in FILMS and not suffix:
-        raise UsageError(f'--out {out}: a film is one file; name it {out.name}.{kind}')
+        raise UsageError(f'--out {out}: a film is a single file; use {out.name}.{kind}')
     if kind in FILMS and topics:
-        raise UsageError('--topics: a film is of the run, not of topics; leave it out')
+        raise UsageError('--topics: not for a film, which shows the whole run; leave it out')
     if kind in TABLES and suffix and len(topics) > 1:
-        raise UsageError(f'--out {out}: a file takes one topic; name a folder for several')
+        raise UsageError(f'--out {out}: a file holds one topic; name a folder for several')
     return kind
 
 
 def _check_new(out: Path) -> None:
     if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: exists already and is not overwritten; name a new one')
+        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
     if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
+        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
 
 
 def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -100,7 +100,7 @@ def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -
     try:
         out.mkdir()
     except OSError as error:
-        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+        raise UsageError(f'--out {out}: cannot be created: {error.strerror}') from error
     for name, table in tables.items():
         _save(table, out / f'{name.strip("/").replace("/", ".")}.{kind}', kind)
     return ExitCode.OK
@@ -108,7 +108,7 @@ def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -
 
 def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
     if kind == 'csv':
-        # A CSV file has no other place for units.
+        # A CSV file has nowhere else to put units.
         titled = table.rename(columns=titles(table))
         make_atomically(path, lambda draft: titled.to_csv(draft, index=False))
     else:

@@ -1,4 +1,4 @@
-"""``taxinet bag info``: what is in a bag, for people or as JSON."""
+"""``taxinet bag info``: show the contents of a bag as text or JSON."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.provenance import words as stack_words
-from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.scenario_fields import clock_words, pushing_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.registry import KMWH
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
-"""No recording of runs is as long [s]."""
+"""Longest plausible recording [s]."""
 
 
 def show_info(bag: Path, *, as_json: bool) -> int:
-    """Print what a bag holds.
+    """Print the contents of a bag.
 
     Returns:
         Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
@@ -62,7 +63,7 @@ def _run_lines(
 ) -> Iterator[tuple[str, str]]:
     if facts is None:
         why = 'there is no scenario in it'
-        yield 'run', f'{words}: {why}' if words else f'none of taxinet_ros: {why}'
+        yield 'run', f'{words}: {why}' if words else f'not from taxinet_ros: {why}'
         return
     version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
     drawn = f'{facts.program}, seed {facts.seed}, index {facts.index}' if facts.program else 'alone'
@@ -72,14 +73,7 @@ def _run_lines(
     for name, judged in facts.judged.items():
         yield '', f'{name}: {judged.interval.words()}, of {judged.formula}'
     yield 'scene', scene_words(facts.scene)
-    perception = facts.nodes.get('perception')
-    if perception is not None:
-        yield 'perception', _who(perception)
-    law = facts.nodes.get('steering_controller')
-    if law is not None and is_steering_law(law.implementation):
-        yield 'gains', law.implementation or 'as shipped'
-    elif law is not None:
-        yield 'controller', _who(law)
+    yield from _node_lines(facts.nodes)
     world = facts.nodes.get('simulator')
     if world is not None and world.implementation:
         yield 'timing', world.implementation
@@ -92,9 +86,26 @@ def _run_lines(
         yield 'made on', stack_words(made_on(info)) or 'not told'
 
 
+def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
+    """Who saw, who steered, and where."""
+    perception, law = nodes.get('perception'), nodes.get('steering_controller')
+    if perception is not None:
+        yield 'perception', _who(perception)
+    if law is not None and is_steering_law(law.implementation):
+        yield 'gains', law.implementation or 'as shipped'
+    elif law is not None:
+        yield 'controller', _who(law)
+    world = nodes.get('simulator')
+    if world is not None and world.origin:
+        yield 'world', _who(world)
+    elif nodes:  # ours says nothing of itself
+        yield 'world', KMWH
+
+
 def _who(node: NodeFacts) -> str:
-    hashed = f', weights {node.fingerprint}' if node.fingerprint else ''
-    return (node.implementation or 'unnamed') + hashed
+    hashed = f', {"sha256" if node.origin else "weights"} {node.fingerprint}'
+    who = node.origin or node.implementation or 'unnamed'
+    return who + (hashed if node.fingerprint else '')
 
 
 def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:
@@ -124,15 +135,15 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 
 
 def scene_words(scene: Mapping[str, Any]) -> str:
-    """A scenario, given in the units people read, in one line."""
-    rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
+    """One-line description of a scenario in display units."""
+    rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
     return (
-        f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
-        f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
-        f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}{rain}, '
+        f'CTE {scene["cross_track_m"]:+.2f} m (left positive), HE {scene["heading_deg"]:+.1f} deg, '
+        f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
+        f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
-        f'{scene["duration"]:g} s'
+        f'{scene["duration_s"]:g} s{pushing_words(scene)}'
     )
 
 
@@ -190,7 +201,7 @@ def _plain(
 
 
 def _facts_json(facts: RunFacts) -> dict[str, Any]:
-    """What a bag tells of a run; an interval as ``lower`` and ``upper``."""
+    """Facts of a run as JSON; an interval as ``lower`` and ``upper``."""
     values = asdict(facts)
     values['judged'] = {
         name: {
@@ -204,7 +215,7 @@ def _facts_json(facts: RunFacts) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """``value`` with every number that JSON has no word for as text: ``inf``, ``-inf``, ``nan``."""
+    """``value`` with non-finite numbers as text: ``inf``, ``-inf``, ``nan``."""
     if isinstance(value, Mapping):
         return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Bags as input of commands: the one run that is meant, who flew it, and exit codes on errors."""
+"""Bags as command input: select run, perception and controller; map errors to exit codes."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from taxinet_ros.registry import CONTROLLERS, names
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
-    """Do ``work`` on ``bag``; a typed error becomes one line and an exit code.
+    """Run ``work`` on ``bag``; turn a bag error into one line and an exit code.
 
     Returns:
-        What ``work`` returned; or, after an error, INCOMPLETE where some of the bag could be saved,
-        USAGE where none could, INFRA where something could not be written.
+        The result of ``work``; after an error INCOMPLETE if part of the bag is recoverable, USAGE
+        if nothing is, INFRA if the output could not be written.
     """
     try:
         return work()
     except BagWriteError as error:
         return _complain(str(error), ExitCode.INFRA)
     except (BagTruncated, BagCorrupt) as error:
-        save = f'save what is sound: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
+        save = f'save the intact part: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
         return _complain(f'{error}; {save}', ExitCode.INCOMPLETE)
     except BagError as error:
         return _complain(str(error), ExitCode.USAGE)
@@ -48,7 +48,7 @@ def _complain(text: str, code: int) -> int:
 
 @contextlib.contextmanager
 def readable_bags() -> Iterator[None]:
-    """Make a bag that cannot be read the user's mistake, for 1 is a difference here."""
+    """Turn an unreadable bag into a usage error, since exit code 1 means a difference here."""
     try:
         yield
     except BagError as error:
@@ -57,15 +57,15 @@ def readable_bags() -> Iterator[None]:
 
 @contextlib.contextmanager
 def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
-    """A bag of one run, as our recorder makes it: this one, or a copy of what it holds of a run.
+    """Yield a bag of one run in the recorder node's layout: this one, or a copy of the run.
 
     Args:
-        bag: a bag's folder or an ``.mcap`` file, of whatever recorder.
-        run: which run, where it holds several.
+        bag: a bag's folder or an ``.mcap`` file, from any recorder.
+        run: which run, if it holds several.
 
     Raises:
-        UsageError: it holds several runs and none is named, or none of that name.
-        BagError: it cannot be read, or is damaged and not our recorder's.
+        UsageError: it holds several runs and none is named, or none has that name.
+        BagError: it cannot be read, or is damaged and from another recorder.
     """
     recording = open_recording(bag)
     if recording.plain or not recording.runs:
@@ -84,10 +84,10 @@ def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
 
 @contextlib.contextmanager
 def readable_run(bag: Path, run: str | None) -> Iterator[Recording]:
-    """:func:`one_run` for commands that do the run once more, in which 1 is a difference.
+    """:func:`one_run` for commands that repeat the run, where exit code 1 means a difference.
 
     Raises:
-        UsageError: it cannot be read, or it lies where its campaign has another run.
+        UsageError: it cannot be read, or its campaign records another run at this place.
     """
     with readable_bags(), one_run(bag, run) as whole:
         if whole.path == bag:
@@ -96,14 +96,14 @@ def readable_run(bag: Path, run: str | None) -> Iterator[Recording]:
 
 
 def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
-    """Say in a line what of machine, libraries and code differs between results that are compared.
+    """Warn in one line if compared results come from different machines, libraries or code.
 
     Args:
-        console: to print to.
-        stacks: of each result; empty where nothing tells.
+        console: console to print to.
+        stacks: of each result; empty if unknown.
     """
     if not all(stacks):
-        line = 'nothing tells with which processor and versions all of this was made'
+        line = 'processor and versions of some of these results are unknown'
     elif found := differences(*stacks):
         line = f'made on different machines or versions: {found}'
     else:
@@ -114,7 +114,7 @@ def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
 def perception_of(
     run: RecordedRun, asked: str | None, *, graph: bool = False
 ) -> tuple[str, str]:
-    """Word or file of the perception to use, and its fingerprint.
+    """Return word or file of the perception to use, and its fingerprint.
 
     Args:
         run: the recorded run.
@@ -122,12 +122,12 @@ def perception_of(
         graph: it is for a graph, so a node elsewhere does too.
 
     Raises:
-        UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
+        UsageError: the run's own is a file of unknown path; or an invalid word.
     """
     word = asked or run.perception
     if not asked and word not in perception_names():
         of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
-        kind = f'{word!r}{of}, not one of ours' if word else 'not told'
+        kind = f'{word!r}{of}, not a shipped one' if word else 'not told'
         raise UsageError(
             f"{run.request.run_id}: the run's own perception is {kind}; name one with --perception"
         )
@@ -135,7 +135,7 @@ def perception_of(
 
 
 def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -> str:
-    """Word of the controller to use.
+    """Return the word of the controller to use.
 
     Args:
         run: the recorded run.
@@ -143,7 +143,7 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
         graph: it is for a graph, so a node elsewhere does too.
 
     Raises:
-        UsageError: the run's own is somebody's, which nobody knows where to find; or a bad word.
+        UsageError: the run's own is user code of unknown path; or an invalid word.
     """
     if asked:
         check_controller(asked, graph=graph)
@@ -161,5 +161,5 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
 
 
 def perception_words(word: str, fingerprint: str) -> str:
-    """A perception for people."""
+    """Display name of a perception."""
     return f'{word} ({fingerprint[:8]})' if fingerprint else word

@@ -1,4 +1,4 @@
-"""``taxinet bag recover``, ``split`` and ``render``: write bags from what others hold."""
+"""``taxinet bag recover``, ``split`` and ``render``: write new bags from existing ones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.check.lockstep import run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
@@ -23,20 +22,21 @@ from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.version import __version__
 
 
 def run_recover(bag: Path, out: Path) -> int:
-    """Save what is sound and print what was saved and what is lost.
+    """Copy the intact messages and print what was saved and lost.
 
     Returns:
-        Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 the new
-        bag does not fit on the disk.
+        Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 no disk
+            space.
 
     Raises:
         UsageError: there is nothing at ``bag``, or something at ``out``.
     """
     if bag.is_dir() and out.resolve().is_relative_to(bag.resolve()):
-        raise UsageError(f'--out {out}: lies within the bag {bag}, which is left as it is')
+        raise UsageError(f'--out {out}: is inside the bag {bag}, which is not modified')
     return exit_code_of(bag, lambda: _recover(bag, out))
 
 
@@ -48,7 +48,7 @@ def _recover(bag: Path, out: Path) -> int:
         print(bare)
     try:
         steps = list(_steps(out))
-    except BagError:  # What is saved need not be sound as a run.
+    except BagError:  # The recovered bag may still not be a valid run.
         steps = []
     one = f', {steps[0]},' if len(steps) == 1 else ''
     print(f'saved {recovery.saved} messages{one} into {out}')
@@ -61,7 +61,7 @@ def _recover(bag: Path, out: Path) -> int:
 
 
 def _steps(bag: Path) -> Iterator[str]:
-    """How much the new bag holds of each run; nothing where it holds none of ours."""
+    """Lines on how much of each run the new bag holds."""
     recording = open_recording(bag)
     if recording.plain:
         told = [('', recording.facts, run_record(recording))]
@@ -75,7 +75,7 @@ def _steps(bag: Path) -> Iterator[str]:
     for name, fact, record in told:
         if fact is not None:
             whole = whole_steps(record, list(record.counts))
-            planned = round(fact.scene['duration'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
+            planned = round(fact.scene['duration_s'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
             ended = f', ended as {fact.outcome}' if fact.outcome else ''
             yield f'{name}{whole} whole control steps of {planned} planned{ended}'
 
@@ -83,23 +83,23 @@ def _steps(bag: Path) -> Iterator[str]:
 def _lost(recovery: Recovery) -> str:
     """One line on what is lost; empty if nothing."""
     if recovery.declared is not None and recovery.declared < recovery.saved:
-        return f'saved more messages than the {recovery.declared} that it says it holds'
+        return f'saved more messages than the {recovery.declared} declared'
     if recovery.declared is not None and recovery.declared > recovery.saved:
         return f'lost {recovery.declared - recovery.saved} of {recovery.declared} messages'
     if recovery.damage and recovery.declared is None:
-        return 'lost what was being written when the recording ended; how much, nothing tells'
-    return 'lost no message, but what stands above' if recovery.damage else ''
+        return 'lost an unknown amount of data being written when the recording ended'
+    return 'lost no message except as stated above' if recovery.damage else ''
 
 
 def run_split(bag: Path, out: Path) -> int:
-    """Write the bags, and say what came of each run.
+    """Write one bag per run and print the result of each.
 
     Returns:
-        Exit code: 0 all of them are written, 2 nothing can be read, 3 some of the recording is
-        damaged and not in them, 4 no room.
+        Exit code: 0 all are written, 2 nothing can be read, 3 damaged parts of the recording are
+            missing, 4 no disk space.
 
     Raises:
-        UsageError: ``out`` is in use, or what is recorded does not tell of a run what it was.
+        UsageError: ``out`` is in use, or the recording does not identify its runs.
     """
     check_new(out)
     return exit_code_of(bag, lambda: _split(bag, out))
@@ -113,7 +113,7 @@ def _split(bag: Path, out: Path) -> int:
     folders = {run.name: run_folder(out, run.name.replace('/', '_').replace('#', '.'))
                for run in present}
     if len(set(folders.values())) < len(folders):
-        raise BagForeign(f'{bag}: two of its runs would get one folder', path=bag)
+        raise BagForeign(f'{bag}: two of its runs would get the same folder', path=bag)
     write_runs(recording, folders)
     for run in recording.runs:
         where = f'-> {folders[run.name]}' if run.name in folders else 'nothing to write'
@@ -127,11 +127,11 @@ _MIN_FREE_BYTES = 1_000_000_000
 
 
 def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
-    """Render what is missing, in place or into a new bag, and print what came of it.
+    """Render missing frames, in place or into a new bag, and print the result.
 
     Returns:
-        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames not be had,
-        4 no room.
+        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames cannot be
+            rendered, 4 no disk space.
 
     Raises:
         UsageError: there is nothing at ``bag``, it is damaged, or ``out`` exists.
@@ -139,7 +139,9 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     def work() -> int:
         with one_run(bag, run) as whole:
             if whole.path != bag and out is None:
-                raise UsageError(f'{bag}: is not a bag of our recorder; name a new one with --out')
+                raise UsageError(
+                    f'{bag}: not from the taxinet_ros recorder; name a new bag with --out'
+                )
             return _render(whole, out)
 
     return exit_code_of(bag, work)
@@ -165,14 +167,14 @@ def _render(recording: Recording, out: Path | None) -> int:
         pass
     done = read_info(out or bag)
     console.print(
-        f'{missing - missing_frames(done)} frames rendered into {out or bag}; driven again, the '
-        'aircraft is where the bag has it at every step, to the bit', soft_wrap=True,
+        f'{missing - missing_frames(done)} frames rendered into {out or bag}; the re-simulated '
+        'aircraft matches the recorded odometry at every step, bit for bit', soft_wrap=True,
     )
     version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
     if version != __version__:
         console.print(
-            f'recorded by version {version}, rendered by {__version__}: whether the camera still '
-            f'sees the same, taxinet bag replay {out or bag} --into perception tells',
+            f'recorded by version {version}, rendered by {__version__}: check for camera changes '
+            f'with taxinet bag replay {out or bag} --into perception',
             soft_wrap=True,
         )
     return ExitCode.OK

@@ -1,4 +1,4 @@
-"""``taxinet bag replay``: one node alone on a recorded run, and how its answers have changed."""
+"""``taxinet bag replay``: replay a recorded run into one node and compare its outputs."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ _COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayOptions:
-    """What a person asked for.
+    """Options of ``taxinet bag replay``.
 
     Attributes:
-        recording: of the run.
+        recording: recording of the run.
         target: node to replay into.
-        perception: word or file; the run's own where None.
-        controller: word; the run's own where None.
-        out: new folder for picture and table; where None, one below ``bags/``.
-        tolerance_cte_m, tolerance_he_deg: how far estimates may lie from those recorded.
+        perception: word or file; None: the run's own.
+        controller: word; None: the run's own.
+        out: new folder for plot and table; None: one below ``bags/``.
+        tolerance_cte_m, tolerance_he_deg: tolerances of estimates relative to the recording.
     """
 
     recording: Recording
@@ -60,41 +60,41 @@ class ReplayOptions:
                 raise UsageError(f'--tolerance-{name} {value:g}: needs to be 0 or more')
         if self.target != interface.PERCEPTION and (any(given.values()) or self.perception):
             raise UsageError(
-                f'--into {self.target}: takes neither --perception nor a tolerance, its answers '
-                'follow exactly from what it hears'
+                f'--into {self.target}: takes neither --perception nor a tolerance; its outputs '
+                'are determined exactly by its inputs'
             )
         if self.target != interface.STEERING_CONTROLLER and self.controller:
             raise UsageError(f'--into {self.target}: takes no --controller')
 
     def tolerance(self, column: str) -> float:
-        """How far a quantity may be off, in the unit for people."""
+        """Tolerance of a quantity in its display unit."""
         return {'est_cte_m': self.tolerance_cte_m, 'est_he_rad': self.tolerance_he_deg}.get(
             column, 0.0
         )
 
     def within(self, one: Difference) -> bool:
-        """Whether a difference is tolerated; without a tolerance every bit counts."""
+        """Whether a difference is within the tolerance; without one, it must be zero."""
         allowed = self.tolerance(one.quantity.column)
         return one.first_seq is None if allowed == 0 else one.greatest <= allowed
 
 
 def run_replay(options: ReplayOptions) -> int:
-    """Replay, print a table, and write picture and numbers.
+    """Replay, print a table, and write plot and values.
 
     Returns:
         Exit code: 0 equal within the tolerances, 1 different.
 
     Raises:
         UsageError: bad input.
-        InfraError: the node broke.
+        InfraError: the node failed.
     """
     console = Console(highlight=False)
     with readable_bags():
         run, trace = options.recording.run, options.recording.columns
         if run.timing.free:
             raise UsageError(
-                f'{options.recording.path}: a free run: frames without an answer cannot be held '
-                'against answers of now; replay a run of the lockstep'
+                f'{options.recording.path}: a free run, whose unanswered frames cannot be '
+                'compared; replay a lockstep run'
             )
         word, fingerprint = run.perception, run.fingerprint
         if options.target == interface.PERCEPTION:
@@ -134,7 +134,7 @@ def _folder(run: RecordedRun, target: str, word: str) -> Path:
 
 
 def _names(run: RecordedRun, target: str, word: str, fingerprint: str) -> tuple[str, str]:
-    """What the recorded answers and those of now are called."""
+    """Labels of the recorded and the new outputs."""
     if target != interface.PERCEPTION:
         return 'recorded', 'now'
     before = perception_words(run.perception, run.fingerprint)
@@ -168,14 +168,14 @@ def _cells(one: Difference, options: ReplayOptions) -> tuple[str, ...]:
 
 def _conclusion(found: Sequence[Difference], equal: bool) -> str:
     if all(one.first_seq is None for one in found):
-        return 'the same to the bit'
+        return 'bit-identical'
     return 'the same within the tolerance' if equal else 'different'
 
 
 def _write_csv(
     found: Sequence[Difference], trace: Mapping[str, Column], path: Path
 ) -> None:
-    """Write a row per step: recorded, replayed and true values, in units for people."""
+    """Write one row per step: recorded, replayed and true values, in display units."""
     columns: dict[str, NDArray[np.generic]] = {'seq': trace['seq']}
     for one in found:
         quantity = one.quantity

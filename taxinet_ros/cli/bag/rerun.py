@@ -22,6 +22,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
@@ -39,58 +40,55 @@ from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
+from taxinet_ros.processes.interrupts import ToldInterrupt
 
 _TAKEN_BESIDE_FROM = frozenset({
     'bag', 'run_id', 'perception', 'perception_cmd', 'controller', 'controller_cmd', 'out',
     'images', 'processes',
 })
-"""Options of ``taxinet run`` that mean something beside ``--from``."""
+"""Options of ``taxinet run`` allowed with ``--from``."""
 
 
 def check_options(given: Iterable[str]) -> None:
-    """Refuse options that would make it another run.
+    """Refuse options that contradict the recorded run.
 
     Args:
-        given: parameters of ``taxinet run`` that stand on the command line.
+        given: parameters of ``taxinet run`` given on the command line.
 
     Raises:
-        UsageError: one of them makes no sense with ``--from``.
+        UsageError: one of them is not allowed with ``--from``.
     """
     names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
     for name in given:
         if name not in _TAKEN_BESIDE_FROM:
             option = names.get(name, '--' + name.replace('_', '-'))
-            raise UsageError(f'--from: the bag already says {option}')
+            raise UsageError(f'--from: {option} is taken from the bag')
 
 
 def run_again(
     recording: Recording, *, perception: str | None, controller: str | None, out: Path | None,
     images: str | None, processes: bool,
 ) -> int:
-    """Run a bag's scenario through the graph again and print how the two runs compare.
+    """Rerun a bag's scenario in the graph and print the comparison of both runs.
 
     Args:
         recording: of the run.
-        perception: word or file; the run's own where None.
-        controller: word; the run's own where None.
-        out: new folder for the new bag; where None, one below ``bags/``.
-        images: as of ``taxinet run``; where None, as the bag has it.
-        processes: every node a process of its own.
+        perception: word or file; None: the run's own.
+        controller: word; None: the run's own.
+        out: new folder for the new bag; None: one below ``bags/``.
+        images: as of ``taxinet run``; None: as in the bag.
+        processes: run every node in its own process.
 
     Returns:
-        Exit code: 0 the same run to the bit, 1 they differ.
+        Exit code: 0 bit-identical, 1 different.
 
     Raises:
         UsageError: bad input.
-        InfraError: the bench broke.
+        InfraError: infrastructure error.
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        if run.world:
-            raise UsageError(
-                f'--from: {run.request.run_id} took place in world {run.world}, in which a run '
-                'cannot be made once more'
-            )
+        recorded_world(recording.path, run)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
@@ -102,12 +100,12 @@ def run_again(
     before = perception_words(run.perception, run.fingerprint)
     now = perception_words(word, fingerprint)
     console.print(
-        f'once more {run.request.run_id}, perception {before}'
+        f'rerun of {run.request.run_id}, perception {before}'
         + (f', now {now}' if now != before else '')
         + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}', soft_wrap=True,
     )
     if run.timing.free:
-        console.print(f'a free run, which need not come out the same: {NOT_REPRODUCIBLE}',
+        console.print(f'a free run, not reproducible: {NOT_REPRODUCIBLE}',
                       soft_wrap=True)
     warn_of_stacks(console, recording.made_on, provenance())
     processes = processes or run.timing.free
@@ -120,7 +118,7 @@ def run_again(
     )
     console.print(row_line(row), soft_wrap=True)
     if result.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
+        raise ToldInterrupt
     if not result.outcome.judged:
         raise InfraError(result.kind, result.who, result.last_seq, result.detail)
     with readable_bags():
@@ -132,14 +130,14 @@ def run_again(
 
 
 def run_golden(folder: Path, *, update: bool) -> int:
-    """Run every golden scene again, print how each compares, and replace what differs if asked.
+    """Rerun every golden scene, print each comparison, and optionally replace bags that differ.
 
     Returns:
         Exit code: 0 the same, or replaced; 1 different.
 
     Raises:
         UsageError: there are no golden bags, or one cannot be read.
-        InfraError: the bench broke; nothing is replaced then.
+        InfraError: infrastructure error; nothing is replaced.
     """
     console = Console(highlight=False)
     bags = golden_bags(folder)
@@ -147,9 +145,11 @@ def run_golden(folder: Path, *, update: bool) -> int:
         runs = {bag: open_recording(bag).run for bag in bags}
     for bag, run in runs.items():
         if run.request.run_id != bag.name:
-            raise UsageError(f'{bag}: holds run {run.request.run_id}; name the folder so')
+            raise UsageError(f'{bag}: holds run {run.request.run_id}; rename the folder to match')
     if other := stack_differences(folder):
-        console.print(f'another stack than theirs: {other}', soft_wrap=True, markup=False)
+        console.print(
+            f'other software stack than the golden bags: {other}', soft_wrap=True, markup=False
+        )
     with tempfile.TemporaryDirectory(prefix='taxinet-golden-') as scratch:
         words = [
             (run, perception_of(run, None)[0], controller_of(run, None)) for run in runs.values()
@@ -172,7 +172,7 @@ def run_golden(folder: Path, *, update: bool) -> int:
             for result in changed:
                 _replace_golden(result)
             write_stack(folder)
-            console.print(f'{len(changed)} of {len(results)} golden bags recorded anew')
+            console.print(f'{len(changed)} of {len(results)} golden bags re-recorded')
             return EQUAL
     return DIFFERENT if changed else EQUAL
 

@@ -1,4 +1,4 @@
-"""``taxinet bench chaos``: what becomes of campaigns to which everything happens."""
+"""``taxinet bench chaos``: disturb campaigns at random and check that they recover."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taxinet_ros.bench.chaos import Chaos, Found, numbers
 from taxinet_ros.errors import ExitCode, UsageError
 
 CHAOS = 'chaos'
-"""What is typed in place of subjects."""
+"""Word given instead of subjects."""
 
 MINUTES = 10.0
 _OWN = ('seed', 'trials', 'trial')
@@ -26,11 +26,11 @@ def asks_for_chaos(words: Sequence[str], given: Collection[str]) -> bool:
     """Whether the words after ``taxinet bench`` ask for chaos.
 
     Raises:
-        UsageError: they ask for other things too, or the options do not belong to them.
+        UsageError: other subjects are given too, or the options do not apply.
     """
     chaos = CHAOS in words
     if chaos and len(words) > 1:
-        raise UsageError(f'bench: {CHAOS} goes alone; leave out the other subjects')
+        raise UsageError(f'bench: {CHAOS} cannot be combined with other subjects')
     allowed = {*_OWN, 'minutes', 'as_json', 'subjects'}
     wrong = set(given) - allowed if chaos else set(given) & set(_OWN)
     if wrong:
@@ -44,14 +44,14 @@ def asks_for_chaos(words: Sequence[str], given: Collection[str]) -> bool:
 def run_chaos(
     *, seed: int, minutes: float | None, trials: int | None, trial: int | None, as_json: bool
 ) -> int:
-    """Do the trials and print what came of them.
+    """Run the trials and print the results.
 
     Returns:
-        Exit code: 0 nothing broke, 4 something did.
+        Exit code: 0 no failure, 4 some trial failed.
 
     Raises:
         UsageError: bad numbers.
-        InfraError: a campaign that nobody disturbs does not end as it should.
+        InfraError: an undisturbed campaign fails.
     """
     if minutes is not None and not 0 < minutes < float('inf'):
         raise UsageError(f'bench: --minutes is {minutes:g}, needs to be more than 0')
@@ -75,7 +75,7 @@ def run_chaos(
 
 
 def _taxinet() -> list[str]:
-    """The command as people have it, which holds signals back while Python starts."""
+    """The installed command, which blocks signals while Python starts."""
     beside = Path(sys.executable).with_name('taxinet')
     here = [sys.executable, '-P', '-c', 'from taxinet_ros.cli.start import main; main()']
     return [str(beside)] if beside.exists() else here
@@ -101,5 +101,5 @@ def _print(console: Console, found: Found, folder: Path) -> None:
     first = found.broken[0][0]
     console.print(
         f'broke: {words}; to repeat one: taxinet bench chaos --seed {found.seed} --trial {first}; '
-        f'what is left of it: {folder}', soft_wrap=True,
+        f'its remains: {folder}', soft_wrap=True,
     )

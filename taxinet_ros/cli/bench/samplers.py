@@ -1,4 +1,4 @@
-"""``taxinet bench intervals`` and ``searches``: tables of how well samplers and intervals do."""
+"""``taxinet bench intervals`` and ``searches``: evaluate samplers and intervals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> in
     """Measure and print.
 
     Args:
-        samplers: words; none for the usual ones.
+        samplers: words; none for the default ones.
         repeats: searches for each sampler and failure rate.
         as_json: print JSON.
 
@@ -26,7 +26,7 @@ def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> in
         Exit code 0.
 
     Raises:
-        UsageError: an unknown sampler, or no repetition.
+        UsageError: an unknown sampler, or ``repeats`` below 1.
     """
     return run_with_progress(
         partial(measure_intervals, samplers, repeats), _print_intervals, as_json=as_json
@@ -55,9 +55,9 @@ def _print_intervals(found: dict[str, Any], console: Console) -> None:
             )
     console.print(table)
     console.print(
-        'covers: the 95 % interval holds the rate, and has that width in the median. gate: passes '
-        'when asked for the very rate, so at most 5 %. watched: the same by somebody who looks '
-        f'every {found["look"]} runs and stops when it suits', style='dim', soft_wrap=True,
+        'covers: share of 95 % intervals that contain the rate, and their median width. gate: '
+        'wrong passes at exactly the true rate, at most 5 %. watched: the same with a look every '
+        f'{found["look"]} runs and stopping at will', style='dim', soft_wrap=True,
     )
 
 
@@ -65,7 +65,7 @@ def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
     """Measure and print.
 
     Args:
-        words: samplers and landscapes; none for the usual ones.
+        words: samplers and landscapes; none for the default ones.
         repeats: searches for each landscape and sampler.
         as_json: print JSON.
 
@@ -73,7 +73,7 @@ def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
         Exit code 0.
 
     Raises:
-        UsageError: an unknown word, or no repetition.
+        UsageError: an unknown word, or ``repeats`` below 1.
     """
     return run_with_progress(
         partial(measure_searches, words, repeats), _print_searches, as_json=as_json
@@ -98,7 +98,7 @@ def _print_searches(found: dict[str, Any], console: Console) -> None:
     console.print(table)
     console.print(
         'found: searches with a failure; regions: share of the failure regions found; distinct: '
-        f'failures of another category, or {APART:g} of a dimension apart; ask: processor time',
+        f'failures that differ in category, or by {APART:g} of a dimension; ask: processor time',
         style='dim', soft_wrap=True,
     )
     for name in dict.fromkeys(one['landscape'] for one in found['searches']):

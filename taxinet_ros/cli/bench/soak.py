@@ -1,4 +1,4 @@
-"""``taxinet bench soak``: many runs, or a running process, watched for anything that grows."""
+"""``taxinet bench soak``: watch many runs, or a running process, for resource growth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import ExitCode, UsageError
 
 SOAK = 'soak'
-"""What is typed in place of subjects."""
+"""Word given instead of subjects."""
 
 MINUTES_WATCHED = 10.0
 _OWN = ('runs', 'duration', 'minutes', 'pid')
@@ -42,14 +42,14 @@ def asks_for_soak(words: Sequence[str], given: Collection[str]) -> bool:
 
     Args:
         words: the subjects.
-        given: names of the parameters that the command line sets.
+        given: names of the parameters given on the command line.
 
     Raises:
-        UsageError: they ask for other things too, or the options do not belong to them.
+        UsageError: other subjects are given too, or the options do not apply.
     """
     soak = SOAK in words
     if soak and len(words) > 1:
-        raise UsageError(f'bench: {SOAK} goes alone; leave out the other subjects')
+        raise UsageError(f'bench: {SOAK} cannot be combined with other subjects')
     wrong = set(given) - {*_OWN, 'as_json', 'subjects'} if soak else set(given) & set(_OWN)
     if wrong:
         reason = f'not with {SOAK}' if soak else f'only with taxinet bench {SOAK}'
@@ -61,7 +61,7 @@ def run_soak(
     *, runs: int | None, duration_s: float | None, minutes: float | None, pid: int | None,
     as_json: bool,
 ) -> int:
-    """Soak and print what came of it.
+    """Run the soak test and print the results.
 
     Returns:
         Exit code: 0, 1 if something grows, 130 after an interrupt.
@@ -87,9 +87,9 @@ def _check(
     runs: int | None, minutes: float | None, pid: int | None, duration_s: float | None
 ) -> None:
     if pid is not None and (runs is not None or duration_s is not None):
-        raise UsageError('bench: --pid watches what runs already; leave out --runs and --duration')
+        raise UsageError('bench: --pid watches a running process; leave out --runs and --duration')
     if duration_s is not None:
-        Scenario(duration_s=duration_s)  # says what is wrong with it
+        Scenario(duration_s=duration_s)  # raises UsageError if invalid
     if minutes is not None and not 0 < minutes < float('inf'):
         raise UsageError(f'bench: --minutes is {minutes:g}, needs to be more than 0')
 

@@ -1,4 +1,4 @@
-"""``taxinet bench``: a table of how long everything takes on this machine."""
+"""``taxinet bench``: table of timings on this machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode, UsageError
 
 _WIDTH = 100
-"""Columns of the table where it goes into a file."""
+"""Width of the table [columns] when written to a file."""
 
 
 def run_bench(
@@ -36,18 +36,18 @@ def run_bench(
     peers: str | None = None,
     guard: bool = False,
 ) -> int:
-    """Measure and print, beside an older report and other people's monitors where there are any.
+    """Measure and print, with an older report and third-party monitors for comparison if given.
 
     Returns:
-        Exit code: 1 if a guarded ratio is to be kept and is beyond its bounds, else 0.
+        Exit code: 1 with ``guard`` if a guarded ratio is out of bounds, else 0.
 
     Raises:
-        UsageError: an unknown subject, bad repeats, no report to compare with, no peers, or
-            nothing to guard.
+        UsageError: an unknown subject, bad repeats, a missing report, no peers, or nothing to
+        guard.
         InfraError: a run has no verdict.
     """
     if guard and not ({GRAPH, ALL} & set(words or [ALL])):
-        raise UsageError(f'bench: --guard guards the ratios of the graph; name {GRAPH} or {ALL}')
+        raise UsageError(f'bench: --guard checks the ratios of the graph; name {GRAPH} or {ALL}')
     before = None if old is None else load_report(old)
     with stage_bars(Console(stderr=as_json)) as show:
         report = run_subjects(
@@ -87,9 +87,9 @@ def _print(report: Report) -> None:
         part = name.split('/', 2)[2:]
         table.add_row(f'  {part[0]}' if part else name, *cells)
     console.print(table)
-    console.print('spread: between the quartiles, as a share of the median', style='dim')
+    console.print('spread: interquartile range, as a share of the median', style='dim')
     if any(figure['real_time_factor'] for figure in report['figures'].values()):
-        line = 'real time: simulated time per wall time, and per second of processor time'
+        line = 'real time: simulated time per wall-clock time, and per processor time'
         console.print(line, style='dim')
     _print_sections(console, report)
     if compared:
@@ -99,7 +99,7 @@ def _print(report: Report) -> None:
 
 
 def _print_sections(console: Console, report: Report) -> None:
-    """What was made of the figures: a control step's parts, ratios, amounts."""
+    """Print derived figures: parts of a control step, ratios, amounts."""
     if tick := report.get('tick'):
         rows = [
             [part, _time(time_s), f'{time_s / tick[WHOLE]:.0%}'] for part, time_s in tick.items()
@@ -149,7 +149,7 @@ def _cells(figure: Mapping[str, Any]) -> list[str]:
 
 
 def _time(seconds: float) -> str:
-    """A time in three digits and its unit."""
+    """Format a time with three digits and its unit."""
     for unit, size in (('s', 1.0), ('ms', 1e-3)):
         if seconds >= size:
             value = seconds / size

@@ -1,16 +1,17 @@
-"""Runs a campaign on the graph, and shows it: a progress bar, a line per run, a summary."""
+"""Run a campaign on the graph and show progress bar, one line per run, and a summary."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Self
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import (
     campaign_heading,
@@ -24,23 +25,24 @@ from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
 
 
 def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
-    """Run it to its end and print what happened.
+    """Run the campaign and print the results.
 
     Args:
         options: what to run.
-        foxglove: port of 127.0.0.1 where the Foxglove app can watch it.
+        foxglove: port on 127.0.0.1 for the Foxglove app.
 
     Returns:
-        Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 the bench broke,
-        130 interrupted.
+        Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 infrastructure
+            error, 130 interrupted.
     """
     if foxglove is not None:
         from taxinet_ros.nodes.graph.foxglove_view import check_port
@@ -50,10 +52,10 @@ def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
 
 
 def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list[RunRow]:
-    """Run a campaign and print it; the rows of its table.
+    """Run and print a campaign; return the rows of its table.
 
     Raises:
-        KeyboardInterrupt: after an interrupt, where runs are left.
+        KeyboardInterrupt: interrupted with runs left.
     """
     console = Console(highlight=False)
     with _progress(console) as progress:
@@ -70,7 +72,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             print_rows_if_lost(progress.console, campaign.rows, shown=True),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.abort),
         ):
-            graphs.check(campaign.book.facts['controller_sha256'])
+            graphs.check(campaign.book.facts)
             lines = [campaign_heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in requirement_lines(campaign.check):
@@ -84,7 +86,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
                     at_hand.graph = None
     console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
     if at_hand.interrupted and len(campaign.rows) < options.runs:
-        raise KeyboardInterrupt
+        raise ToldInterrupt if campaign.rows else KeyboardInterrupt
     return campaign.rows
 
 
@@ -109,13 +111,16 @@ def _progress(console: Console) -> Progress:
 
 
 class _Graphs:
-    """The graphs of a campaign, one after the other: a new one where the last one broke."""
+    """The graphs of a campaign, one at a time: a new one after each infrastructure error."""
 
     def __init__(self, options: CampaignOptions) -> None:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
-        self._controller_sha256 = check_controller(options.controller, options.gains, graph=True)
+        self._sha256 = {
+            'controller': check_controller(options.controller, options.gains, graph=True),
+            'world': find_world(options.world).fingerprint,
+        }
 
     def __enter__(self) -> Self:
         return self
@@ -124,12 +129,12 @@ class _Graphs:
         self._ahead.close()
 
     def make_ahead(self) -> None:
-        """Do what this process can while Scenic's starts: the first graph, and what it draws on.
+        """Start the first graph while the Scenic process starts.
 
-        ROS is imported here too, and not before: that takes as long as a third of Scenic's start.
+        ROS is imported here and not earlier: the import takes a third of Scenic's start-up time.
 
         Raises:
-            UsageError: the ROS domain set by hand is none; so no folder is made in vain.
+            UsageError: the ROS domain set by hand is invalid; raised before any folder is made.
         """
         from taxinet_ros.nodes.running.domain import domain_by_hand
 
@@ -137,24 +142,28 @@ class _Graphs:
         options = self._options
         commands = [options.perception, options.controller]
         if options.processes or any(map(command_of, commands)):
-            return  # It would leave its logs in a folder that is not there yet.
+            return  # It would write its logs to a folder that does not exist yet.
         if options.perception != GroundTruth.word or options.images == 'all':
             camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
-    def check(self, controller_sha256: str) -> None:
-        """See that the controller is the one that is on record.
+    def check(self, facts: Mapping[str, Any]) -> None:
+        """Check that controller and world still are the recorded ones.
 
         Raises:
-            UsageError: its file has changed between.
+            UsageError: a file of them has changed.
         """
-        if controller_sha256 != self._controller_sha256:
-            word = self._options.controller
-            raise UsageError(f'controller {word} has changed while the campaign began')
+        recorded = {
+            'controller': facts['controller_sha256'], 'world': recorded_world(facts)[1],
+        }
+        for role, sha256 in recorded.items():
+            if sha256 != self._sha256[role]:
+                word = getattr(self._options, role)
+                raise UsageError(f'{role} {word} changed while the campaign was starting')
 
     @contextlib.contextmanager
     def next(self) -> Iterator[Graph]:
-        """A graph for the ``with``."""
+        """Context of one graph."""
         if self._made is None:
             with self._new() as graph:
                 yield graph
@@ -167,14 +176,14 @@ class _Graphs:
         from taxinet_ros.nodes.graph.runner import campaign_graph, composed_graph, process_graph
 
         options = self._options
-        graph = campaign_graph(options, self._controller_sha256)
+        graph = campaign_graph(options, self._sha256['controller'], self._sha256['world'])
         if options.processes:
             return process_graph(graph, options.out / 'logs')
         return composed_graph(graph)
 
 
 class _Interruption:
-    """The graph that is to end its run in order when somebody interrupts."""
+    """The graph whose run is ended in order on an interrupt."""
 
     def __init__(self) -> None:
         self.interrupted = False
@@ -186,11 +195,11 @@ class _Interruption:
             self.graph.interrupt()
 
     def abort(self) -> bool:
-        """End the run at hand at once, if there is one."""
+        """Abort the current run, if any."""
         return self.graph is not None and self.graph.abort()
 
     def take(self, graph: Graph) -> None:
-        """Have a graph that may have been asked for before somebody interrupted."""
+        """Set the graph; abort at once if an interrupt came before."""
         self.graph = graph
         if self.interrupted:
             graph.interrupt()

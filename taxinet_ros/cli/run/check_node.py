@@ -1,4 +1,4 @@
-"""``taxinet check-node``: whether somebody's node keeps the contract of the lockstep."""
+"""``taxinet check-node``: test a user's node against the lockstep contract."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ def run_check(
     command: str | None, *, role: str | None, external: bool, domain: int | None, frames: int,
     patience_s: float, log: Path | None, as_json: bool,
 ) -> int:
-    """Drive a node and print what it keeps and what it breaks.
+    """Drive a node and print which clauses it keeps and breaks.
 
     Args:
         command: program and arguments as a shell splits them, or ``FILE.py:NAME``.
         role: ``perception``, ``controller``, or None to find out.
-        external: the node stands already, or a person starts it.
-        domain: ROS domain; None for one of its own.
-        frames: how many messages an ordinary run asks.
-        patience_s: how long an answer is waited for [s].
-        log: file that takes what the node printed; None where nobody wants it.
+        external: the node is started by the user.
+        domain: ROS domain; None for a free one.
+        frames: messages in an ordinary run.
+        patience_s: timeout for an answer [s].
+        log: file for the node's output; None: discard it.
         as_json: print JSON.
 
     Returns:
-        Exit code: 0, it keeps all that was tried.
+        Exit code: 0, it keeps all clauses tried.
 
     Raises:
-        UsageError: it does not, or what was typed cannot be.
+        UsageError: it breaks a clause, or an option is invalid.
     """
     if role is not None and role not in ROLES:
         raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
     if (command is None) is not external:
         raise UsageError(
-            'check-node: name a COMMAND, or say --external of a node that you start'
+            'check-node: name a COMMAND, or give --external for a node you start yourself'
         )
     if not math.isfinite(patience_s):
         raise UsageError(f'--patience {patience_s:g}: not a number of seconds')
@@ -79,11 +79,11 @@ def run_check(
 
 
 def _check_log(log: Path) -> None:
-    """Whether what the node prints can be put there, before a minute is spent on it."""
+    """Check that the log can be written, before the node is tested for a minute."""
     if log.is_dir():
         raise UsageError(f'--log {log}: is a folder; name a file')
     if not log.parent.is_dir():
-        raise UsageError(f'--log {log}: there is no folder {log.parent}')
+        raise UsageError(f'--log {log}: no such folder: {log.parent}')
     if not os.access(log if log.exists() else log.parent, os.W_OK):
         raise UsageError(f'--log {log}: cannot be written')
 
@@ -101,11 +101,11 @@ def _starter(command: str, role: str | None, scratch: Path) -> Starter:
         return command_starter(words)
     if command.endswith('.py'):
         raise UsageError(
-            f"check-node: {command}: for a node say 'python3 {command}', for a function "
-            f'{command}:NAME'
+            f"check-node: {command}: give 'python3 {command}' for a node, {command}:NAME for a "
+            "function"
         )
     if role is None:
-        raise UsageError(f'--role: {command} is a function; say perception or controller')
+        raise UsageError(f'--role: {command} is a function; give perception or controller')
     if role == 'perception':
         check_perception(command)
         return functools.partial(_start_ours, TaxinetPerception, {'weights': command}, scratch)
@@ -116,7 +116,7 @@ def _starter(command: str, role: str | None, scratch: Path) -> Starter:
 def _start_ours(
     kind: type[Any], parameters: dict[str, Any], scratch: Path, role: Role, domain: int, log: Path
 ) -> NodeProcess:
-    """The shipped node with somebody's function in it."""
+    """The shipped node with a user's function in it."""
     return NodeProcess.of_ours(
         role.node, kind, parameters, domain=domain, log=log, scratch=scratch,
     )
@@ -140,7 +140,7 @@ def _words(record: Record, findings: list[Finding]) -> str:
 def _line(one: Finding) -> str:
     text = f'{one.expected}: {one.came}'
     if one.status is Status.FAIL:
-        text = f'expected: {one.expected}; came: {one.came}; mend: {one.clause.mend}'
+        text = f'expected: {one.expected}; got: {one.came}; fix: {one.clause.mend}'
     return _wrapped(f'{one.status:<9} {one.clause.name:<{_NAME_WIDTH}} ', text)
 
 

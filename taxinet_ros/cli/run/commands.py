@@ -1,4 +1,4 @@
-"""The commands that run the graph: arguments, options and help; the work is imported later."""
+"""Commands that run the graph: arguments, options and help; implementations are imported on use."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     UntilOption,
     WorkersOption,
+    WorldOption,
     given_options,
     word_of,
 )
@@ -62,6 +63,7 @@ def run(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     settings: SetOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
@@ -77,20 +79,21 @@ def run(
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
-    Every run ends in a bag of its own, and in a row of the campaign's table. With --from the run
-    of a bag is run once more instead, and the two are compared: exit code 0 the same run to the
-    bit, 1 they differ.
+    Every run writes its own bag and a row of the campaign's table. With --from, the run of a bag is
+    rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.cli.run.campaign import run_campaign
     from taxinet_ros.errors import UsageError
 
     if bag is not None and foxglove is not None:
-        raise UsageError('--foxglove: not with --from; the bag_player shows what a bag holds')
+        raise UsageError('--foxglove: not with --from; use the bag_player to show a bag')
     if bag is not None:
         raise typer.Exit(_run_from(context, bag))
     if run_id is not None:
-        raise UsageError('--run: says which run of the bag of --from; name one, or leave it out')
+        raise UsageError(
+            '--run: selects a run of the bag given by --from; give --from, or leave --run out'
+        )
     if scenario is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
@@ -98,7 +101,7 @@ def run(
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
         controller=word_of(context, 'controller'), latency=latency or (), free=free,
-        real_time_factor=real_time_factor,
+        real_time_factor=real_time_factor, world=world,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -135,6 +138,7 @@ def falsify(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     settings: SetOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
@@ -149,11 +153,12 @@ def falsify(
 ) -> None:
     """Search a Scenic program for violating scenes.
 
-    The usual sampler goes for failures that are unlike those found, and draws every fourth run from
-    the program itself for its rates; `--sampler ce` also learns where failures are likely. Survives
-    Ctrl-C and power cuts.
+    The default sampler looks for failures unlike those already found, and draws every fourth run
+    from the program itself to estimate failure rates; `--sampler ce` also learns where failures are
+    likely. Can be resumed after Ctrl-C or power loss.
     """
     from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -161,35 +166,37 @@ def falsify(
 
     if free:
         raise UsageError(
-            '--free: not in a search, which goes by verdicts that come again, and '
-            f'{NOT_REPRODUCIBLE}; taxinet run --runs N --free draws scenes, --latency searches'
+            f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
+            'use taxinet run --runs N --free, or search with --latency'
         )
-    campaign = make_options(
-        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
-        resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'), latency=latency or (),
-    )
-    options = make_search_options(
-        campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-        resume=resume, until=until, budget_min=budget,
-    )
+    with missing_packages_named(out if resume else None):
+        campaign = make_options(
+            program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
+            settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
+            resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+            controller=word_of(context, 'controller'), latency=latency or (), world=world,
+        )
+        options = make_search_options(
+            campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
+            resume=resume, until=until, budget_min=budget,
+        )
     raise typer.Exit(run_falsify(options, quiet=quiet))
 
 
 def learned(
     folders: Annotated[
-        list[Path], typer.Argument(metavar='DIR...', help='--out of searches with ce or mab')
+        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of searches with ce or '
+        'mab')
     ],
     within: Annotated[
         list[str] | None,
         typer.Option(
-            metavar='DIMENSION=LOW:HIGH', help='how probable such values are; repeatable'
+            metavar='DIMENSION=LOW:HIGH', help='print the probability of such values; repeatable'
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
 ) -> None:
-    """Combine what searches with several seeds have learned."""
+    """Combine the learned distributions of searches with different seeds."""
     from taxinet_ros.cli.run.learned import show_learned
 
     show_learned(folders, within or (), out)
@@ -210,15 +217,17 @@ def shrink(
 ) -> None:
     """Shrink a failed run to the nearest scenario that still fails.
 
-    Takes its parameters to plain taxiing one by one, and says which of them matter.
+    Moves its parameters to nominal taxiing one by one, and reports which of them matter.
     """
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.shrink.options import make_shrink_options
     from taxinet_ros.cli.run.search import run_shrink
 
-    options = make_shrink_options(
-        run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
-        workers=workers, out=out, resume=resume, images=images, controller=controller,
-    )
+    with missing_packages_named(run.parent):
+        options = make_shrink_options(
+            run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
+            workers=workers, out=out, resume=resume, images=images, controller=controller,
+        )
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
@@ -227,9 +236,9 @@ def demo(
     runs: RunsOption = 10,
     seed: SeedOption = 1,
 ) -> None:
-    """Run ten scenes with both networks and with the truth.
+    """Run ten scenes with both networks and with ground truth.
 
-    Draws their paths and their camera frames.
+    Plots paths and camera frames.
     """
     from taxinet_ros.cli.run.demo import run_demo
 
@@ -242,6 +251,7 @@ def up(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -254,46 +264,46 @@ def up(
         list[str] | None,
         typer.Option(
             '--set', metavar='KEY=VALUE',
-            help='a gain of the controller (steering.heading_gain=1.2); repeatable',
+            help='a controller gain (steering.heading_gain=1.2); repeatable',
         ),
     ] = None,
     restart: Annotated[
         str,
         typer.Option(
             metavar='RULE',
-            help='when a node dies: on-failure starts it again, at most 3 times in 60 s; never '
-            'ends the graph',
+            help='when a node dies: on-failure restarts it, at most 3 times in 60 s; never ends '
+            'the graph',
         ),
     ] = 'on-failure',
     domain: Annotated[
         int | None,
         typer.Option(
             min=0, max=232,
-            help='ROS domain; else ROS_DOMAIN_ID, else one that no other graph of ours uses',
+            help='ROS domain (default: ROS_DOMAIN_ID, else one not used by another taxinet graph)',
         ),
     ] = None,
     namespace: Annotated[
         str,
         typer.Option(
             metavar='NAME',
-            help='prefix of every name of the graph, its clock included: two graphs with '
-            'namespaces of their own run side by side on one domain',
+            help='prefix of every name in the graph, /clock included, so that several graphs can '
+            'share a domain',
         ),
     ] = '',
     silent_after: Annotated[
         float,
         typer.Option(
             min=0.5, max=3600.0, metavar='SECONDS',
-            help='name a node that has not answered for so long; on-failure kills it after three '
-            'times that',
+            help='report a node that has not answered for this long; on-failure kills it after '
+            'three times as long',
         ),
     ] = 10.0,
 ) -> None:
-    """Start every node but the sampler, each a process, and keep them up.
+    """Start every node except the sampler in its own process and keep them running.
 
-    Another terminal has them run scenes: `ros2 run taxinet_ros scenario_sampler`, in the ROS domain
-    that is printed. Ctrl-C ends the run at hand in order, and the graph; a second one kills it.
-    Exit code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
+    To run scenes, use `ros2 run taxinet_ros scenario_sampler` in another terminal, in the ROS
+    domain printed. Ctrl-C ends the current run and the graph in order; a second one kills it. Exit
+    code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
     """
     from taxinet_ros.cli.run.up import make_up_options, run_up
 
@@ -301,7 +311,7 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor, namespace=namespace,
+        free=free, real_time_factor=real_time_factor, namespace=namespace, world=world,
     )
     raise typer.Exit(run_up(options))
 
@@ -311,42 +321,43 @@ def check_node(
         str | None,
         typer.Argument(
             metavar='COMMAND',
-            help="what starts your node, as in 'ros2 run my_pkg my_node'; or FILE.py:NAME",
+            help="command that starts your node, e.g. 'ros2 run my_pkg my_node'; or FILE.py:NAME",
         ),
     ] = None,
     role: Annotated[
         str | None,
         typer.Option(
             metavar='ROLE',
-            help='perception or controller; by default what the node seems to be',
+            help='perception or controller (default: detected from the node)',
         ),
     ] = None,
     external: Annotated[
-        bool, typer.Option('--external', help='the node is started by you, not by COMMAND')
+        bool, typer.Option('--external', help='you start the node yourself, without COMMAND')
     ] = False,
     domain: Annotated[
-        int | None, typer.Option(min=0, max=232, help='ROS domain; else one of its own')
+        int | None, typer.Option(min=0, max=232, help='ROS domain (default: a free one)')
     ] = None,
     frames: Annotated[
-        int, typer.Option(min=8, max=500, help='messages that a run asks')
+        int, typer.Option(min=8, max=500, help='number of messages in a run')
     ] = 24,
     patience: Annotated[
         float,
         typer.Option(
             min=0.1, max=3600.0, metavar='SECONDS',
-            help='how long an answer is waited for; READY three times as long',
+            help='timeout for an answer; three times as long for READY',
         ),
     ] = 10.0,
     log: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='takes what the node prints')
+        Path | None, typer.Option(metavar='FILE', help="file for the node's output")
     ] = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
-    """Drive a node of your own through the protocol, and say what it does wrong.
+    """Test your own node against the lockstep protocol.
 
-    The kit plays all other nodes: several runs of a few frames, an odd message, SIGINT and SIGTERM.
-    For each clause of the contract in docs/own_nodes.md a line: PASS, FAIL with what was expected,
-    what came and how to mend it, or not tried. Exit code: 0 nothing is broken, 2 something is.
+    The kit simulates all other nodes: several runs of a few frames, a malformed message, SIGINT and
+        SIGTERM. It prints one line per clause of the contract in docs/own_nodes.md: PASS, FAIL with
+        the expected and actual behaviour and a fix, or not tried. Exit code: 0 no clause broken, 2
+        some clause broken.
     """
     from taxinet_ros.cli.run.check_node import run_check
 
@@ -354,6 +365,23 @@ def check_node(
         command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
         log=log, as_json=as_json,
     ))
+
+
+def plugins(
+    name: Annotated[
+        str | None, typer.Argument(metavar='[NAME]', help='only what stands behind this name')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List perceptions, controllers, samplers, worlds and requirements by name.
+
+    Those that are shipped and those of installed packages, with the package's version and where
+    in it each is; also those that cannot be used, with the reason. Exit code 0; with a NAME, 2
+    where it cannot be used.
+    """
+    from taxinet_ros.cli.run.plugins import show_plugins
+
+    raise typer.Exit(show_plugins(name, as_json=as_json))
 
 
 def experiment(
@@ -366,29 +394,31 @@ def experiment(
     ],
     out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,
     runs: Annotated[
-        int | None, typer.Option(min=1, help="number of scenes, instead of the file's")
+        int | None, typer.Option(min=1, help="number of scenes (default: the file's)")
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(metavar='WORD|FILE', help="network, instead of the file's")
+        str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
     ] = None,
-    workers: Annotated[int, typer.Option(help='graphs that run at once; same results')] = 1,
+    workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
     resume: Annotated[
-        bool, typer.Option('--resume', help='continue what was interrupted in --out')
+        bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Confirm a cause: run the same scenes with and without it.
+    """Confirm a cause by running the same scenes with and without it.
 
-    Each arm of the experiment is a campaign of its own; the runs of a scene are compared in pairs.
+    Each arm of the experiment is a separate campaign; runs of the same scene are compared in pairs.
     """
     from taxinet_ros.campaign.experiment import find_experiment, read_experiment, with_network
     from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.run.search import run_experiment
     from taxinet_ros.errors import UsageError
 
     if resume and out is None:
-        raise UsageError('--resume: say with --out which experiment to continue')
-    asked = read_experiment(find_experiment(file))
+        raise UsageError('--resume: name the experiment to continue with --out')
+    with missing_packages_named(out if resume else None):
+        asked = read_experiment(find_experiment(file))
     if runs is not None:
         asked = dataclasses.replace(asked, runs=runs)
     if perception is not None:

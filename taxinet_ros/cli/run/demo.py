@@ -1,4 +1,4 @@
-"""``taxinet demo``: the same scenes with both networks and with the truth, and pictures of them."""
+"""``taxinet demo``: run the same scenes with both networks and with ground truth, and plot them."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ _SHEET_TIMES_S = (0, 3, 10)
 
 
 def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
-    """Run it and make the pictures.
+    """Run the demo and write its images.
 
     Args:
-        out: folder; where None or taken by an earlier demo, a new one beside it.
+        out: folder; None, or used by an earlier demo: a new one beside it.
         runs: scenes.
         seed: of the scenes.
 
     Returns:
-        Exit code. A network that violates the specification is what the demo shows, so it is no
-        failure of the demo; a ground truth that does is.
+        Exit code. Violations by a network are expected and no failure of the demo; violations with
+        ground truth are.
     """
     out = new_folder(out or DEFAULT_ROOT / 'demo')
     check_new(out)
@@ -59,13 +59,13 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
             contact_sheet(frames(rows, options), len(_SHEET_TIMES_S), sheet)
         print()
     picture = out / 'trajectories.png'
-    plot_trajectories(columns, picture, f'{PROGRAM}, seed {seed}: the same scenes thrice')
+    plot_trajectories(columns, picture, f'{PROGRAM}, seed {seed}: the same scenes three times')
     print(f'pictures: {picture}, {sheet}')
     return codes['truth']
 
 
 def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajectory]:
-    """The true path of every run with a bag."""
+    """True path of every run with a bag."""
     paths = []
     for row in rows:
         if row.bag:
@@ -81,7 +81,7 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
 
 
 def frames(rows: list[RunRow], options: CampaignOptions) -> list[tuple[Picture, str]]:
-    """Camera frames of every run at a few times, captioned."""
+    """Captioned camera frames of every run at a few times."""
     wanted = {time_s * NS_PER_S: time_s for time_s in _SHEET_TIMES_S}
     tiles = []
     for row in rows:

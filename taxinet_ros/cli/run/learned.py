@@ -1,4 +1,4 @@
-"""``taxinet learned``: what several searches have learned, put together."""
+"""``taxinet learned``: combine the learned distributions of several searches."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _WITHIN = re.compile(r'([^=]+)=([-+.\deE]+):([-+.\deE]+)')
 
 
 def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | None) -> None:
-    """Print what searches have learned, and draw it.
+    """Print and plot the learned distributions of searches.
 
     Args:
         folders: of the searches.
-        within: intervals to sum up the probability of, ``DIMENSION=LOW:HIGH``.
+        within: intervals whose probability to print, ``DIMENSION=LOW:HIGH``.
         out: picture to write, or None.
 
     Raises:
-        UsageError: a folder or an interval cannot be used, or the picture is there already.
+        UsageError: a folder or an interval is invalid, or the picture already exists.
     """
     if out is not None and out.exists():
-        raise UsageError(f'--out {out}: exists already; name another')
+        raise UsageError(f'--out {out}: already exists; choose a new name')
     together = LearnedTogether([LearnedResult.read(folder) for folder in folders], folders)
     asked = [_interval(text) for text in within]
     console = Console(highlight=False)
@@ -53,7 +53,7 @@ def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | Non
 
 
 def heading(together: LearnedTogether) -> str:
-    """What the searches have in common, and how many runs they made."""
+    """Heading: what the searches have in common, and their numbers of runs."""
     facts = together.results[0].facts
     runs = [int(result.facts.get('runs_made', 0)) for result in together.results]
     number = len(together.results)
@@ -107,6 +107,7 @@ def _interval(text: str) -> tuple[str, float, float]:
     except ValueError:
         ends = (1.0, 0.0)
     if not ends[0] <= ends[1]:
-        raise UsageError(f'--within {text!r}: needs to be DIMENSION=LOW:HIGH, as '
-                         'distance=1400:1600')
+        raise UsageError(
+            f'--within {text!r}: expected DIMENSION=LOW:HIGH, e.g. distance_m=1400:1600'
+        )
     return name, *ends

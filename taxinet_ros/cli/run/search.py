@@ -1,4 +1,4 @@
-"""``taxinet falsify``, ``experiment`` and ``shrink``: many runs on a pool of worker processes."""
+"""``taxinet falsify``, ``experiment`` and ``shrink``: runs on a pool of worker processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from taxinet_ros.campaign.experiment import (
     check_paired,
 )
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -70,7 +70,7 @@ _REFRESH_PER_S = 2.0
 
 @contextlib.contextmanager
 def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
-    """Show the search while the ``with`` lasts; ``shown`` False shows nothing."""
+    """Context that shows the search live; with ``shown`` False, nothing."""
     columns = (
         BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
     )
@@ -83,7 +83,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
 
 
 class _Figures(ProgressColumn):
-    """Failures, pace, time left, least robustness and failure rate; moves the bar too."""
+    """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate."""
 
     def __init__(self, search: Search) -> None:
         super().__init__()
@@ -92,7 +92,7 @@ class _Figures(ProgressColumn):
         self._before = len(search.rows)
 
     def render(self, task: Task) -> Text:
-        """The figures of this moment."""
+        """Render the current figures."""
         rows = list(self._search.rows)
         task.completed = len(rows)
         failed = sum(row.outcome is Outcome.FAIL for row in rows)
@@ -106,25 +106,25 @@ class _Figures(ProgressColumn):
             left = self._search.options.campaign.runs - len(rows)
             words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
         if rows:
-            words.append(f'least rho {least:+.2f}')
-        # Whoever watches may stop when it looks good: the interval that holds all along.
+            words.append(f'lowest rho {least:+.2f}')
+        # A viewer may stop at any time: use the interval that is valid at every look.
         found = failure_rate(rows, 0).rate
         if found is not None:
             words.append(f'failing {found.words()}')
         if self._search.interrupted:
-            words.append('ending the runs at hand')
+            words.append('ending the current runs')
         return Text('  '.join(words))
 
 
 def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
-    """Search, and print what happened.
+    """Run the search and print the results.
 
     Args:
-        options: what to do.
+        options: options of the search.
         quiet: print warnings and the summary only.
 
     Returns:
-        Exit code: 0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
+        Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
 
     Raises:
         UsageError: bad input, or every scene was rejected.
@@ -151,7 +151,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
 @contextlib.contextmanager
 def _open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
-    """An open search that prints its rows as they come, or all where its record is lost."""
+    """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
     search = Search(options, PARTICIPANTS, lambda row: _print_row(row, console, quiet=quiet))
     with print_rows_if_lost(console, search.rows, shown=shown), search:
@@ -159,15 +159,18 @@ def _open_search(options: SearchOptions, console: Console, *, quiet: bool) -> It
 
 
 def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
-    # A terminal has the bar for what goes as it should.
+    # On a terminal the bar covers normal results.
     if not quiet and not (console.is_terminal and row.outcome.judged):
         console.print(row_line(row), soft_wrap=True)
 
 
 def _run_on_workers(search: Search | Shrinking) -> None:
-    """Have worker processes make the runs that an open search asks for; Ctrl-C ends it in order."""
+    """Execute the runs of an open search on worker processes; Ctrl-C ends it in order."""
     options = search.options
-    graph = campaign_graph(options.campaign, search.book.facts['controller_sha256'])
+    facts = search.book.facts
+    graph = campaign_graph(
+        options.campaign, facts['controller_sha256'], recorded_world(facts)[1]
+    )
     with (
         interrupts(search.interrupt),
         WorkerPool(
@@ -182,11 +185,11 @@ def _run_on_workers(search: Search | Shrinking) -> None:
 def run_experiment(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool
 ) -> int:
-    """Run every arm, compare them, and print what came of it.
+    """Run every arm, compare them, and print the result.
 
     Returns:
-        Exit code: 0 done, 4 the bench broke some run, 130 interrupted; ``--resume`` goes on. No
-        comparison is written before every arm has had all its runs.
+        Exit code: 0 done, 4 infrastructure error in some run, 130 interrupted; ``--resume``
+            continues. The comparison is written only after every arm has all its runs.
 
     Raises:
         UsageError: bad input, or arms whose scenes are not the same.
@@ -201,10 +204,10 @@ def run_experiment(
         )
         search = _run_arm(options, console, first=number == 1)
         if search.interrupted and len(search.rows) < options.campaign.runs:
-            console.print('interrupted; --resume goes on')
+            console.print('interrupted; continue with --resume')
             return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
-            console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
+            console.print(f'ended: {search.stopped}; continue with --resume', soft_wrap=True)
             return ExitCode.INFRA
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
@@ -216,9 +219,9 @@ def run_experiment(
 
 
 def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
-    """Run one arm to its end, or until it is interrupted or the bench breaks.
+    """Run one arm until it is complete, interrupted, or ended by an infrastructure error.
 
-    The first one says how the requirements are understood, for they are the same in all.
+    The first arm prints how the requirements are parsed; they are the same in all arms.
     """
     with _open_search(options, console, quiet=False) as search:
         for line in requirement_lines(search.check, quiet=not first):
@@ -247,7 +250,7 @@ def _report(
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
     make_atomically(pairs, lambda draft: frame.to_parquet(draft, index=False))
-    # Two arms that change places would be sound campaigns, each with the other's name.
+    # Two swapped arms would be valid campaigns, each with the other's name.
     write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
@@ -263,10 +266,10 @@ def _report(
 
 
 def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
-    """Shrink it, write down what came of it, and print that.
+    """Shrink the run, write the result and print it.
 
     Args:
-        options: what to do.
+        options: options of the search.
         quiet: print the outcome only.
 
     Returns:
@@ -275,7 +278,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     Raises:
         UsageError: bad input, or the run does not fail again.
         InfraError: the bench broke.
-        RecordError: the record cannot be kept.
+        RecordError: the record cannot be written.
     """
     check_workers(options.workers)
     console = Console(highlight=False)
@@ -314,7 +317,7 @@ def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s:
 
 def _check_bench(shrinking: Shrinking) -> None:
     if (row := shrinking.broken) is not None:
-        detail = f'{row.detail or row.outcome} (twice in run {row.run_id}; --resume goes on)'
+        detail = f'{row.detail or row.outcome} (twice in run {row.run_id}; continue with --resume)'
         raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
 
 
@@ -324,17 +327,17 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
     assert found.original is not None
     name = options.headline
     interval = options.run.robustness.get(name)
-    before = f', it had {interval.bound_words().removeprefix("rho ")}' if interval else ''
+    before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
-        f'{options.run.run_id}: not reproduced: run again, {name} has rho '
-        f'{found.original.rho[name]:+.2f}{before}; recorded by another version, or with another '
-        'perception or other gains?'
+        f'{options.run.run_id}: not reproduced: on rerun, {name} has rho '
+        f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
+        'perception or gains?'
     )
 
 
 @contextlib.contextmanager
 def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow], None]]:
-    """What shows a run that has ended: a line of its own; in a terminal one line for them all."""
+    """Context that shows finished runs: one line each; on a terminal, one updated line."""
     live = console.is_terminal and not quiet
     with Progress(
         SpinnerColumn(), TextColumn('{task.completed} runs'), TimeElapsedColumn(),

@@ -1,4 +1,4 @@
-"""``taxinet up``: a graph that stays up, each node a supervised process, and a live table of it."""
+"""``taxinet up``: keep a graph of supervised node processes up, with a live status table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
@@ -29,6 +29,7 @@ from taxinet_ros.campaign.options import (
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
 from taxinet_ros.nodes.graph.runner import GraphOptions
@@ -44,6 +45,7 @@ from taxinet_ros.nodes.graph.supervisor import (
 )
 from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.registry import KMWH
 
 _REFRESH_PER_S = 2.0
 _STYLES = {
@@ -52,7 +54,7 @@ _STYLES = {
 
 
 class UpView:
-    """Shows one graph."""
+    """Terminal view of one graph."""
 
     def __init__(self, console: Console, options: UpOptions) -> None:
         """Show it on ``console``."""
@@ -64,7 +66,7 @@ class UpView:
 
     @contextlib.contextmanager
     def watching(self, supervisor: Supervisor, domain: int) -> Iterator[None]:
-        """Say where the graph is; a terminal gets a table that goes with it."""
+        """Print where the graph runs; on a terminal, show a live table."""
         for line in self._heading(domain):
             self.say(line)
         if not self._console.is_terminal:
@@ -82,11 +84,13 @@ class UpView:
         what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
         if self._options.remaps:
             where += f'; namespace {self._options.namespace}'
+        graph = self._options.graph
+        there = '' if graph.world == KMWH else f'; world {graph.world}'
         return [
-            f'ROS domain {domain}, {where}; perception {self._options.graph.perception}; '
+            f'ROS domain {domain}, {where}; perception {graph.perception}{there}; '
             f'{what} in {self._options.graph.out}',
             *(
-                f'for you to start, in ROS domain {domain}: a node named {name}'
+                f'start it yourself in ROS domain {domain}: a node named {name}'
                 for name, word in self._options.graph.elsewhere.items() if word == EXTERNAL
             ),
             'to run scenes, in another terminal:',
@@ -95,7 +99,7 @@ class UpView:
 
     def _invitation(self, domain: int) -> str:
         start = 'ros2 run taxinet_ros' if shutil.which('ros2') else 'taxinet node'
-        # Two nodes on one machine need not find each other where only one of them stays on it.
+        # Two nodes on one machine may not discover each other if only one is limited to it.
         reach = f'{DISCOVERY_RANGE}={os.environ[DISCOVERY_RANGE]}'
         words = f'{reach} ROS_DOMAIN_ID={domain} {start} scenario_sampler --ros-args -p runs:=10'
         if not self._options.record:
@@ -104,7 +108,7 @@ class UpView:
         return ' '.join([words, *(f'-r {rule}' for rule in self._options.remaps)])
 
     def picture(self, supervisor: Supervisor, now_s: float) -> RenderableType:
-        """The table of the nodes, and a line on the runs."""
+        """Table of the nodes, and a status line of the runs."""
         table = Table(box=None, pad_edge=False, header_style='dim')
         table.add_column('node', min_width=20)
         table.add_column('state', min_width=10)
@@ -113,7 +117,7 @@ class UpView:
         for watched in supervisor.nodes:
             table.add_row(*_row(watched, now_s))
         return Padding(Group(table, Text(), _runs(supervisor), Text(
-            'Ctrl-C ends the run at hand and the graph', style='dim',
+            'Ctrl-C ends the current run and the graph', style='dim',
         )), (1, 0, 0, 0))
 
 
@@ -135,9 +139,9 @@ def _runs(supervisor: Supervisor) -> Text:
     if runs.running:
         words = [f'run {runs.run_id}: step {runs.seq}']
     elif runs.run_id:
-        words = [f'run {runs.run_id}: getting ready']
+        words = [f'run {runs.run_id}: starting']
     else:
-        words = ['no run at hand' if supervisor.ready else 'waiting for the nodes']
+        words = ['idle' if supervisor.ready else 'waiting for the nodes']
     words += [f'{number} {outcome}' for outcome, number in sorted(dict(runs.outcomes).items())]
     return Text('   '.join(words))
 
@@ -148,34 +152,35 @@ def _span(seconds: float) -> str:
 
 _INFRA = 4
 _GONE_S = 3.0
-"""How long the graph may take to be gone after a second interrupt."""
+"""Time limit for the graph to shut down after a second interrupt."""
 
 
 def make_up_options(
     *, perception: str, controller: str, out: Path | None, record: bool, images: str,
     settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
-    namespace: str = '',
+    namespace: str = '', world: str = KMWH,
 ) -> UpOptions:
-    """Check what a person typed.
+    """Validate the options.
 
     Args:
         perception: as of :class:`.graph.GraphOptions`.
         controller: likewise.
-        out: folder of bags and logs, which must be new; where None, a new one below ``bags/``.
+        out: new folder for bags and logs; None: one below ``bags/``.
         record: whether there is a recorder.
         images: runs whose camera frames go into the bags.
         settings: ``steering.<gain>=value``.
         restart: a word of :class:`Restart`.
-        domain: ROS domain; where None, that of the environment, else one of its own.
-        silent_s: silence after which a node is named [s].
+        domain: ROS domain; None: the environment's, else a free one.
+        silent_s: silence after which a node is reported [s].
         latency: ``NAME=LATENCY`` of perception or controller.
-        free: simulated time goes by the wall clock.
-        real_time_factor: simulated seconds per second then, or ``max``.
-        namespace: of every name of the graph; '' for none.
+        free: simulated time follows the wall clock.
+        real_time_factor: simulated seconds per wall-clock second then, or ``max``.
+        namespace: namespace of every name in the graph; '' for none.
+        world: name of the world of the runs.
 
     Raises:
-        UsageError: one line on the first that is wrong.
+        UsageError: an option is invalid.
     """
     check_perception(perception, graph=True)
     if images not in IMAGES:
@@ -185,10 +190,11 @@ def make_up_options(
     overrides, gains = split_settings(settings)
     if overrides:
         raise UsageError(
-            f"--set {next(iter(overrides))}: a scenario value is the sampler's to set; here: "
+            f'--set {next(iter(overrides))}: scenario values are set by the sampler; use '
             'steering.<gain>=value'
         )
     check_controller(controller, gains, graph=True)
+    find_world(world)
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
@@ -202,6 +208,7 @@ def make_up_options(
             controller=controller,
             alone=False,
             timing=check_timing(latency, free=free, factor=real_time_factor),
+            world=world,
         ),
         record=record,
         domain=domain,
@@ -214,20 +221,23 @@ def run_up(options: UpOptions) -> int:
     """Keep the graph up until somebody stops it.
 
     Returns:
-        Exit code: that of an interrupt once it was stopped; 4 if it could not be kept up.
+        Exit code: that of the interrupt that stopped it; 4 if it could not be kept up.
     """
     view = UpView(Console(highlight=False), options)
-    stops: list[Callable[[], None]] = []
+    started: list[Supervisor] = []
 
     def stop() -> None:
-        if not stops:
+        if not started:
             raise KeyboardInterrupt
-        stops[-1]()
+        started[-1].stop()
 
-    # Every node dies with this process, so nothing is lost if the ways out of DDS take long.
-    with interrupts(stop, gone_s=_GONE_S):
+    def abort() -> bool:
+        return bool(started) and started[-1].abort()
+
+    # Every node dies with this process, so nothing is lost if DDS shuts down slowly.
+    with interrupts(stop, abort, gone_s=_GONE_S):
         try:
-            run_standing_graph(options, view, stops.append)
+            run_standing_graph(options, view, started.append)
             view.say('ended')
         except KeyboardInterrupt:
             view.say('killed')

@@ -1,4 +1,4 @@
-"""``taxinet case-study``: the paper's whole story, stage by stage."""
+"""``taxinet case-study``: reproduce the paper's case study, stage by stage."""
 
 from __future__ import annotations
 
@@ -29,17 +29,16 @@ from taxinet_ros.study.stages.stage import Stage
 
 @dataclass(frozen=True, kw_only=True)
 class CaseStudyOptions:
-    """What a person typed.
+    """Options of ``taxinet case-study``.
 
     Attributes:
-        config: file of the study, or None for the shipped one, or with ``resume`` for the study's
-            own.
-        scale, runs, images, workers: sizes, or None as the file has them.
+        config: configuration file; None: the shipped one, or with ``resume`` the study's own.
+        scale, runs, images, workers: sizes; None: the file's.
         out: folder of the study, or None for a new one.
-        resume: go on with what is there.
-        until: name of the last stage to do, or None for all.
+        resume: continue the study in ``out``.
+        until: name of the last stage to run; None for all.
         listed: print the stages only.
-        report_only: write the report of what is done only.
+        report_only: only write the report of the stages done.
         tables: folder of tables to write the report of, or None.
     """
 
@@ -57,7 +56,7 @@ class CaseStudyOptions:
 
 
 def run_case_study(options: CaseStudyOptions) -> int:
-    """Do what is asked for, and print how it goes.
+    """Run the study or the requested part, and print progress.
 
     Returns:
         Exit code: 0 done, 130 interrupted, else that of the stage that failed.
@@ -93,7 +92,7 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
 
     make_out(out)
     if not (out / STUDY_NAME).exists():
-        write_study(out, config)  # first, so that whatever is begun can be resumed
+        write_study(out, config)  # first, so that the study can be resumed from here on
     with StageLog(out) as log:
         write_study(out, config)
         show(study_heading(config, wanted, out))
@@ -106,7 +105,7 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
 
 def _config(options: CaseStudyOptions) -> StudyConfig:
     if options.resume and options.out is None:
-        raise UsageError('--resume: say with --out which case study to continue')
+        raise UsageError('--resume: name the case study to continue with --out')
     begun = options.out is not None and (
         options.resume or (options.listed and (options.out / STUDY_NAME).exists())
     )
@@ -123,7 +122,7 @@ def _config(options: CaseStudyOptions) -> StudyConfig:
 
 def _report(options: CaseStudyOptions) -> int:
     if options.out is None:
-        raise UsageError('--report-only: say with --out of which case study')
+        raise UsageError('--report-only: name the case study with --out')
     config = read_study(options.out, '--report-only')
     from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
 
@@ -133,7 +132,7 @@ def _report(options: CaseStudyOptions) -> int:
 
 
 def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
-    """What the tables say, in a new folder."""
+    """Write the report of the tables to a new folder."""
     sizes = {
         '--scale': options.scale, '--runs': options.runs, '--images': options.images,
         '--workers': options.workers, '--until': options.until, '--resume': options.resume,
@@ -153,5 +152,5 @@ def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
 
 
 def stage_command() -> list[str]:
-    """A ``taxinet`` that ends when this process goes away, however it goes."""
+    """Command line of a ``taxinet`` that ends when this process dies for any reason."""
     return module_command('taxinet_ros.cli.stage_process')

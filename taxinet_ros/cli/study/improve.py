@@ -1,4 +1,4 @@
-"""``taxinet improve``: rounds of falsification and retraining, and what each of them decided."""
+"""``taxinet improve``: rounds of falsification and retraining, and their decisions."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from taxinet_ros.study.stages.stage import Stage
 
 
 def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) -> int:
-    """Go round, and print what happens.
+    """Run the rounds and print their results.
 
     Args:
-        options: what to do; None to go on with what ``out`` was begun for.
+        options: options; None to continue with those of ``out``.
         out: folder, or None for a new one.
-        workers: processes of what is resumed.
+        workers: worker processes of a resumed loop.
 
     Returns:
         Exit code: 0 done, 130 interrupted, else that of the stage that failed.
@@ -65,17 +65,17 @@ def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) 
 
         code = Improvement(out, options, ledger, run_stages, show_round).run()
     if code == ExitCode.OK:
-        show(f'network: {out / BEST}; what each round decided: {out / ROUNDS_NAME}')
+        show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
     return code
 
 
 def _begun(
     options: ImproveOptions | None, out: Path | None, workers: int
 ) -> tuple[ImproveOptions, Path]:
-    """Options and folder of a loop begun now, or earlier."""
+    """Options and folder of a new or resumed loop."""
     if options is None:
         if out is None:
-            raise UsageError('--resume: say with --out which folder to go on in')
+            raise UsageError('--resume: name the folder to continue with --out')
         earlier = dataclasses.replace(read_options(out), workers=workers)
         if (out / START).exists():
             earlier = dataclasses.replace(earlier, start=str(out / START))
@@ -90,15 +90,15 @@ def _begun(
 
 
 def round_lines(done: Round, rounds: int) -> list[str]:
-    """What a round found and decided, for people."""
+    """Text lines on a round's findings and decision."""
     lines = [
         f'round {done.number} of {rounds}: {done.failed} of {done.searched} runs of the search '
         'failed'
     ]
     lines += [f'  cause: {words}' for words in done.causes]
-    lines += [f'  alike: {words}' for words in done.clusters]
+    lines += [f'  cluster: {words}' for words in done.clusters]
     if done.decision is None:
-        return [*lines, '  nothing to learn from; a larger --budget may find more']
+        return [*lines, '  no failures to learn from; a larger --budget may find more']
     return [*lines, *_decision_lines(done.decision)]
 
 
@@ -110,7 +110,7 @@ def _decision_lines(made: Decision) -> list[str]:
         f'{made.off_before} and {made.off_now} left the runway',
         f'  now satisfied: {100 * now.rate:.1f} % ({100 * now.low:.1f}-{100 * now.high:.1f} %); '
         f'rho {_change(made)}',
-        f'  failures more often by at most {100 * max(made.more_failures, 0):.1f} points',
+        f'  failure rate higher by at most {100 * max(made.more_failures, 0):.1f} points',
         f'  {"ACCEPTED" if made.accepted else "REJECTED"}: {made.why}',
     ]
 

@@ -1,4 +1,4 @@
-"""``taxinet camera``: frames, sheets of them, shadows, and a comparison with foreign frames."""
+"""``taxinet camera``: frames, contact sheets, shadows, and comparison with labelled frames."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, by_key, clock_words
 from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
-_AXES = {'time_of_day': '--hours', 'clouds': '--clouds', 'rain': '--rain'}
+_AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
 def save_frame(settings: Iterable[str], out: Path | None) -> None:
-    """Write the frame of one scene and say where.
+    """Write the frame of one scene and print its path.
 
     Raises:
         UsageError: bad settings, or a file that cannot be written.
@@ -54,7 +54,7 @@ def save_frame(settings: Iterable[str], out: Path | None) -> None:
 def save_sheet(
     *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None
 ) -> None:
-    """Write the sheet of one pose and say where.
+    """Write the sheet of one pose and print its path.
 
     Raises:
         UsageError: bad settings, or a file that cannot be written.
@@ -73,18 +73,18 @@ def save_sheet(
 
 
 def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
-    """Print how the aircraft's own shadow looks, hour by hour.
+    """Print the appearance of the aircraft's own shadow, hour by hour.
 
     Raises:
         UsageError: bad settings or hours.
     """
     values = read_settings(settings)
-    for key, mend in {'time_of_day': 'use --hours', 'shadows': 'leave it out'}.items():
+    for key, mend in {'time_of_day_h': 'use --hours', 'shadows': 'leave it out'}.items():
         if key in values:
             raise UsageError(f'--set {key}: varies over the table; {mend}')
     columns = _numbers('--hours', hours)
     if not columns:
-        raise UsageError(f'--hours {hours!r}: expected numbers with commas, as 13,15.5')
+        raise UsageError(f'--hours {hours!r}: expected comma-separated numbers, e.g. 13,15.5')
     print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
     print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
     for one in shadow_appearances(values, columns, turbidity):
@@ -100,10 +100,10 @@ def _ratio(value: float) -> str:
 
 
 def read_settings(settings: Iterable[str]) -> dict[str, object]:
-    """Scenario values from ``key=value`` words; the last of a key counts.
+    """Parse scenario values from ``key=value`` words; the last one per key wins.
 
     Raises:
-        UsageError: no ``key=value``.
+        UsageError: a word is not ``key=value``, or a key is given twice, by its short form too.
     """
     values: dict[str, object] = {}
     for setting in settings:
@@ -111,23 +111,23 @@ def read_settings(settings: Iterable[str]) -> dict[str, object]:
         if not (key and equals and value):
             raise UsageError(f'--set {setting!r}: expected key=value')
         values[key] = value
-    return values
+    return by_key(values)
 
 
 def new_picture(out: Path | None, stem: str) -> Path:
-    """File for a picture that is not there yet: ``out``, or one below ``bags/`` named ``stem``.
+    """Path of a new picture: ``out``, or one below ``bags/`` named ``stem``.
 
     Raises:
-        UsageError: ``out`` exists, is no PNG file, or lies in no folder.
+        UsageError: ``out`` exists, is not a PNG name, or its folder does not exist.
     """
     if out is None:
         return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
     if out.suffix.lower() != SUFFIX:
-        raise UsageError(f'--out {out}: pictures are PNG files; name it {out.stem}{SUFFIX}')
+        raise UsageError(f'--out {out}: pictures are PNG files; use {out.stem}{SUFFIX}')
     if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: exists already and is not overwritten; name a new file')
+        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
     if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
+        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
     return out
 
 
@@ -162,24 +162,28 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in _words(text))
     except ValueError:
-        raise UsageError(f'{option} {text!r}: expected numbers with commas, as 6,6.5,7') from None
+        raise UsageError(
+            f'{option} {text!r}: expected comma-separated numbers, e.g. 6,6.5,7'
+        ) from None
 
 
 def run_compare(
     folder: Path, *, perception: str, distance_offset_m: float, settings: Iterable[str],
     out: Path | None, json_wanted: bool,
 ) -> None:
-    """Measure, draw the sheet, and print what came of it.
+    """Measure, write the sheet, and print the results.
 
     Raises:
         UsageError: bad folder, labels, pictures, settings, perception or output file.
     """
     if not math.isfinite(distance_offset_m):
-        raise UsageError(f'--distance-offset {distance_offset_m}: expected a number of metres')
+        raise UsageError(
+            f'--distance-offset {distance_offset_m}: must be a finite number of metres'
+        )
     values = read_settings(settings)
     for key in POSE:
         if key in values:
-            raise UsageError(f'--set {key}: the labels of the frames say it; leave it out')
+            raise UsageError(f'--set {key}: given by the labels of the frames; leave it out')
     frames = read_labelled_frames(folder)
     scenes = comparison_scenes(frames, values, distance_offset_m)
     path = new_picture(out, f'camera-compare-{folder.resolve().name}')
@@ -210,13 +214,13 @@ def _network(word: str) -> Perception:
     perception = make_perception(word)
     if not perception.needs_image:
         raise UsageError(
-            f'--perception {word}: does not look at pictures; name taxinet or a weights file'
+            f'--perception {word}: uses no camera image; name taxinet or a weights file'
         )
     return perception
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """The figures of both quantities, for people."""
+    """Table of the errors of both quantities, in display units."""
     shown = Table('error', 'MAE', '95 % interval', 'bias', 'correlation', 'mean predictor')
     _add_row(shown, 'cross-track, m', comparison.cte_m)
     _add_row(shown, 'heading, deg', comparison.heading_error_deg)

@@ -21,18 +21,18 @@ def train(
     program: PicturesArgument = None,
     data: Annotated[
         list[Path] | None,
-        typer.Option(help='folder of labelled images, instead of a program; repeatable'),
+        typer.Option(help='folder of labelled images instead of a program; repeatable'),
     ] = None,
-    images: Annotated[int, typer.Option(help='pictures to render, one per scene')] = 12_000,
-    validation: Annotated[int, typer.Option(help='further ones held back to measure on')] = 1_500,
+    images: Annotated[int, typer.Option(help='images to render, one per scene')] = 12_000,
+    validation: Annotated[int, typer.Option(help='additional validation images')] = 1_500,
     validation_data: Annotated[
-        Path | None, typer.Option(help='folder of images to measure on, instead')
+        Path | None, typer.Option(help='folder of validation images, instead')
     ] = None,
     sampler: Annotated[
         str, typer.Option(help='how scenes are drawn: random, halton, sobol or grid')
     ] = 'random',
     validation_program: Annotated[
-        str | None, typer.Option(help='program of the scenes held back, instead')
+        str | None, typer.Option(help='program of the validation scenes, instead')
     ] = None,
     add: Annotated[
         list[str] | None,
@@ -42,32 +42,34 @@ def train(
         list[str] | None,
         typer.Option(
             metavar='CAMPAIGN=COUNT',
-            help="add places on the way of a campaign's failed runs; repeatable",
+            help="add positions along the paths of a campaign's failed runs; repeatable",
         ),
     ] = None,
     start: Annotated[
-        str | None, typer.Option(help='weights to begin from, word or file; else fresh ones')
+        str | None, typer.Option(help='initial weights, word or file (default: random)')
     ] = None,
     varied: VariedOption = False,
     augment: Annotated[
         bool,
         typer.Option(
-            '--augment', help='change exposure, focus and noise each time a picture is used'
+            '--augment', help='augment images: random exposure, focus and noise at each use'
         ),
     ] = False,
-    epochs: Annotated[int, typer.Option(help='passes over the training pictures')] = 20,
-    batch: Annotated[int, typer.Option(help='pictures per step')] = 64,
-    learning_rate: Annotated[float, typer.Option(help='highest of the schedule')] = 3e-3,
+    epochs: Annotated[int, typer.Option(help='epochs')] = 20,
+    batch: Annotated[int, typer.Option(help='batch size')] = 64,
+    learning_rate: Annotated[float, typer.Option(help='maximum learning rate of the '
+    'schedule')] = 3e-3,
     patience: Annotated[
         int,
         typer.Option(
-            help='stop after so many epochs without gain, 0 never; the best epoch is kept anyway, '
-            'and most of the gain comes at the end of the schedule'
+            help='stop after this many epochs without improvement (0: never); the best epoch is '
+            'kept anyway, and most of the improvement comes at the end of the schedule'
         ),
     ] = 0,
-    seed: Annotated[int, typer.Option(help='seed of all random choices')] = 1,
-    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
-    overwrite: Annotated[bool, typer.Option('--overwrite', help='replace what is there')] = False,
+    seed: Annotated[int, typer.Option(help='random seed')] = 1,
+    workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
+    overwrite: Annotated[bool, typer.Option('--overwrite', help='overwrite existing '
+    'output')] = False,
 ) -> None:
     """Train TaxiNet on rendered scenes or labelled images.
 
@@ -99,12 +101,12 @@ def dataset(
     ] = 'random',
     seed: SeedOption = 0,
     varied: VariedOption = False,
-    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
+    workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     resume: Annotated[
-        bool, typer.Option('--resume', help='continue what was interrupted')
+        bool, typer.Option('--resume', help='continue an interrupted command')
     ] = False,
 ) -> None:
-    """Render labelled images of scenes, to train on."""
+    """Render labelled training images of scenes."""
     from taxinet_ros.cli.training.network import run_dataset
     from taxinet_ros.training.data.dataset_folder import DatasetOptions
 
@@ -117,19 +119,19 @@ def dataset(
 def evaluate(
     program: PicturesArgument = None,
     data: Annotated[
-        Path | None, typer.Option(help='folder of labelled images, instead of a program')
+        Path | None, typer.Option(help='folder of labelled images instead of a program')
     ] = None,
     perception: PerceptionOption = 'taxinet',
-    images: Annotated[int, typer.Option(help='pictures to render, one per scene')] = 2_000,
+    images: Annotated[int, typer.Option(help='images to render, one per scene')] = 2_000,
     seed: Annotated[
-        int, typer.Option(min=0, help='of the scenes; another than that of the training')
+        int, typer.Option(min=0, help='seed of the scenes; must differ from that of the training')
     ] = 2,
-    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
+    workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
     """Measure a network's errors on single frames.
 
-    On rendered scenes by light and place, or on a folder of labelled images.
+    On rendered scenes, by light and position, or on a folder of labelled images.
     """
     from taxinet_ros.cli.training.network import run_evaluate
 
@@ -141,21 +143,22 @@ def evaluate(
 
 camera_app = typer.Typer(
     rich_markup_mode=None,
-    help='Render camera frames, and compare them with labelled ones.',
+    help='Render camera frames, and compare them with labelled images.',
 )
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         '--set', metavar='KEY=VALUE',
-        help='a scenario value (cross_track=-3, heading=10, distance=900, time_of_day=16, '
-        'clouds=broken, rain=50, shadows=off, date=2020-06-21, …); repeatable',
+        help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
+        'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
+        'repeatable',
     ),
 ]
 OutOption = Annotated[
     Path | None,
     typer.Option(
         metavar='FILE.png',
-        help='picture to write, which must be new; without it, a new one below bags/',
+        help='picture to write; must be new (default: below bags/)',
     ),
 ]
 
@@ -168,7 +171,7 @@ def _camera(context: typer.Context) -> None:
 
 @camera_app.command()
 def frame(settings: SetOption = None, out: OutOption = None) -> None:
-    """Photograph one scene: the first frame of a run of it, 360x200."""
+    """Render the first camera frame of a run of one scene, 360x200 pixels."""
     from taxinet_ros.cli.training.camera import save_frame
 
     save_frame(settings or (), out)
@@ -176,15 +179,16 @@ def frame(settings: SetOption = None, out: OutOption = None) -> None:
 
 @camera_app.command()
 def sheet(
-    hours: Annotated[str, typer.Option(help='local hours, as 6,6.5,7; a column each')] = '',
-    clouds: Annotated[str, typer.Option(help='cloud kinds, as clear,broken; a row each')] = '',
+    hours: Annotated[str, typer.Option(help='local hours, e.g. 6,6.5,7; one column each')] = '',
+    clouds: Annotated[str, typer.Option(help='cloud kinds, e.g. clear,broken; one row each')] = '',
     rain: Annotated[
-        str, typer.Option(help='rain in percent, as 0,25,100; a row each under every rain cloud')
+        str, typer.Option(help='rain in percent, e.g. 0,25,100; one row each under every rain '
+        'cloud')
     ] = '',
     settings: SetOption = None,
     out: OutOption = None,
 ) -> None:
-    """Photograph one pose at many hours under many skies, on one sheet."""
+    """Render one pose at many hours and skies on one contact sheet."""
     from taxinet_ros.cli.training.camera import save_sheet
 
     save_sheet(hours=hours, clouds=clouds, rain=rain, settings=settings or (), out=out)
@@ -193,18 +197,18 @@ def sheet(
 @camera_app.command()
 def shadow(
     hours: Annotated[
-        str, typer.Option(help='local hours, as 13,15.5; each a line')
+        str, typer.Option(help='local hours, e.g. 13,15.5; one line each')
     ] = '12,12.5,13,13.5,14,15,16,17,17.5',
     turbidity: Annotated[
-        float, typer.Option(help="Linke's, of the clear day compared with: 3.3 is the place's in "
-                            'March, 2 very clear, 5 hazy', min=1.5, max=10.0)
+        float, typer.Option(help="Linke turbidity of the clear-sky reference: 3.3 is the place's "
+        "in March, 2 very clear, 5 hazy", min=1.5, max=10.0)
     ] = 3.3,
     settings: SetOption = None,
 ) -> None:
-    """Tell when the aircraft's own shadow is in the picture, how dark it is, and what physics says.
+    """Report when the aircraft's own shadow is in the picture, and how dark compared with physics.
 
-    In the first frame of a run under a clear sky, unless --set says otherwise. The ratios are of
-    light, shaded ground over sunlit ground: 0 is black, 1 no shadow at all.
+    For the first frame of a run under a clear sky, unless changed by --set. Ratios are light on
+    shaded over light on sunlit ground: 0 is black, 1 no shadow.
     """
     from taxinet_ros.cli.training.camera import print_shadow
 
@@ -217,8 +221,8 @@ def compare(
         Path,
         typer.Argument(
             metavar='DIR',
-            help='frames and their labels.csv: image, cte_m, heading_error_deg (left positive), '
-            'distance_m along the runway',
+            help='folder of frames with labels.csv: image, cte_m, heading_error_deg (left '
+            'positive), distance_m along the runway',
         ),
     ],
     perception: Annotated[
@@ -228,21 +232,21 @@ def compare(
         float,
         typer.Option(
             metavar='M',
-            help='our distance is theirs plus this; ours counts from the threshold of runway 04 '
-            'at 47.196736,-119.332917, the published ULI frames count from '
-            '47.196890,-119.33260: 29.5 m farther on',
+            help='offset added to their distance_m to get ours; ours is measured from the '
+            'threshold of runway 04 at 47.196736,-119.332917, that of the published ULI frames '
+            'from 47.196890,-119.33260, 29.5 m farther on',
         ),
     ] = 0.0,
     settings: SetOption = None,
     out: OutOption = None,
     json: Annotated[
-        bool, typer.Option('--json', help='print one JSON object with all frames instead')
+        bool, typer.Option('--json', help='print one JSON object with all frames')
     ] = False,
 ) -> None:
-    """Measure the network on labelled frames, and picture them beside ours of the same poses.
+    """Measure the network on labelled frames, shown beside rendered frames of the same poses.
 
-    Our pictures have the light of the published frames, 9:04 under a clear sky, unless --set says
-    otherwise.
+    Rendered frames have the light of the published ones, 9:04 under a clear sky, unless changed by
+    --set.
     """
     from taxinet_ros.cli.training.camera import run_compare
 

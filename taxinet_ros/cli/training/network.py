@@ -1,4 +1,4 @@
-"""``taxinet dataset``, ``train`` and ``evaluate``: labelled images, a network, its errors."""
+"""``taxinet dataset``, ``train`` and ``evaluate``: make images, train a network, measure it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.weights import card_path
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.interrupts import ToldInterrupt
 from taxinet_ros.training.data.dataset_folder import LABELS, REQUEST, DatasetOptions, write_dataset
 from taxinet_ros.training.evaluation import (
     SliceErrors,
@@ -27,16 +28,17 @@ from taxinet_ros.training.train import train
 
 
 def run_dataset(options: DatasetOptions) -> None:
-    """Make it or go on with it, and say what is there now."""
+    """Make or continue a dataset, and print its state."""
     try:
         with stage_bars(Console()) as show:
             rendered = write_dataset(options, show)
     except KeyboardInterrupt:
         if (options.out / REQUEST).exists():
             Console(stderr=True).print(
-                f'interrupted; what is in {options.out} stays, continue with --resume',
+                f'interrupted; images in {options.out} are kept, continue with --resume',
                 soft_wrap=True, highlight=False,
             )
+            raise ToldInterrupt from None
         raise
     Console(highlight=False).print(
         f'{options.count} images in {options.out}, {rendered} of them rendered now; labels: '
@@ -46,7 +48,7 @@ def run_dataset(options: DatasetOptions) -> None:
 
 
 def run_train(options: TrainOptions) -> None:
-    """Train, with a bar per stage, and print the errors on the pictures held back."""
+    """Train, with a bar per stage, and print the errors on the validation images."""
     console = Console(highlight=False)
     with stage_bars(console) as show:
         card = train(options, show)
@@ -76,11 +78,11 @@ def run_evaluate(
     """Measure a perception on a program's scenes or a folder's images, and print the errors.
 
     Raises:
-        UsageError: both or neither given, or something that cannot be used.
+        UsageError: both or neither given, or one is unusable.
         InfraError: a worker process died, or the simulator failed.
     """
     if (program is None) == (folder is None):
-        raise UsageError('evaluate: name either a program or --data, what to look at')
+        raise UsageError('evaluate: give either a program or --data')
     looker = image_perception(perception)
     with stage_bars(Console(stderr=as_json)) as show:
         if folder is not None:

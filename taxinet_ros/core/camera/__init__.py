@@ -1,1 +1,1 @@
-"""The camera: ground, sky, light, rain and the parts of the aircraft in one picture."""
+"""Camera model: ground, sky, light, rain and aircraft parts in one image."""

@@ -1,4 +1,4 @@
-"""The aircraft in its own picture: its shadow, and cowling, gear leg and wheel at the left edge."""
+"""Visible parts of the own aircraft: shadow, and cowling, gear leg and wheel at the left edge."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from taxinet_ros.core.camera.light import GAMMA, Light, display_code
 
 Vectors = NDArray[np.float64]
 Mask = tuple[slice, slice, NDArray[np.uint8]]
-"""Rows and columns of the picture, and there 255 for full shade, soft at the edge."""
+"""Slices of rows and columns of the image, and the shade there (255: full), soft at the edge."""
 LOWEST_SUN_RAD = math.radians(1.0)
 """Below this the shadow is longer than the runway is wide and fainter than the sky's light."""
 _NEAREST_M = 0.2
 _THROW = 0.5
-"""How far a shadow falls, as a share of its distance from the camera: a typical value."""
+"""Typical length of the shadow's fall, as a share of its distance from the camera."""
 _FARTHEST_PX = 4000.0
 _SHIFT = 4
-"""OpenCV draws in whole numbers: of sixteenths of a pixel."""
+"""OpenCV draws with integer coordinates: sixteenths of a pixel."""
 
 
 def _prism(
@@ -74,16 +74,16 @@ _STARTS = np.cumsum([0, *(len(part) for part in OUTLINE[:-1])]).tolist()
 
 
 class OwnShadow:
-    """Where the aircraft's shadow lies in pictures, for one place of the sun."""
+    """Shadow of the aircraft in images, for one position of the sun."""
 
     def __init__(
         self, sun: Vectors, sun_width_rad: float, intrinsics: Vectors, height: int, width: int
     ) -> None:
-        """Prepare for pictures of ``height`` by ``width`` pixels.
+        """Prepare for images of ``height`` by ``width`` pixels.
 
         Args:
             sun: unit vector towards the sun in ``map``; its z is positive.
-            sun_width_rad: how wide the sun looks; it sets the width of the penumbra [rad].
+            sun_width_rad: angular width of the sun, which sets the width of the penumbra [rad].
             intrinsics: camera matrix (3, 3).
             height: of the pictures [px].
             width: of the pictures [px].
@@ -97,7 +97,7 @@ class OwnShadow:
     def mask(
         self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
     ) -> Mask | None:
-        """The shadow in the picture; None where none is in view.
+        """The shadow in the image; None if not in view.
 
         Args:
             body: rotation from the body frame to ``map`` (3, 3).
@@ -127,7 +127,7 @@ class OwnShadow:
 HEIGHT, WIDTH = 200, 56
 _FINE = 4
 _FLANK = (0.15, -0.75, 0.64)
-"""Where the cowling's flank faces, in the body frame: right and up."""
+"""Normal of the cowling's flank in the body frame: right and up."""
 _YAW_STEP_RAD = math.radians(2.0)
 _CREAM = (250, 243, 229)
 _COWLING = (
@@ -166,7 +166,7 @@ def _drawing() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     _rivets(colour)
     shaded = _rounded(colour.astype(np.float64))
     coverage = opacity.astype(np.float64) / 255
-    # Colours are averaged with their opacity so that the background of the drawing stays out.
+    # Colours are averaged with their opacity to exclude the background of the drawing.
     weight = cv2.resize(coverage, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)[:, :, None]
     mixed = cv2.resize(shaded * coverage[:, :, None], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
     return mixed / np.maximum(weight, 1e-6), np.asarray(weight, np.float64)
@@ -174,21 +174,21 @@ def _drawing() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @cache
 def _albedo() -> NDArray[np.float64]:
-    """Share of the light that the parts send back, (HEIGHT, WIDTH, 3)."""
+    """Albedo of the parts, (HEIGHT, WIDTH, 3)."""
     colour, _ = _drawing()
     return np.asarray((colour / 255) ** GAMMA, np.float64)
 
 
 @cache
 def _behind() -> NDArray[np.uint8]:
-    """Share of what is behind that is seen, (HEIGHT, WIDTH, 3), in 255ths."""
+    """Transparency, (HEIGHT, WIDTH, 3), in 255ths."""
     _, opacity = _drawing()
     return np.rint(np.repeat(255 * (1 - opacity), 3, axis=2)).astype(np.uint8)
 
 
 @cache
 def hidden_columns() -> NDArray[np.int32]:
-    """How many columns at the left of each row of a picture the parts cover wholly, (HEIGHT,)."""
+    """Number of columns at the left of each image row fully covered by the parts, (HEIGHT,)."""
     seen = np.pad(_behind().any(axis=2), ((0, 0), (0, 1)), constant_values=True)
     columns: NDArray[np.int32] = seen.argmax(axis=1).astype(np.int32)
     columns.flags.writeable = False
@@ -246,19 +246,19 @@ def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class AirframeView:
-    """The aircraft's parts in one scenario's light, ready to be laid over pictures."""
+    """The aircraft's parts in one scenario's light, to be drawn over images."""
 
     def __init__(self, light: Light) -> None:
-        """Keep the light; the parts are lit when a heading first asks for them."""
+        """Store the light; the parts are lit on first use of a heading."""
         self._light = light
         _, self._opacity = _drawing()
         self._lit: dict[int, NDArray[np.uint8]] = {}
 
     def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
-        """Put the parts over ``picture`` (200, 360, 3), in place.
+        """Draw the parts over ``picture`` (200, 360, 3), in place.
 
         Args:
-            picture: of the ground and sky.
+            picture: image of ground and sky.
             yaw_rad: heading of the aircraft in ``map``; it turns the parts in the sun, in steps.
         """
         step = round(yaw_rad / _YAW_STEP_RAD)

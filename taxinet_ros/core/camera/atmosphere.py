@@ -1,4 +1,4 @@
-"""What lies between the ground and the lens: haze, mirrored sky, glare, the skyline, and rain."""
+"""Haze, mirrored sky, glare, skyline and rain between ground and lens."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from taxinet_ros.core.camera.light import Light
 _SHEET_HEIGHT, _SHEET_WIDTH = 400, 720
 _SLANT = 0.12
 _LEVELS = 20
-"""Steps of intensity. A process keeps a sheet of each, a quarter of a megabyte: they take 0.1 s to
-draw, and the scenes of a campaign need all of them."""
+"""Number of intensity steps. A process caches one sheet (0.25 MB) per step: drawing takes 0.1 s,
+and a campaign needs all of them.
+"""
 _MASK64 = (1 << 64) - 1
 
 
@@ -41,7 +42,7 @@ class RainSheet:
         self._size = (height, width)
 
     def at(self, stamp_ns: int) -> NDArray[np.uint8]:
-        """Light to add at a stamp, (height, width, 3); a view, not to be written to."""
+        """Light to add at a stamp, (height, width, 3); a read-only view."""
         height, width = self._size
         bits = scramble(stamp_ns)
         top = bits % (_SHEET_HEIGHT - height + 1)
@@ -72,7 +73,7 @@ def _streaks(level: int) -> NDArray[np.uint8]:
 
 _WATER_SHARE = 0.55
 _SPRAY_SHARE = 0.16
-"""Share of the picture that full rain veils evenly: spray in the air and drops on the lens."""
+"""Uniform veil of full rain, as a share: spray in the air and drops on the lens."""
 _SPARSE_PX = 15
 """Distance of the columns for which directions are computed; between them, interpolation errs by
 less than a tenth of the panorama's columns. It divides the picture's width."""
@@ -83,10 +84,10 @@ _GLARE_TINT = (1.0, 0.84, 0.58)
 
 
 class Atmosphere:
-    """Makes pictures of the ground in a scenario's light, air, water and sky."""
+    """Renders the ground in a scenario's light, haze, water and sky."""
 
     def __init__(self, light: Light, height: int, width: int) -> None:
-        """Prepare for pictures of ``height`` by ``width`` pixels in one scenario's light."""
+        """Prepare for images of ``height`` by ``width`` pixels in one scenario's light."""
         self._size = height, width
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
@@ -118,14 +119,14 @@ class Atmosphere:
         height_m: float,
         picture: NDArray[np.uint8],
     ) -> None:
-        """Make a picture of the lit ground and lay air, water, glare and skyline over it.
+        """Light the ground and add haze, water, glare and skyline.
 
         Args:
             ground: its daylight colours, (height, width, 3).
-            curve: what becomes of them in the scenario's light, (256,).
+            curve: their display codes in the scenario's light, (256,).
             rays: homogenous pixel to a direction in ``map``, (3, 3).
             height_m: the camera's height above ground [m].
-            picture: where the picture is to be, (height, width, 3).
+            picture: output image, (height, width, 3).
         """
         pixels.develop(ground, curve, *self._air.veil(rays, height_m, *self._size), picture)
         shine = self._air.shine(rays, *self._size) if self._glares else None

@@ -1,4 +1,4 @@
-"""The wing camera: where it sits, how it projects, and what it photographs.
+"""The wing camera: mounting, projection and rendering.
 
 Calibrated on the published X-Plane pictures: a 1920x1080 screen with a focal length of 1,125 px and
 the principal point in its middle, cut to the 1720x960 region at (100, 100), without its top 230
@@ -40,12 +40,12 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion, quaternion_product
 
 Mark = Callable[[str], None]
-"""Is told the name of every stage of a picture at its end, by whoever measures them."""
+"""Callback with the name of every finished rendering stage, for benchmarks."""
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 
 STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe')
-"""Stages of a picture, in their order."""
+"""Rendering stages in order."""
 
 _SCREEN_FOCAL_PX = 1125.0
 _COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
@@ -76,7 +76,7 @@ def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.fl
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """Where a camera sits on the aircraft, and where it looks.
+    """Position and attitude of a camera on the aircraft.
 
     Attributes:
         offset_m: camera in the body frame (x forward, y left, z up) from the reference point [m].
@@ -132,11 +132,11 @@ def pose(
 def project(
     state: AircraftState, points_map: NDArray[np.floating], mount: Mount = WING_MOUNT
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where points in ``map`` lie in the picture.
+    """Project points in ``map`` into the image.
 
     Takes (N, 3) points [m]; gives (N, 2) pixels (u, v) and (N,) depths along the optical axis [m].
 
-    A pixel means something only where the depth is positive.
+    Pixels are valid only for positive depth.
     """
     _, to_optical, camera = pose(state, mount)
     points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
@@ -146,7 +146,7 @@ def project(
 
 
 def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Take the light table of three channels apart: one curve for all, and a gain before it.
+    """Split the light table of three channels into one common curve and a gain before it.
 
     Every channel's display code is the same function of albedo times irradiance, and albedo is a
     power of the ground's code; so the channels' tables differ by the scale of their argument only.
@@ -168,7 +168,7 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
 
 
 def prepare() -> None:
-    """Make ahead what all cameras of a process share; else the first one takes the time."""
+    """Build the data shared by all cameras of a process ahead of the first camera."""
     ground_atlas()
     grain_atlas()
 
@@ -180,16 +180,16 @@ class Camera:
         self, scenario: Scenario, ground: NDArray[np.uint8] | None = None, *,
         mount: Mount = WING_MOUNT, runway: Runway = KMWH_04,
     ) -> None:
-        """Work out everything that the scenario fixes; textures are made once per process.
+        """Precompute everything fixed by the scenario; textures are made once per process.
 
         Args:
-            scenario: whose light and weather it is.
+            scenario: scenario with light and weather.
             ground: atlas of another look of the ground
                 (:mod:`taxinet_ros.core.camera.ground.atlas`), which then also decides whether
                 there is a crossing.
-            mount: where it sits; the aircraft's own parts in the picture, and what of the ground
-                they hide, are those of the wing's.
-            runway: whose sun it is; its paint is the atlas's.
+            mount: mounting; the aircraft parts in the image, and the ground they hide, are always
+            those of the wing mount.
+            runway: runway that defines the sun's position; its paint comes from the atlas.
         """
         self._mount = mount
         self._light = scenario_light(scenario, runway)
@@ -219,12 +219,12 @@ class Camera:
     def render(
         self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
     ) -> NDArray[np.uint8]:
-        """Photograph the scene from ``state``.
+        """Render the scene from ``state``.
 
         Args:
             state: the aircraft's true state.
             stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
-            mark: is told the name of every stage that there was, of :data:`STAGES`, at its end.
+            mark: called with the name of each of :data:`STAGES` when it ends.
 
         Returns:
             (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
@@ -254,7 +254,7 @@ class Camera:
         return picture
 
     def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
-        """Darken the ground where the aircraft keeps the sun off it."""
+        """Darken the ground in the aircraft's shadow."""
         if shadow is None:
             return
         rows, columns, mask = shadow

@@ -1,8 +1,8 @@
-"""Light and weather of one scenario: the sun, what the ground receives, shade of single clouds.
+"""Light and weather of a scenario: sun, irradiance of the ground, shade of single clouds.
 
-Where the sun stands over the runway comes from the library astral (NOAA's equations, with
-refraction); from it and the weather follow what the ground receives and what the camera makes of
-it. Under single clouds sun and shade drift by as the aircraft rolls along.
+The sun's position comes from the library astral (NOAA's equations, with refraction); irradiance and
+exposure follow from it and the weather. Under single clouds sun and shade drift by as the aircraft
+rolls along.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def sun_position(
     Args:
         date: ISO date.
         time_of_day_s: local standard time after midnight [s]; there is no daylight saving.
-        runway: where it is looked up from.
+        runway: runway of the observer.
 
     Raises:
         UsageError: the date or the time cannot be read.
@@ -62,7 +62,7 @@ def sun_direction(
 Colour = NDArray[np.float64]
 GAMMA = 2.2
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""What linear red, green and blue (sRGB's) have of brightness."""
+"""Luminance weights of linear sRGB red, green and blue."""
 _OPTICAL_DEPTH = np.array([0.09, 0.17, 0.36])
 _SKY_BLUE = np.array([0.80, 0.94, 1.12])
 _DAWN_GLOW = np.array([1.35, 0.92, 0.70])
@@ -74,7 +74,7 @@ _SHOULDER = 0.8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Cloud:
-    """Photometry of a cloud kind: shares of the clear sky's light, tint, and how far one sees.
+    """Photometry of a cloud kind: shares of the clear sky's light, tint and visibility.
 
     The sun is half a degree wide; thin cloud before it scatters its light forwards, into a glow.
     """
@@ -112,7 +112,7 @@ _CLOUDS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Light:
-    """What falls on the level ground, times the exposure.
+    """Irradiance of level ground, times the exposure.
 
     Attributes:
         sun: unit vector towards the sun in ``map``, (3,).
@@ -120,7 +120,7 @@ class Light:
         direct: irradiance from the sun's disc on level ground, RGB, after exposure.
         diffuse: irradiance from the sky on level ground, RGB, after exposure.
         sky_low, sky_high: display colour 0..255 of the sky at the horizon and 15 deg up.
-        sun_width_rad: how wide the sun looks, with its glow in the clouds [rad].
+        sun_width_rad: angular width of the sun, including glow in the clouds [rad].
         visibility_m: distance at which haze leaves 1/e of a contrast [m].
         wetness: 0 dry .. 1 under water film.
         rain: intensity 0..1.
@@ -145,17 +145,17 @@ class Light:
         return self.direct + self.diffuse
 
     def shade_factor(self, sun_share: float = 1.0) -> Colour:
-        """Display-code factor of ground that loses the sun, RGB, 0..1.
+        """Display-code factor of ground in cloud shade, RGB, 0..1.
 
         Args:
-            sun_share: share of the beam that the clouds overhead had let through, 0..1.
+            sun_share: share of the beam transmitted by the clouds overhead, 0..1.
         """
         factor: Colour = (self.diffuse / (self.diffuse + sun_share * self.direct)) ** (1 / GAMMA)
         return factor
 
 
 def air_mass(elevation_rad: float) -> float:
-    """Relative optical air mass (Kasten and Young 1989); below the horizon as at it."""
+    """Relative optical air mass (Kasten and Young 1989); constant below the horizon."""
     degrees = max(math.degrees(elevation_rad), 0.0)
     sine = math.sin(math.radians(degrees))
     return float(1 / (sine + 0.50572 * (degrees + 6.07995) ** -1.6364))
@@ -189,7 +189,7 @@ def _clear(elevation_rad: float) -> tuple[Colour, Colour]:
     """Direct and diffuse irradiance of level ground under a clear sky, RGB."""
     sine = max(math.sin(elevation_rad), 0.0)
     direct = sine * np.exp(-_OPTICAL_DEPTH * air_mass(elevation_rad))
-    # Civil twilight loses a factor of ten for every 3 degrees that the sun sinks.
+    # In civil twilight, light drops by a factor of ten per 3 degrees of sun depression.
     dusk = 10.0 ** (min(math.degrees(elevation_rad), 0.0) / 3.0)
     low = math.exp(-max(math.degrees(elevation_rad), 0.0) / 8.0)
     tint = _SKY_BLUE + (_DAWN_GLOW - _SKY_BLUE) * 0.8 * low
@@ -215,14 +215,14 @@ def _sky(
     """Display colours of the sky at the horizon and 15 degrees above it."""
     clear = cloud.clear_diffuse
     grey = float(LUMINANCE @ diffuse) * np.array(cloud.tint)
-    # A sky as a lamp: level ground under radiance L receives L (in units where white reflects it).
+    # Level ground under a uniform sky of radiance L receives L (in units where white reflects it).
     horizon = clear * (0.35 * direct + 2.6 * diffuse) + (1 - clear) * 1.15 * grey
     above = clear * 2.4 * diffuse * np.array([0.80, 0.98, 1.12]) + (1 - clear) * 1.25 * grey
     return display_code(horizon), display_code(above)
 
 
 def display_code(linear: Colour) -> Colour:
-    """Display code 0..255 of a linear exposure, 1 = white; it bends in above 0.8."""
+    """Display code 0..255 of a linear exposure, 1 = white; compressed above 0.8."""
     over = np.maximum(linear - _SHOULDER, 0)
     bent = np.minimum(linear, _SHOULDER) + (1 - _SHOULDER) * (1 - np.exp(-over / (1 - _SHOULDER)))
     code: Colour = 255 * np.maximum(bent, 0) ** (1 / GAMMA)
@@ -232,7 +232,7 @@ def display_code(linear: Colour) -> Colour:
 def ground_table(light: Light) -> NDArray[np.uint8]:
     """Lookup table (1, 256, 3) from daylight ground colour to display colour in this light.
 
-    Water fills the pores: wet ground is darker, the dark parts most.
+    Wet ground is darker, dark parts most.
     """
     albedo = (np.arange(256)[:, None] / 255) ** GAMMA
     albedo = (1 - 0.22 * light.wetness) * albedo ** (1 + 0.10 * light.wetness)
@@ -243,11 +243,11 @@ _CELL_M = 8.0
 _SHAPE = (416, 80)  # x and y cells: -100..3,228 m and -320..320 m
 _START_X_M, _START_Y_M = -100.0, -320.0
 _COVER = {'scattered': (0.75, 0.60), 'broken': (-0.15, 0.45)}
-"""Noise level above which there is cloud, and the share of the beam that a cloud lets through."""
+"""Noise level above which there is cloud, and the transmission of a cloud."""
 
 
 class CloudShade:
-    """How much of the sun's beam the clouds let through, and the shade that this makes."""
+    """Transmission of the sun's beam by single clouds, and their shade."""
 
     def __init__(self, light: Light, height: int, width: int) -> None:
         """Prepare for pictures of ``height`` by ``width`` pixels."""
@@ -259,11 +259,11 @@ class CloudShade:
 
     @property
     def casts(self) -> bool:
-        """Whether there are single clouds, and a sun that they hide."""
+        """Whether there are single clouds that cast shade."""
         return self._beam is not None
 
     def sun_share(self, x_m: float, y_m: float) -> float:
-        """Share (0..1) of the beam that reaches the ground at a place in ``map``."""
+        """Share (0..1) of the beam that reaches the ground at a point in ``map``."""
         if self._beam is None:
             return 1.0
         return float(self._look_up(np.array([x_m]), np.array([y_m]))[0])

@@ -1,7 +1,7 @@
-"""What stands above the ground at the horizon: far fields, hills, trees, hangars and the sky.
+"""Panorama of the horizon: far fields, hills, trees, hangars and the sky.
 
-A panorama in azimuth and elevation, made once per scenario, its shapes once per process. The camera
-looks down, so only its lowest rows are ever seen, at the upper edge of the picture.
+A panorama in azimuth and elevation, made once per scenario; its shapes are made once per process.
+The camera looks down, so only its lowest rows are visible, at the upper image edge.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _lit(colour: Floats, shine: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _profile(seed: int, cell: float) -> NDArray[np.float32]:
-    """Height profile round the compass that closes on itself."""
+    """Periodic height profile over azimuth."""
     noise = smooth_noise(seed, (2, COLUMNS), (1, cell))[0]
     ramp = np.linspace(0, 1, COLUMNS, dtype=np.float32)
     closed: NDArray[np.float32] = noise - ramp * (noise[-1] - noise[0])
@@ -94,7 +94,7 @@ def _sky(light: Light) -> Floats:
 
 @cache
 def _clouds(kind: str) -> Floats:
-    """Brightness that a kind of cloud adds to the sky, (ROWS, COLUMNS); it closes on itself."""
+    """Brightness added by a cloud kind to the sky, (ROWS, COLUMNS), periodic in azimuth."""
     start, strength = _COVER[kind]
     noise = smooth_noise(310, (ROWS, COLUMNS), (9, 60)) + smooth_noise(
         311, (ROWS, COLUMNS), (4, 20)
@@ -106,10 +106,10 @@ def _clouds(kind: str) -> Floats:
 
 @cache
 def _skyline() -> tuple[Floats, Floats]:
-    """What stands on the horizon, whatever its light.
+    """Shapes on the horizon, independent of light.
 
     Returns:
-        Share of the sky that is seen, (n, COLUMNS), for the lowest n rows; and the shares of hills,
+        Visible share of the sky, (n, COLUMNS), for the lowest n rows; and the shares of hills,
         trees, each paint of the hangars, and the far field, (7, n, COLUMNS).
     """
     hills = np.radians(0.35 + 0.18 * _profile(301, 60) + 0.06 * _profile(302, 12))

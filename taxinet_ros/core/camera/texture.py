@@ -1,12 +1,12 @@
 """Seeded noise for procedural textures; a pure function of its arguments in every process.
 
-Textures that are read without shimmer: an anisotropic mip pyramid ("ripmap") in one picture.
+Alias-free texture lookup with an anisotropic mip pyramid ("ripmap") in one atlas.
 
 The level (i, j) of a texture of H rows and W columns holds it shrunk by 2^i along the rows' axis
 and by 2^j along the columns' axis, at row H(2 - 2^(1-i)) and column W(2 - 2^(1-j)) of an atlas of
-2H x 2W. A runway picture is made of long things along two axes, so a filter with one width per
-axis serves it better than an isotropic pyramid, and one atlas means one look-up per pixel.
-Row t (in level-0 rows, from the upper edge) at level i lies at 2H + p(t - 2H) with p = 2^-i.
+2H x 2W. A runway consists of long features along two axes, so a filter with one width per axis
+suits it better than an isotropic pyramid, and one atlas means one lookup per pixel. Row t (in
+level-0 rows, from the upper edge) at level i lies at 2H + p(t - 2H) with p = 2^-i.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ def smooth_noise(seed: int, shape: tuple[int, int], cell: tuple[float, float]) -
     noise: Floats = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR).astype(
         np.float32, copy=False
     )
-    noise *= np.float32(1.4)  # the interpolation has taken this from the deviation
+    noise *= np.float32(1.4)  # compensates the deviation lost by interpolation
     return noise
 
 
 def white_noise(seed: int, shape: tuple[int, int]) -> Floats:
-    """Uniform noise of mean 0 and standard deviation 1, every texel on its own."""
+    """Uniform noise of mean 0 and standard deviation 1, independent per texel."""
     raw = np.random.default_rng(seed).integers(0, 256, size=shape, dtype=np.uint8)
     noise: Floats = raw.astype(np.float32)
     noise -= np.float32(127.5)
@@ -60,6 +60,6 @@ def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
         target = atlas[:, column : column + columns]
         # Halving by bilinear interpolation is the mean of two, and faster than INTER_AREA.
         cv2.resize(level, (columns, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR_EXACT)
-    # Nothing is black behind the last level, where interpolation may reach over its border.
+    # Fill beyond the last level, where interpolation may reach across the border.
     atlas[:, column + columns :] = atlas[:, column + columns - 1 : column + columns]
     return atlas

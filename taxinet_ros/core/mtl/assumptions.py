@@ -1,4 +1,4 @@
-"""Assumed bounds and rates of signals, and the margins that they leave possible.
+"""Assumed bounds and rates of signals, and the predicate margins they allow.
 
 A user writes ``cte=-25:25`` and ``cte=3``.
 """
@@ -18,18 +18,18 @@ from taxinet_ros.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Assumptions:
-    """What a user vouches for; it narrows robustness intervals before the end of a run.
+    """Assumptions on signals; they narrow robustness intervals before the end of a run.
 
     Attributes:
-        bounds: least and greatest value by signal, in the unit of the signal.
-        rates: greatest change per second by signal.
+        bounds: minimum and maximum by signal, in the unit of the signal.
+        rates: maximum change per second by signal.
     """
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
 
     def about(self, names: Collection[str]) -> Assumptions:
-        """Those about some signals only."""
+        """Restrict to some signals."""
         return Assumptions(
             bounds={name: ends for name, ends in self.bounds.items() if name in names},
             rates={name: rate for name, rate in self.rates.items() if name in names},
@@ -41,7 +41,7 @@ NO_ASSUMPTIONS = Assumptions()
 def parse_assumptions(
     bounds: Iterable[str], rates: Iterable[str], signals: Collection[str] | None = None
 ) -> Assumptions:
-    """Read what :func:`parse_bounds` and :func:`parse_rates` do.
+    """Parse bounds and rates, see :func:`parse_bounds` and :func:`parse_rates`.
 
     Raises:
         UsageError: see there.
@@ -56,7 +56,7 @@ def parse_bounds(
 
     Args:
         texts: the bounds.
-        signals: names that there are; where None, those of a run (:data:`.specs.SIGNALS`).
+        signals: known names; None: those of a run (:data:`.specs.SIGNALS`).
 
     Returns:
         Least and greatest value by signal, as :class:`Monitor` takes them.
@@ -84,7 +84,7 @@ def parse_rates(
 
     Args:
         texts: the limits.
-        signals: names that there are; where None, those of a run (:data:`.specs.SIGNALS`).
+        signals: known names; None: those of a run (:data:`.specs.SIGNALS`).
 
     Returns:
         Greatest change per second by signal, as :class:`Monitor` takes them.
@@ -137,7 +137,7 @@ _CHECK_SLACK = 5e-7
 
 
 class Envelope:
-    """Bounds and rates that the user vouches for, and the last sample.
+    """Assumed bounds and rates, and the last sample.
 
     Args:
         names: signals that the formula reads, in the order of the value tuples.
@@ -169,7 +169,7 @@ class Envelope:
         self._last_ns = 0
 
     def breach(self, stamp_ns: int, values: Sequence[float]) -> str:
-        """How a sample breaks the bounds, or the rates since the last one; '' where it does not."""
+        """Violation of bounds or rates by a sample, or ''."""
         for (name, (low, high)), value in zip(self._bounds.items(), values, strict=True):
             if not low <= value <= high:
                 return f'{name} is {value:g}, bounds are {low:g}:{high:g}'
@@ -191,15 +191,15 @@ class Envelope:
         return any(name in self._rates for name in ast.signal_names(atom))
 
     def floor(self, atom: ast.Compare, negated: bool) -> float:
-        """Least margin (or negated margin) that any sample can have."""
+        """Minimum margin (or negated margin) of any sample."""
         return _least(atom, negated, self._bounds)
 
     def least_margin(self, atom: ast.Compare, negated: bool, until_ns: float) -> float:
-        """Least margin (or negated margin) that is possible at a later sample up to a time."""
+        """Minimum possible margin (or negated margin) at a later sample up to a time."""
         box = dict(self._bounds)
         if self._last:
-            # A little wider than the rate says, so that in spite of rounding the cone of a later
-            # sample never leaves that of an earlier one.
+            # Slightly wider than the rate, so that despite rounding the cone of a later sample
+            # never leaves that of an earlier one.
             time_s = (until_ns - self._last_ns) / NS_PER_S * (1 + _CONE_SLACK)
             for name, rate in self._rates.items():
                 value, (low, high) = self._last[self._index[name]], box[name]
@@ -213,13 +213,13 @@ def _least(atom: ast.Compare, negated: bool, box: Mapping[str, Range]) -> float:
 
 
 def margin_range(atom: ast.Compare, box: Mapping[str, Range]) -> Range:
-    """Every finite margin of an atom for signals in a box lies in the returned range."""
+    """Range that encloses every finite margin of an atom for signals in a box."""
     small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
     return _arithmetic('-', enclose(large, box), enclose(small, box))
 
 
 def enclose(expr: ast.Expr, box: Mapping[str, Range]) -> Range:
-    """Every finite value of an expression for signals in a box lies in the returned range."""
+    """Range that encloses every finite value of an expression for signals in a box."""
     match expr:
         case ast.Number(value):
             return value, value

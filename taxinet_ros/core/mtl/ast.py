@@ -1,4 +1,4 @@
-"""Formula nodes: what a parsed formula is made of, and how it prints.
+"""Nodes of the formula syntax tree, and their text form.
 
 Nodes are frozen, hashable and compare by structure. They take positional arguments because a tree
 of keyword arguments is unreadable. Printing puts every operand of a logical or temporal operator
@@ -195,9 +195,9 @@ def atoms(formula: Formula) -> tuple[Compare, ...]:
 
 
 def size(formula: Formula) -> int:
-    """How many nodes of formulas there are if it is written out; those of expressions not counted.
+    """Number of formula nodes when written out; expression nodes are not counted.
 
-    Takes no longer where one object stands in many places, as the left side of an ``unless`` does.
+    Shared subtrees, such as the left side of an ``unless``, cost no extra time.
     """
     done: dict[int, int] = {}
 

@@ -1,8 +1,8 @@
-"""Robust satisfaction interval: all values that the robustness of a formula can still take.
+"""Robust satisfaction interval: the values the robustness of a formula can still take.
 
 While a run goes on it is known only that rho lies between two bounds (Deshmukh et al., Formal
-Methods in System Design 51, 2017). Of a whole run both are rho; of one that was stopped early, or
-broke off, an interval is all there is.
+Methods in System Design 51, 2017). For a complete run both equal rho; for a stopped or aborted run
+only an interval is known.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from taxinet_ros.errors import UsageError
 
 
 class Verdict(enum.IntEnum):
-    """What an interval of robustness says. Only SATISFIED is a success."""
+    """Verdict of a robustness interval. Only SATISFIED is a success."""
 
     UNKNOWN = 0
     SATISFIED = 1
     VIOLATED = 2
     MARGINAL = 3
-    """Robustness exactly zero; tables count it as a failure, as VerifAI does."""
+    """Robustness exactly zero; counts as a failure, as in VerifAI."""
 
 
 class RobustnessInterval(NamedTuple):
@@ -37,7 +37,7 @@ class RobustnessInterval(NamedTuple):
 
     @classmethod
     def exactly(cls, rho: float) -> Self:
-        """The interval of a robustness that is known."""
+        """Interval of a known robustness."""
         return cls(rho, rho)
 
     @property
@@ -47,7 +47,7 @@ class RobustnessInterval(NamedTuple):
 
     @property
     def unclear(self) -> bool:
-        """Whether the windows alone decide: they are empty, so no sample made rho what it is."""
+        """Whether rho rests on empty windows only, not on any sample."""
         return self.exact and math.isinf(self.lower)
 
     @property
@@ -57,24 +57,24 @@ class RobustnessInterval(NamedTuple):
 
     @property
     def failed(self) -> bool:
-        """Whether robustness > 0 is out of reach."""
+        """Whether robustness > 0 is impossible."""
         return self.upper <= 0
 
     @property
     def decided(self) -> bool:
-        """Whether it is certain if robustness > 0 or not."""
+        """Whether robustness > 0 is certain or impossible."""
         return self.satisfied or self.failed
 
     @property
     def nearest_to_zero(self) -> float | None:
-        """The bound that is nearer to zero, with the sign of rho; None where that is not known."""
+        """The bound nearer to zero, with the sign of rho; None if the sign is unknown."""
         return self.upper if self.failed else self.lower if self.satisfied else None
 
     @property
     def verdict(self) -> Verdict:
-        """What the interval says.
+        """Verdict of the interval.
 
-        An infinite rho rests on empty windows: nothing was judged, and so the verdict is UNKNOWN.
+        An infinite rho rests on empty windows: nothing was evaluated, so the verdict is UNKNOWN.
 
         Raises:
             UsageError: a bound is NaN, or the interval is empty.
@@ -115,10 +115,10 @@ class RobustnessInterval(NamedTuple):
 
 
 def exact_intervals(rho: Mapping[str, float]) -> dict[str, RobustnessInterval]:
-    """Intervals of robustness that is known, by the formula's name."""
+    """Intervals of known robustness values, by formula name."""
     return {name: RobustnessInterval.exactly(value) for name, value in rho.items()}
 
 
 def exact_rho(robustness: Mapping[str, RobustnessInterval]) -> dict[str, float]:
-    """Robustness by the formula's name, of those whose rho is known."""
+    """Known robustness values, by formula name."""
     return {name: interval.lower for name, interval in robustness.items() if interval.exact}

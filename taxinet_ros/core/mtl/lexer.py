@@ -12,7 +12,7 @@ from taxinet_ros.errors import UsageError
 Kind = Literal['number', 'name', 'word', 'sign', 'end']
 
 MAX_TOKENS = 500
-"""Longer formulas are refused: nobody can read them, and evaluation recurses over the tree."""
+"""Longer formulas are refused: they are unreadable, and evaluation recurses over the tree."""
 
 _SHOWN = 40
 """Characters of a word that an error message repeats."""
@@ -25,7 +25,7 @@ WORDS = frozenset(
         *('abs', 'min', 'max', 'sqrt', 'inf'),
     }
 )
-"""Reserved words: no signal or predicate may be called so."""
+"""Reserved words; not allowed as names of signals or predicates."""
 
 _ALIASES = {
     'G': 'always', 'globally': 'always', '□': 'always', '◻': 'always',
@@ -50,13 +50,13 @@ _SPACE = re.compile(r'\s*')
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """One word of a formula.
+    """One token of a formula.
 
     Attributes:
-        kind: what sort of token it is.
+        kind: kind of token.
         text: its plain form (``always`` for ``G``).
         column: where it starts, counted from 1.
-        raw: what was typed.
+        raw: the original text.
     """
 
     kind: Kind
@@ -83,7 +83,7 @@ def tokens(text: str, where: str) -> list[Token]:
         where: what the text is, for error messages.
 
     Raises:
-        UsageError: a character that no formula holds, or more than :data:`MAX_TOKENS` tokens.
+        UsageError: an invalid character, or more than :data:`MAX_TOKENS` tokens.
     """
     found: list[Token] = []
     at = _skip(text, 0)
@@ -99,10 +99,10 @@ def tokens(text: str, where: str) -> list[Token]:
 
 
 def check_parentheses(found: Sequence[Token], where: str) -> None:
-    """Say which parenthesis lacks its fellow, before that leads to anything stranger.
+    """Check for unmatched parentheses, for a clearer error than the parser's.
 
     Raises:
-        UsageError: a parenthesis that nothing opened, or that nothing closes.
+        UsageError: an unmatched parenthesis.
     """
     opened: list[Token] = []
     for token in found:

@@ -1,6 +1,6 @@
-"""Requirements before any run: told in people's words, and what is wrong with them.
+"""Lint requirements before any run: readable form, errors and warnings.
 
-As in ``always over the run: |steering| <= 0.3 rad (17.19 deg)``; then windows, thresholds, units.
+E.g. ``always over the run: |steering| <= 0.3 rad (17.19 deg)``; then windows, thresholds, units.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 Units = Mapping[str, str]
-"""Unit of each signal; one that is missing, or '', is not known."""
+"""Unit of each signal; missing or '' means unknown."""
 
 
 def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
-    """What is still known of the dimension of an expression that was parsed into SI."""
+    """Dimension of an expression parsed into SI, as far as known."""
     match expr:
         case ast.Number():
             return PURE
@@ -57,25 +57,25 @@ def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
 
 
 def formula_words(formula: ast.Formula, units: Units) -> str:
-    """The whole of a formula."""
+    """Readable form of a formula."""
     if isinstance(formula, ast.Compare):
         return f'at the start of the run: {atom_words(formula, units)}'
     return _formula(formula, units, outermost=True)
 
 
 def atom_words(atom: ast.Compare, units: Units) -> str:
-    """One comparison, its numbers with their unit."""
+    """Readable form of a comparison, with units."""
     dimension = compared_dimension(atom, units)
     return f'{_expr(atom.left, dimension)} {atom.op} {_expr(atom.right, dimension)}'
 
 
 def compared_dimension(atom: ast.Compare, units: Units) -> Dimension | None:
-    """Dimension of both sides of a comparison; None where it is not known."""
+    """Dimension of both sides of a comparison; None if unknown."""
     return added(quantity_of(atom.left, units), quantity_of(atom.right, units)).dimension
 
 
 def range_words(name: str, ends: Range, units: Units) -> str:
-    """Where a signal stays: ``steering within ±0.261799 rad (15 deg)``; '' where nobody knows."""
+    """Range of a signal as text: ``steering within ±0.261799 rad (15 deg)``; '' if unknown."""
     (low, high), dimension = ends, dimension_of(units.get(name, ''))
     if low == -high and high < INF:
         return f'{name} within ±{value_words(high, dimension)}'
@@ -153,21 +153,21 @@ def _closed(expr: ast.Expr, dimension: Dimension | None) -> str:
 
 
 _LARGE_RAD = 1.6
-"""An angle beyond it that is a whole number was hardly meant in radians: it is over 90 degrees."""
+"""Integer angles beyond it were probably meant in degrees: as radians they exceed 90 degrees."""
 _MOST_CASES = 256
-"""Of a part of a formula with more cases to try than that nothing is said."""
+"""Maximum number of cases tried per part of a formula."""
 _Read = ast.Expr | ast.Formula | tuple[ast.Expr, ast.Expr]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Setting:
-    """What is known of the runs that a requirement will judge.
+    """Known properties of the runs to be judged.
 
     Attributes:
         units: unit of each signal.
-        ranges: least and greatest value of the signals of which that is known.
+        ranges: known minimum and maximum of signals.
         horizon_ns: length of a run [ns].
-        period_ns: time between its samples [ns], or 0 where that is not known.
+        period_ns: time between samples [ns], or 0 if unknown.
     """
 
     units: Units
@@ -181,12 +181,12 @@ class Setting:
         return range(0, self.horizon_ns + 1, self.period_ns)
 
     def box(self, formula: ast.Formula) -> dict[str, Range]:
-        """The range of every signal that a formula reads."""
+        """Range of every signal read by a formula."""
         return {name: self.ranges.get(name, ANYTHING) for name in ast.signal_names(formula)}
 
 
 def spec_line(spec: Spec, setting: Setting) -> str:
-    """A requirement as it is understood, with its signals' ranges and how far it looks."""
+    """One line on how a requirement is parsed, with signal ranges and horizon."""
     box = setting.box(spec.formula)
     ranges = [range_words(name, ends, setting.units) for name, ends in box.items()]
     reach_ns = max((window.latest_ns for window in _windows(spec.formula)), default=0.0)
@@ -196,16 +196,16 @@ def spec_line(spec: Spec, setting: Setting) -> str:
 
 
 def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
-    """See that every window can hold a sample of a run of this length.
+    """Check that every window can hold a sample of a run of this length.
 
     Args:
         spec: the requirement.
         horizon_ns: length of the run [ns].
-        period_ns: time between its samples [ns], or 0 where that is not known.
+        period_ns: time between samples [ns], or 0 if unknown.
 
     Raises:
-        UsageError: a window begins after the end of the run, ends before its start, or holds no
-            sample wherever it lies; nobody could judge it.
+        UsageError: a window starts after the end of the run, ends before its start, or can hold no
+            sample, so it cannot be evaluated.
     """
     length = seconds_words(horizon_ns)
     for window in _windows(spec.formula):
@@ -213,10 +213,10 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
         if window.earliest_ns > horizon_ns:
             raise UsageError(
                 f'{where} begins {seconds_words(window.earliest_ns)} into the run, which lasts '
-                f'{length}; nothing of it could be judged'
+                f'{length}; it cannot be evaluated'
             )
         if window.latest_ns < 0:
-            raise UsageError(f'{where} looks back to before the run; nothing of it could be judged')
+            raise UsageError(f'{where} looks back to before the run; it cannot be evaluated')
     if not period_ns:
         return
     stamps = range(0, horizon_ns + 1, period_ns)
@@ -231,10 +231,10 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
 
 
 def warnings(spec: Spec, setting: Setting) -> list[str]:
-    """What a requirement that can be judged may still say other than was meant; one line each."""
+    """Likely mistakes in a valid requirement, one line each."""
     found = list(_cut_windows(spec, setting.horizon_ns))
     if all(0 <= w.latest_ns < max(setting.period_ns, 1) for w in _windows(spec.formula)):
-        found.append('judges the first sample alone; for the whole run write always(...)')
+        found.append('evaluated at the first sample only; for the whole run write always(...)')
     box, atoms = setting.box(spec.formula), ast.atoms(spec.formula)
     margins = {atom: margin_range(atom, box) for atom in atoms}
     found += [text for atom in atoms for text in _atom_warnings(atom, setting, box)]
@@ -243,7 +243,7 @@ def warnings(spec: Spec, setting: Setting) -> list[str]:
     ]
     certain = {atom for atom in atoms if margins[atom][0] > 0 or margins[atom][1] < 0}
     found += [
-        f'{part}: nothing measured can {"violate" if truth else "satisfy"} it, by its logic alone'
+        f'{part}: nothing measured can {"violate" if truth else "satisfy"} it, for logical reasons'
         for part, truth in _settled(spec.formula) if certain.isdisjoint(ast.atoms(part))
     ]
     if setting.period_ns:
@@ -258,10 +258,10 @@ def warnings(spec: Spec, setting: Setting) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Window:
-    """A window of a formula, and where on the run it lies.
+    """A window of a formula and its position on the run.
 
     Attributes:
-        words: as it is written, without its operands.
+        words: the operator without its operands.
         earliest_ns: start of its first position [ns], and latest_ns the end of its last [ns].
         first_end_ns: end of its first position [ns].
         ahead: it looks ahead.
@@ -277,7 +277,7 @@ class _Window:
 def _windows(
     formula: ast.Formula, begin_ns: float = 0, end_ns: float = 0
 ) -> Iterator[_Window]:
-    """The windows of a formula that is asked from ``begin_ns`` to ``end_ns`` of a run."""
+    """The windows of a formula evaluated from ``begin_ns`` to ``end_ns`` of a run."""
     match formula:
         case ast.Not(child):
             yield from _windows(child, begin_ns, end_ns)
@@ -312,20 +312,20 @@ def _cut_windows(spec: Spec, horizon_ns: int) -> Iterator[str]:
         if window.ahead and horizon_ns < window.first_end_ns < INF:
             yield (
                 f'{window.words} ends at {seconds_words(window.first_end_ns)}, after the run of '
-                f'{seconds_words(horizon_ns)}; only what lies within the run is judged'
+                f'{seconds_words(horizon_ns)}; only the part within the run is evaluated'
             )
 
 
 def _atom_warnings(atom: ast.Compare, setting: Setting, box: Mapping[str, Range]) -> Iterator[str]:
-    """What of a predicate may have no value, or may have been meant in another unit."""
+    """Warnings on predicates without value or with a likely wrong unit."""
     for part in (*_parts(atom.left), *_parts(atom.right)):
         match part:
             case ast.Arithmetic('/', _, right):
                 low, high = enclose(right, box)
                 if low <= 0 <= high:
-                    yield f'{part} has no value where {right} is 0: that voids the run'
+                    yield f'{part} has no value where {right} is 0: this invalidates the run'
             case ast.Function('sqrt', (arg,)) if enclose(arg, box)[0] < 0:
-                yield f'{part} has no value where {arg} is below 0: that voids the run'
+                yield f'{part} has no value where {arg} is below 0: this invalidates the run'
     number = _threshold(atom)
     within = margin_range(atom, box)
     if (
@@ -338,7 +338,7 @@ def _atom_warnings(atom: ast.Compare, setting: Setting, box: Mapping[str, Range]
 def _certain(
     atom: ast.Compare, margin: Range, setting: Setting, box: Mapping[str, Range]
 ) -> str:
-    """Why a predicate has one truth value only, or ''."""
+    """Reason why a predicate is constant, or ''."""
     if margin[0] <= 0 <= margin[1]:
         return ''
     names = ast.signal_names(atom)
@@ -353,7 +353,7 @@ def _certain(
 
 
 def _settled(formula: ast.Formula) -> Iterator[tuple[ast.Formula, bool]]:
-    """The outermost parts that are true, or false, whatever their comparisons and windows say."""
+    """Outermost parts that are logically constant."""
     match formula:
         case ast.Logic(_, left, right):
             truths = _truths(formula)
@@ -372,11 +372,11 @@ def _settled(formula: ast.Formula) -> Iterator[tuple[ast.Formula, bool]]:
 
 
 def _truths(formula: ast.Formula) -> set[bool]:
-    """The truth values that a part of a formula can have, or more.
+    """Possible truth values of a part of a formula (conservative).
 
-    What is read (expressions, temporal parts) is taken to be independent. Its line is cut at every
-    number that it is compared with, and one value of each open piece is tried: at the cuts rho is
-    that of both sides, for it is continuous.
+    Expressions and temporal parts are assumed independent. Their value range is split at every
+    threshold, and one value of each open piece is tried; since rho is continuous, the thresholds
+    need no extra case.
     """
     cuts: dict[_Read, set[float]] = {}
     for leaf in _leaves(formula):
@@ -390,7 +390,7 @@ def _truths(formula: ast.Formula) -> set[bool]:
 
 
 def _inside(cuts: set[float]) -> list[float]:
-    """A value of each open piece that the cuts leave of a line."""
+    """One value of each open piece between the cuts."""
     ends = sorted(cuts)
     first = (math.nextafter(low, INF) for low in ends)
     between = [at for at, high in zip(first, ends[1:], strict=False) if at < high]
@@ -410,7 +410,7 @@ def _true(formula: ast.Formula, case: Mapping[_Read, float]) -> bool:
 
 
 def _reading(leaf: ast.Formula) -> tuple[_Read, float, bool, bool]:
-    """What a leaf reads, the number beside it, whether |.| is compared, and is to be above."""
+    """Expression of a leaf, its threshold, whether |.| is compared, and if it must be above."""
     if not isinstance(leaf, ast.Compare):
         return leaf, 0.0, False, True
     one, two, above = leaf.left, leaf.right, leaf.op in ('>', '>=')
@@ -426,7 +426,7 @@ def _reading(leaf: ast.Formula) -> tuple[_Read, float, bool, bool]:
 
 
 def _leaves(formula: ast.Formula) -> Iterator[ast.Formula]:
-    """Comparisons and temporal parts that and, or, not and implies join."""
+    """Comparisons and temporal parts joined by and, or, not and implies."""
     match formula:
         case ast.Not(child):
             yield from _leaves(child)
@@ -447,7 +447,7 @@ def _number(expr: ast.Expr) -> float | None:
 
 
 def _threshold(atom: ast.Compare) -> float | None:
-    """The size of the number that a comparison compares with, if it is one alone."""
+    """Magnitude of a comparison's threshold, if it is a single number."""
     numbers = (_number(side) for side in (atom.right, atom.left))
     return next((abs(number) for number in numbers if number is not None), None)
 

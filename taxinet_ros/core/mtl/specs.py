@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from taxinet_ros import registry
+from taxinet_ros.arguments import TEXT, check_fields, takes
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
@@ -62,7 +63,11 @@ class Spec:
     formula: ast.Formula = field(repr=False)
     text: str
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     @classmethod
+    @takes(text=TEXT)
     def parse(cls, text: str) -> Spec:
         """Read a requirement as a user writes it; see :func:`parse_spec`."""
         return parse_spec(text)

@@ -1,1 +1,1 @@
-"""When answers take effect: latencies, late frames, free runs."""
+"""Timing of answers: latencies, late frames, free runs."""

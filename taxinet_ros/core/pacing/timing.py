@@ -1,4 +1,4 @@
-"""When answers take effect: at once, late by a latency told or drawn, or whenever they come.
+"""Timing of answers: immediate, delayed by a fixed or random latency, or free-running.
 
 The lockstep has simulated time wait for every answer, so a loop runs as if perception and
 controller took no time at all. A latency gives them some, and leaves the run deterministic: the
@@ -28,13 +28,13 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 LATE_NODES = ('perception', 'controller')
-"""Whose answers may be late."""
+"""Nodes whose answers may be delayed."""
 
 MOST_LATENCY_S = 30.0
-"""Greatest parameter of a latency [s]: as long as a usual run."""
+"""Maximum latency parameter [s]: the length of a default run."""
 
 LAWS = 'SECONDS, uniform(LOW,HIGH) or normal(MEAN,SD)'
-_FORM = 'NAME=LATENCY, such as perception=0.15 or perception=normal(0.15,0.05)'
+_FORM = 'NAME=LATENCY, e.g. perception=0.15 or perception=normal(0.15,0.05)'
 _LAW = re.compile(r'(?P<kind>[a-z]+)\((?P<numbers>[^()]*)\)')
 _PLAIN = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?', re.IGNORECASE)
 _CONSTANT, _UNIFORM, _NORMAL = 'constant', 'uniform', 'normal'
@@ -42,17 +42,17 @@ _NEARLY_1 = math.nextafter(1.0, 0.0)
 _LATENCY, _DRAWS, _FACTOR = 'latency', 'draws', 'real_time_factor'
 FREE, MAX = 'free', 'max'
 LEAST_FACTOR, MOST_FACTOR = 0.1, 100.0
-"""Slowest and fastest pace of a free run; faster is as fast as it goes."""
+"""Minimum and maximum real-time factor of a free run, unless unlimited."""
 
-NOT_REPRODUCIBLE = 'free runs depend on how fast machine and nodes were, so none comes again'
-"""What is said where somebody counts on that."""
+NOT_REPRODUCIBLE = 'free runs depend on the speed of machine and nodes: not reproducible'
+"""Reason given where reproducibility is required."""
 
 Answer = TypeVar('Answer')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Law:
-    """How long answers take: a constant, or a distribution.
+    """Latency law: a constant or a distribution.
 
     Attributes:
         kind: ``constant``, ``uniform`` or ``normal``.
@@ -66,12 +66,12 @@ class Law:
 
     @property
     def drawn(self) -> bool:
-        """Whether it is another in each step."""
+        """Whether it is random in each step."""
         return self.kind != _CONSTANT
 
     @property
     def words(self) -> str:
-        """How people write it; :func:`parse_timing` reads it back to the bit."""
+        """Text form; :func:`parse_timing` restores it bit for bit."""
         if not self.drawn:
             return _number_words(self.first)
         return f'{self.kind}({_number_words(self.first)},{_number_words(self.second)})'
@@ -82,7 +82,7 @@ class Law:
             return self.first + chance * (self.second - self.first)
         if self.kind == _NORMAL:
             law = NormalDist(self.first, self.second)
-            # No answer comes before its frame, and none after a usual run: it is cut off there.
+            # Truncated to non-negative values and the length of a default run.
             below_0 = law.cdf(0.0)
             share = below_0 + chance * (law.cdf(MOST_LATENCY_S) - below_0)
             drawn_s = law.inv_cdf(min(max(share, 1e-300), _NEARLY_1))
@@ -92,7 +92,7 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Timing:
-    """When the answers of a run take effect; with its defaults at once.
+    """Timing of the answers of a run; by default immediate.
 
     Attributes:
         laws: latency by name, of :data:`LATE_NODES` in their order; none that is 0.
@@ -108,7 +108,7 @@ class Timing:
 
     @property
     def latency(self) -> str:
-        """What ``--latency`` takes, one word for each name; '' for none."""
+        """Argument of ``--latency``, one word per name; '' for none."""
         words = [f'{name}={law.words}' for name, law in self.laws]
         if self.draws is not None:
             words.append(f'{_DRAWS}={self.draws[0]}.{self.draws[1]}')
@@ -116,26 +116,26 @@ class Timing:
 
     @property
     def options(self) -> list[str]:
-        """What to type after ``taxinet run``."""
+        """Command-line options of ``taxinet run``."""
         if self.free:
             return ['--free', '--real-time-factor', self.words.partition('=')[2]]
         return [text for word in self.latency.split() for text in (f'--{_LATENCY}', word)]
 
     @property
     def words(self) -> str:
-        """For bags, tables and records: '' where every answer takes effect at once."""
+        """Text form for bags, tables and records; '' for immediate answers."""
         if self.free:
             return f'{FREE} {_FACTOR}={_number_words(self.factor) if self.factor else MAX}'
         return f'{_LATENCY} {self.latency}' if self.laws else ''
 
     def of_run(self, seed: int, index: int) -> Self:
-        """The same for other runs than the one with this seed and index, with the draws of that."""
+        """Timing that repeats the draws of the run with this seed and index."""
         if self.draws is None and any(law.drawn for _, law in self.laws):
             return replace(self, draws=(seed, index))
         return self
 
     def latencies_ns(self, seed: int, index: int) -> Iterator[int]:
-        """How late the answer to each frame takes effect, from frame 0 on [ns].
+        """Latency of the answer to each frame, from frame 0 on [ns].
 
         Each name draws from a stream of its own, which seed, index and name determine.
 
@@ -155,17 +155,17 @@ class Timing:
 
 
 AT_ONCE = Timing()
-"""The lockstep as it is without a word."""
+"""Default timing: lockstep with immediate answers."""
 
 
 def parse_latency(words: Iterable[str]) -> Timing:
-    """What ``--latency`` asks for.
+    """Parse ``--latency``.
 
     Args:
         words: each ``NAME=LATENCY``, or several of them with spaces between.
 
     Raises:
-        UsageError: one line on the first that is none.
+        UsageError: an entry is invalid.
     """
     laws: dict[str, Law] = {}
     draws: tuple[int, int] | None = None
@@ -184,7 +184,7 @@ def parse_latency(words: Iterable[str]) -> Timing:
         if name in laws and (laws[name].drawn or laws[name].first > 0)
     ))
     if draws is not None and timing.of_run(*draws) is timing:
-        raise UsageError(f'latency {_DRAWS}=…: no effect, for no latency given is drawn')
+        raise UsageError(f'latency {_DRAWS}=…: no effect without a random latency')
     return timing if draws is None else timing.of_run(*draws)
 
 
@@ -220,7 +220,7 @@ def free_timing(factor: str) -> Timing:
     if not (value == 0 or LEAST_FACTOR <= value <= MOST_FACTOR):
         raise UsageError(
             f'real-time-factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
-            f'{MAX} (or 0) for as fast as it goes'
+            f'{MAX} (or 0) for unlimited'
         )
     return Timing(free=True, factor=value)
 
@@ -231,8 +231,8 @@ def is_free(words: str) -> bool:
 
 
 def timing_words(words: str) -> str:
-    """What :attr:`Timing.words` says, also where it says nothing."""
-    return words or 'answers that take effect at once'
+    """Readable form of :attr:`Timing.words`, also if empty."""
+    return words or 'immediate answers'
 
 
 def _law(word: str, text: str) -> Law:
@@ -256,7 +256,7 @@ def _law(word: str, text: str) -> Law:
 
 
 def _number(text: str) -> float:
-    """A number as people write one: Python's 1_0, and digits of other scripts, are none.
+    """Parse a plain decimal number; Python's 1_0 and non-ASCII digits are refused.
 
     Raises:
         ValueError: it is none.
@@ -272,7 +272,7 @@ def _number_words(value: float) -> str:
 
 
 class LateAnswers(Generic[Answer]):
-    """Answers on their way, and the one that holds now.
+    """Pending answers, and the one in effect.
 
     Attributes:
         held: number of the frame whose answer holds; -1 for what holds before any.
@@ -290,7 +290,7 @@ class LateAnswers(Generic[Answer]):
             self._waiting[seq] = due_ns, answer
 
     def newest(self, now_ns: int) -> Answer:
-        """What holds at ``now_ns``: the answer to the newest frame that is due."""
+        """The answer in effect at ``now_ns``: that to the newest frame due."""
         due = [seq for seq, (due_ns, _) in self._waiting.items() if due_ns <= now_ns]
         if due:
             self.held = max(due)

@@ -1,1 +1,1 @@
-"""Perceptions: ground truth, networks, and functions of the user."""
+"""Perceptions: ground truth, networks and user functions."""

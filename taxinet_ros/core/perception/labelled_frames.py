@@ -117,8 +117,8 @@ def _frame(folder: Path, row: Mapping[str, object], where: str) -> LabelledFrame
     heading_deg = _number(row, 'heading_error_deg', where)
     if abs(heading_deg) > 180:
         raise UsageError(
-            f'{where}: heading_error_deg is {heading_deg:g}, outside -180..180; it is counted from '
-            f'the runway, nose left positive'
+            f'{where}: heading_error_deg is {heading_deg:g}, outside -180..180; it is relative to '
+            'the runway, nose left positive'
         )
     image = str(row['image']).strip()
     return LabelledFrame(
@@ -152,7 +152,7 @@ def _inside(folder: Path, image: str, where: str) -> Path:
         outside, missing = False, True
     if outside:
         raise UsageError(
-            f'{where}: image {image!r} lies outside {folder}; name files below that folder'
+            f'{where}: image {image!r} lies outside {folder}; use paths below that folder'
         )
     if missing:
         raise UsageError(

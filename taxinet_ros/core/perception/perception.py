@@ -1,10 +1,9 @@
-"""The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
+"""Interchangeable perceptions: a camera frame or the truth in, an estimated tracking error out.
 
 One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, what an
 installed package adds (:mod:`taxinet_ros.registry`), or a file: weights that ``taxinet train`` has
-written, anybody's network in ONNX, or a function in a Python file (``FILE.py:NAME``). A word that
-is not known is an error, for a test of the network that silently ran on the truth would prove
-nothing.
+written, anybody's network in ONNX, or a function in a Python file (``FILE.py:NAME``). An unknown
+word is an error: a network test that silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
 
 NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
-"""What a perception answers when it cannot tell."""
+"""Answer of a perception without an estimate."""
 
 
 class Perception(Protocol):
@@ -55,13 +54,13 @@ class Perception(Protocol):
     needs_image: bool
 
     def begin(self) -> None:
-        """Forget what came before; called before each run."""
+        """Reset; called before each run."""
         return
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """One estimate; equal arguments give equal estimates, whatever came before.
+        """Return an estimate; equal arguments give equal estimates, independent of earlier calls.
 
         Args:
             image: camera frame, (200, 360, 3) uint8 RGB.
@@ -77,7 +76,7 @@ class Perception(Protocol):
 
 
 class GroundTruth(Perception):
-    """Always right: its estimate is the truth. The network's twin for finding whose fault it is."""
+    """Perfect perception: its estimate is the truth; replaces the network to localise faults."""
 
     word = 'truth'
     fingerprint = ''
@@ -86,12 +85,12 @@ class GroundTruth(Perception):
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """The truth, where it is known."""
+        """Return the truth, if given."""
         return NO_ESTIMATE if truth is None else truth
 
 
 class Network(Protocol):
-    """What looks at a frame, whoever made it."""
+    """Interface of networks that evaluate a frame."""
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
@@ -99,7 +98,7 @@ class Network(Protocol):
 
 
 class NetworkPerception(Perception):
-    """A neural network looks at the camera frame, and never at the truth."""
+    """A neural network that uses the camera frame only, never the truth."""
 
     needs_image = True
 
@@ -112,7 +111,7 @@ class NetworkPerception(Perception):
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """What the network sees; invalid without a frame, or where its answer is not finite."""
+        """Return the network's estimate; invalid without a frame or with a non-finite output."""
         if image is None or not is_frame(image):
             return NO_ESTIMATE
         cte_m, he_rad = self._network.look(image)
@@ -121,7 +120,7 @@ class NetworkPerception(Perception):
 
 
 class UserPerception(Perception):
-    """A function of somebody's: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
+    """A user function: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
 
     It answers a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None where it cannot tell.
     One that has ``needs_image = False`` is given the true :class:`TrackingError` instead.
@@ -133,6 +132,7 @@ class UserPerception(Perception):
         Raises:
             UsageError: the file's code fails.
         """
+        self.code = code
         self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
@@ -140,13 +140,13 @@ class UserPerception(Perception):
             self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
 
     def begin(self) -> None:
-        """Have it as it is when made."""
+        """Reset to the initial state."""
         self._run.begin()
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """What it answers; invalid without its input, or where a number is not finite."""
+        """Return its estimate; invalid without its input or with a non-finite number."""
         if self.needs_image:
             if image is None or not is_frame(image):
                 return NO_ESTIMATE
@@ -200,7 +200,7 @@ def make_perception(word_or_file: str) -> Perception:
 
 
 def check_perception(word_or_file: str, *, graph: bool = False) -> str:
-    """See that :func:`make_perception` will work, without building a network.
+    """Check that :func:`make_perception` will work, without building a network.
 
     Args:
         word_or_file: as there.

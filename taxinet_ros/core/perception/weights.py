@@ -251,7 +251,7 @@ def _read(path: Path) -> bytes:
         if not path.is_file():
             raise card_error(path, 'no such file')
         if path.stat().st_size > MAX_BYTES:
-            raise card_error(path, f'has more than {MAX_BYTES >> 20} MiB, too many for a TaxiNet')
+            raise card_error(path, f'is larger than {MAX_BYTES >> 20} MiB, too large for a TaxiNet')
         return path.read_bytes()
     except OSError as error:
         raise card_error(path, f'cannot be read ({error.strerror})') from error
@@ -260,18 +260,20 @@ def _read(path: Path) -> bytes:
 def _parse(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     if data.startswith(b'version https://git-lfs'):
         raise card_error(
-            path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull'
+            path, 'is only a Git LFS pointer; get the file with: git lfs pull'
         )
     if data.startswith((b'PK', b'\x80')):
         raise card_error(
-            path, 'is a pickle, which may run anything; only safetensors files are read'
+            path, 'is a pickle, which could run arbitrary code; only safetensors files are read'
         )
     try:
         return safetensors.numpy.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError) as error:
         # A type of number that numpy lacks is a KeyError there.
         reason = ' '.join(str(error).split())
-        raise card_error(path, f'is no whole safetensors file ({reason}); copy it again') from None
+        raise card_error(
+            path, f'is not a complete safetensors file ({reason}); copy it again'
+        ) from None
 
 
 def _check_arrays(

@@ -1,1 +1,1 @@
-"""Graphs of nodes: in one process or many, started, looked after and ended."""
+"""Graphs of nodes in one process or many: start, supervise and shut down."""

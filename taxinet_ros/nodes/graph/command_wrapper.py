@@ -1,9 +1,9 @@
-"""Runs somebody's command as a node of a graph: all that it starts ends with the graph.
+"""Run a user's command as a node of a graph, and end all its descendants with the graph.
 
-``ros2 run`` starts the node as a child of its own, which would outlive a killed parent. The
-wrapper adopts whatever its command leaves behind, in whatever session. When the command ends,
-or the wrapper's parent goes, however it goes, all of it is ended. Of what it prints into a file
-the beginning and the end are kept, so that none fills the disk.
+``ros2 run`` starts the node as its own child, which would outlive a killed parent. The wrapper
+adopts orphans of its command, in any session. When the command ends or the wrapper's parent dies
+for any reason, all of them are ended. Of output to a file only the beginning and the end are kept,
+so that it cannot fill the disk.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ import psutil
 from taxinet_ros.processes.child import adopt_orphans, die_with_parent, module_command
 
 SIGINT_GRACE_S, SIGTERM_GRACE_S = 1.5, 1.0
-"""What is left to a command after SIGINT, and after SIGTERM, which follows.
+"""Grace periods of a command after SIGINT, and after the SIGTERM that follows.
 
-Shorter than what whoever ends a keeper waits: what is in another session is known to it alone.
+Shorter than the wait of the process that ends the wrapper, since only the wrapper knows of
+processes in other sessions.
 """
 CHILDREN_LEFT = 'keeper: ended what the command left behind: '
-"""How the line begins that a keeper prints on processes which outlived its command."""
+"""Start of the line a wrapper prints about processes that outlived its command."""
 _BEGINNING_BYTES, _END_BYTES = 8_000_000, 1_000_000
-"""What is kept in a file of what a command prints in one life."""
+"""Bytes kept of the output of a command in its log file."""
 _LAST_WORDS_S = 1.0
 
 
@@ -42,13 +43,13 @@ def wrapped_command(
     asked_s: float = SIGINT_GRACE_S,
     told_s: float = SIGTERM_GRACE_S,
 ) -> list[str]:
-    """What starts a keeper of a command.
+    """Command line of the wrapper of a command.
 
     Args:
         command: program and arguments.
-        parent: the process that starts the keeper.
-        asked_s: what is left to the command after SIGINT [s].
-        told_s: likewise after SIGTERM.
+        parent: the process that starts the wrapper.
+        asked_s: grace period after SIGINT [s].
+        told_s: grace period after SIGTERM [s].
     """
     return module_command(
         'taxinet_ros.nodes.graph.command_wrapper', str(parent), str(asked_s), str(told_s), *command
@@ -59,7 +60,7 @@ def main() -> int:
     """Run the command to its end.
 
     Returns:
-        Its exit code; 127 where it cannot be started.
+        Its exit code; 127 if it cannot be started.
     """
     parent, command = int(sys.argv[1]), sys.argv[4:]
     asked_s, told_s = map(float, sys.argv[2:4])
@@ -94,7 +95,7 @@ def main() -> int:
 
 
 def _pass_on(printed: IO[bytes]) -> None:
-    """Write what a command prints: its beginning as it comes, and at its end the last of it."""
+    """Copy a command's output: the beginning as it comes, and the tail at its end."""
     room, left_out, end = _BEGINNING_BYTES, 0, b''
     while data := os.read(printed.fileno(), 1 << 16):
         if room:
@@ -112,7 +113,7 @@ def _pass_on(printed: IO[bytes]) -> None:
 
 
 def _write(data: bytes) -> None:
-    with contextlib.suppress(OSError):  # a full disk is the recorder's to tell
+    with contextlib.suppress(OSError):  # the recorder reports a full disk
         sys.stdout.buffer.write(data)
         sys.stdout.buffer.flush()
 
@@ -125,14 +126,14 @@ def _end_soon(
     after_s: float, end_group: Callable[[int, FrameType | None], None], number: int,
     frame: FrameType | None,
 ) -> None:
-    """The command's group has the signal too: leave it a while to end by itself."""
+    """Wait for the command to end by itself: its process group received the signal too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, end_group)
     signal.setitimer(signal.ITIMER_REAL, after_s)
 
 
 def _end_group(grace_s: float, number: int, frame: FrameType | None) -> None:
-    """Ask all that the command has started to end, and end them after a grace."""
+    """Ask all descendants of the command to end, and kill them after the grace period."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     for process in _descendants():
@@ -143,7 +144,7 @@ def _end_group(grace_s: float, number: int, frame: FrameType | None) -> None:
 
 
 def _end_what_is_left() -> None:
-    """End what the command has started, in whatever session it is."""
+    """End the command's descendants in any session."""
     names = []
     for process in _descendants():
         with contextlib.suppress(psutil.NoSuchProcess):

@@ -1,6 +1,6 @@
-"""The Foxglove server as a process beside a graph, for as long as that lives.
+"""Run the Foxglove server in its own process for the lifetime of a graph.
 
-A process of its own, so that whoever looks costs the run no time on its core.
+It is a separate process so that viewers take no CPU time from the run.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from taxinet_ros.processes.child import ChildProcess, package_environment
 
 
 def check_port(port: int) -> None:
-    """Refuse a port that cannot be listened on, before anything is begun.
+    """Refuse a port that cannot be opened, before anything is started.
 
     Raises:
-        UsageError: it is taken or out of range, or foxglove-sdk is not installed.
+        UsageError: it is in use or out of range, or foxglove-sdk is not installed.
     """
     if importlib.util.find_spec('foxglove') is None:
         raise UsageError(f'--foxglove: {NOT_INSTALLED}')
     try:
         with socket.socket() as probe:
-            # As the server does: a port that a moment ago was in use is free.
+            # As the server does: a port closed a moment ago counts as free.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((HOST, port))
     except (OSError, OverflowError) as error:
-        reason = getattr(error, 'strerror', None) or 'ports go from 1 to 65535'
+        reason = getattr(error, 'strerror', None) or 'ports range from 1 to 65535'
         raise UsageError(f'--foxglove {port}: {reason}; choose another port') from error
 
 
 @contextlib.contextmanager
 def foxglove_view(port: int, domain: int) -> Iterator[None]:
-    """Within the ``with``, show what happens on a ROS domain at ``ws://127.0.0.1:<port>``.
+    """Context in which a ROS domain is streamed to ``ws://127.0.0.1:<port>``.
 
-    Begins when the server has found the graph, so that no run is over before.
+    Entered when the server has found the graph, so that no run is missed.
 
     Raises:
-        UsageError: the server cannot be opened.
+        UsageError: the server cannot be started.
     """
     command = node_command('taxinet_ros.nodes.foxglove_server')
     command += ['--ros-args', '-p', f'port:={port}']
@@ -58,7 +58,7 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
             if not any(line.startswith(LOOKING_ON.encode()) for line in server.process.stdout):
                 errors.seek(0)
                 said = errors.read().decode(errors='replace').strip().splitlines()
-                last = said[-1] if said else 'it ended without a word'
+                last = said[-1] if said else 'it exited without a message'
                 raise UsageError(f'--foxglove: {last.removeprefix("error: ")}')
             yield
         finally:

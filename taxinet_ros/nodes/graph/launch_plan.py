@@ -1,8 +1,8 @@
-"""What the launch file starts, and what it ends with: all of it that needs no library of launch.
+"""Plan of the launch file: nodes to start and exit code; needs no launch library.
 
-``ros2 launch`` may run in another Python than the nodes do, one that has ROS and nothing else. So
-only that is needed here, and what takes more is checked by the nodes: one that refuses what it was
-given ends the launch at once.
+``ros2 launch`` may run in another Python than the nodes, with ROS but no other packages. So only
+ROS is imported here, and further checks are left to the nodes: a node that refuses its parameters
+ends the launch at once.
 """
 
 from __future__ import annotations
@@ -30,31 +30,33 @@ from taxinet_ros.core.user_code import (
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
+from taxinet_ros.registry import KMWH
 
 ARGUMENTS = {
-    'perception': ('taxinet', 'who sees: truth, taxinet, original, …; a .safetensors or .onnx '
+    'perception': ('taxinet', 'perception: truth, taxinet, original, …; a .safetensors or .onnx '
                    'file; FILE.py:NAME; external, a node started elsewhere; or cmd:COMMAND'),
-    'perception_cmd': ('', 'command of a perception of your own: short for perception:=cmd:…'),
-    'controller': (STEERING, 'who steers: steering; FILE.py:NAME; external; or cmd:COMMAND'),
-    'controller_cmd': ('', 'command of a controller of your own: short for controller:=cmd:…'),
+    'perception_cmd': ('', 'command of your own perception: short for perception:=cmd:…'),
+    'controller': (STEERING, 'controller: steering; FILE.py:NAME; external; or cmd:COMMAND'),
+    'controller_cmd': ('', 'command of your own controller: short for controller:=cmd:…'),
+    'world': (KMWH, 'world of the runs: kmwh, the simulated airport, or a name that a package '
+              'adds'),
     'scenario': ('s_falsif', 'Scenic program to draw scenes from: a shipped name or a file'),
-    'program': ('', 'the same, by its older name'),
+    'program': ('', 'older name of scenario'),
     'runs': ('10', 'number of runs'),
     'seed': ('0', 'seed of the scenes'),
-    'sampler': ('', 'ce, random, …: searches for failures; empty: what the program draws'),
-    'until': ('', 'a search stops early: failures=K or half-width=W'),
-    'budget': ('0.0', 'a search begins no run after so long [min]; 0: ever'),
-    'resume': ('false', 'continues the search that was interrupted in out'),
-    'out': ('', 'folder for table and bags, which must be new; one below bags/ where empty'),
-    'images': ('all', 'runs whose camera frames go into the bags: all, failures or none'),
-    'latency': ('', 'how late answers take effect, such as perception=0.15 [s]'),
-    'lockstep': ('true', 'simulated time waits for every answer; false: it goes by the wall clock'),
-    'real_time_factor': ('1.0', 'simulated seconds per second where lockstep is false; 0: as fast '
-                         'as it goes'),
-    'namespace': ('', 'prefix of every name of the graph, its clock included: two graphs with '
-                  'namespaces of their own run side by side on one domain'),
-    'domain': ('', 'ROS domain of the nodes; empty: that of the environment'),
-    'params': ('', "file with the nodes' parameters; empty: the shipped one"),
+    'sampler': ('', 'ce, random, …: search for failures; empty: scenes drawn by the program'),
+    'until': ('', 'stop a search early: failures=K or half-width=W'),
+    'budget': ('0.0', 'time budget: a search starts no new run after this [min]; 0: unlimited'),
+    'resume': ('false', 'continue an interrupted search in out'),
+    'out': ('', 'new folder for table and bags; empty: one below bags/'),
+    'images': ('all', 'runs whose camera frames are recorded: all, failures or none'),
+    'latency': ('', 'latency of answers, e.g. perception=0.15 [s]'),
+    'lockstep': ('true', 'simulated time waits for every answer; false: it follows the wall clock'),
+    'real_time_factor': ('1.0', 'real-time factor if lockstep is false; 0: as fast as possible'),
+    'namespace': ('', 'prefix of every name in the graph, /clock included, so that several '
+                  'graphs can share a domain'),
+    'domain': ('', "ROS domain of the nodes; empty: the environment's"),
+    'params': ('', 'parameter file of the nodes; empty: the shipped one'),
 }
 """Default and description of every launch argument."""
 
@@ -63,26 +65,26 @@ _EITHER = (
 )
 
 RENAMED = {'weights': 'perception'}
-"""Arguments of older launch files, with the one that takes their value now."""
+"""Renamed arguments of older launch files, with their new names."""
 
 CLOCK_REMAP = (topics.CLOCK.name, topics.CLOCK.name.lstrip('/'))
-"""Puts the clock into the node's namespace, where it has one."""
+"""Moves the clock into the node's namespace, if it has one."""
 
 NOT_STARTED = (ExitCode.USAGE, 127)
-"""Exit codes of a node that does not take what it was given, or of a command that is none."""
+"""Exit codes of a node that refuses its parameters, or of an invalid command."""
 
 _OF_LAUNCH = ('launch-prefix', 'launch-prefix-filter')
 
 
 @dataclass(frozen=True, kw_only=True)
 class NodePlan:
-    """One node that is to be started.
+    """One node to start.
 
     Attributes:
         name: of the node.
-        executable: of this package; '' where it is somebody's command.
-        parameters: that it is given, over those of the parameter file.
-        command: program and arguments of somebody's command; empty for a node of ours.
+        executable: executable of this package; '' for a user's command.
+        parameters: parameters that override the parameter file.
+        command: program and arguments of a user's command; empty for a node of this package.
     """
 
     name: str
@@ -92,13 +94,13 @@ class NodePlan:
 
 
 def check_names(given: Sequence[str]) -> None:
-    """See that each of the arguments that a person typed is one; launch would say nothing.
+    """Check that every launch argument is known; launch ignores unknown ones silently.
 
     Args:
-        given: ``NAME:=VALUE`` each.
+        given: arguments as ``NAME:=VALUE``.
 
     Raises:
-        UsageError: names the first that is none, and the nearest that is; or two that say the same.
+        UsageError: an argument is unknown (the nearest known one is named), or two are equivalent.
     """
     typed = {name: value for name, _, value in (text.partition(':=') for text in given) if value}
     for one, other in _EITHER:
@@ -107,7 +109,7 @@ def check_names(given: Sequence[str]) -> None:
     for text in given:
         name = text.partition(':=')[0]
         if name in RENAMED:
-            raise UsageError(f'{text}: say {RENAMED[name]}:={text.partition(":=")[2]}')
+            raise UsageError(f'{text}: renamed; use {RENAMED[name]}:={text.partition(":=")[2]}')
         if name not in ARGUMENTS and name not in _OF_LAUNCH:
             near = difflib.get_close_matches(name, ARGUMENTS, 1)
             hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(ARGUMENTS)}'
@@ -121,15 +123,16 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
         words: value of each of :data:`ARGUMENTS`.
 
     Raises:
-        UsageError: one line on the first that is wrong, as far as it can be told here.
+        UsageError: a value is invalid, as far as it can be checked here.
     """
     out = words['out'] or f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}'
     perception = _word_or_command(words, 'perception')
     controller = _word_or_command(words, 'controller')
     seeing, weights = perception_executable(perception)
+    there = {} if words['world'] == KMWH else {'world': words['world']}
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
-        _ours(topics.SIMULATOR, **_timing(words)),
+        _ours(topics.SIMULATOR, **_timing(words), **there),
         _elsewhere(topics.PERCEPTION, perception, words) if is_node_elsewhere(perception)
         else NodePlan(name=topics.PERCEPTION, executable=seeing, parameters=weights),
         _elsewhere(topics.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)
@@ -142,23 +145,23 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
 
 
 def namespace(words: Mapping[str, str]) -> str:
-    """The namespace of the graph, absolute; ``/`` for none.
+    """Absolute namespace of the graph; ``/`` for none.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is invalid.
     """
     return absolute_namespace(words['namespace'], 'namespace:=')
 
 
 def absolute_namespace(text: str, where: str) -> str:
-    """A namespace that somebody typed, absolute; ``/`` for none.
+    """Make a namespace given by the user absolute; ``/`` for none.
 
     Args:
-        text: what was typed.
-        where: option or argument, for the complaint.
+        text: the namespace as given.
+        where: option or argument, for the error message.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is invalid.
     """
     absolute = '/' + text.strip('/')
     try:
@@ -170,15 +173,15 @@ def absolute_namespace(text: str, where: str) -> str:
 
 
 def namespace_remaps(absolute: str) -> tuple[str, ...]:
-    """What puts a node into a namespace, its clock too."""
+    """Remaps that move a node and its clock into a namespace."""
     return f'__ns:={absolute}', ':='.join(CLOCK_REMAP)
 
 
 def environment(words: Mapping[str, str]) -> dict[str, str]:
-    """What the nodes find in their environment beside what launch finds there.
+    """Environment variables of the nodes, in addition to those of launch.
 
     Raises:
-        UsageError: there is no such domain.
+        UsageError: the domain is invalid.
     """
     found = {'PYTHONUNBUFFERED': '1'}
     if words['domain']:
@@ -191,10 +194,10 @@ def parameter_file(words: Mapping[str, str], share: Path) -> str:
 
     Args:
         words: as of :func:`plan`.
-        share: folder with what this package has installed.
+        share: share folder of this package.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the file does not exist.
     """
     path = Path(words['params']) if words['params'] else share / 'config' / 'nodes.yaml'
     if not path.is_file():
@@ -203,35 +206,35 @@ def parameter_file(words: Mapping[str, str], share: Path) -> str:
 
 
 class Ending:
-    """When a launch is over, and with which exit code.
+    """Decides when a launch ends, and with which exit code.
 
     Attributes:
-        code: of the campaign, or of the node that has refused what it was given; None as long as
-            nothing has ended it.
-        why: the same in words.
+        code: exit code of the campaign, or of the node that refused its parameters; None until the
+        launch ends.
+        why: the reason as text.
     """
 
     def __init__(self, nodes: Sequence[NodePlan]) -> None:
-        """``nodes``: those that are started."""
+        """``nodes``: the nodes to start."""
         self.code: int | None = None
         self.why = ''
         self._names = [node.name for node in nodes]
         self._running: set[int] = set()
 
     def begun(self, pid: int) -> None:
-        """Take that a process has been started, whoever's it is."""
+        """Record that a process was started."""
         self._running.add(pid)
 
     def over(self, pid: int, name: str, code: int) -> bool:
-        """Take that a process has ended.
+        """Record that a process has ended.
 
         Args:
             pid: of the process.
-            name: of the node, if it is one of the graph's.
+            name: name of the node, if it belongs to the graph.
             code: its exit code; negative: the signal.
 
         Returns:
-            Whether the whole launch is to end for it.
+            Whether the whole launch must end.
         """
         self._running.discard(pid)
         if self.code is not None or name not in self._names:
@@ -241,20 +244,20 @@ class Ending:
             self.why = f'the campaign has ended: exit code {code}'
         elif code in NOT_STARTED:
             self.code = ExitCode.USAGE
-            self.why = f'{name} has refused what it was given'
+            self.why = f'{name} refused its parameters'
         return self.code is not None
 
     @property
     def exit_code(self) -> int | None:
-        """What to leave with, once nothing runs any more; None before, and where all is well."""
+        """Exit code once all processes have ended; None before that or on success."""
         return None if self._running else self.code or None
 
 
 def _word_or_command(words: Mapping[str, str], role: str) -> str:
-    """The word for one part of the loop.
+    """Word that selects the node of one role.
 
     Raises:
-        UsageError: there are two, it is no command, or no function of a file.
+        UsageError: two are given, or it is not a valid command or function.
     """
     word, command = words[role], words[f'{role}_cmd']
     if command and word != ARGUMENTS[role][0]:
@@ -266,7 +269,7 @@ def _word_or_command(words: Mapping[str, str], role: str) -> str:
 
 
 def _one_of_two(one: str, other: str, words: Mapping[str, str]) -> str:
-    return f'{one}:={words[one]} and {other}:={words[other]}: give one of the two'
+    return f'{one}:={words[one]} and {other}:={words[other]}: give only one'
 
 
 def _ours(name: str, **parameters: Any) -> NodePlan:
@@ -274,10 +277,10 @@ def _ours(name: str, **parameters: Any) -> NodePlan:
 
 
 def _elsewhere(name: str, word: str, words: Mapping[str, str]) -> NodePlan | None:
-    """Somebody's command as a node; None where he starts it.
+    """A user's command as a node; None if the user starts it.
 
     Raises:
-        UsageError: there is no such program.
+        UsageError: the program does not exist.
     """
     command = node_command(word, name, namespace_remaps(namespace(words)))
     if command is None:
@@ -291,7 +294,7 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
     """Parameters of the sampler.
 
     Raises:
-        UsageError: a number is none, or the program is named twice.
+        UsageError: a number is invalid, or the program is named twice.
     """
     scenario = words['scenario']
     if words['program']:
@@ -311,10 +314,10 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
 
 
 def _timing(words: Mapping[str, str]) -> dict[str, Any]:
-    """Parameters of the simulator that were asked for; it refuses those that have no effect.
+    """Timing parameters given for the simulator; it refuses those without effect.
 
     Raises:
-        UsageError: a number or a flag is none.
+        UsageError: a number or a flag is invalid.
     """
     every = {
         'latency': words['latency'],

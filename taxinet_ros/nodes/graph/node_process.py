@@ -1,4 +1,4 @@
-"""One node of a graph as a process of its own: one of this package, or somebody's command."""
+"""Run one node of a graph in its own process: a node of this package or a user's command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class NodeProcess(ChildProcess):
     """A node's process.
 
     Attributes:
-        log: file that takes what it prints, one start after the other.
+        log: file for its output, one start after the other.
     """
 
     log: Path
@@ -39,8 +39,8 @@ class NodeProcess(ChildProcess):
         Args:
             name: of the node.
             command: program and arguments.
-            domain: ROS domain that it joins.
-            log: file that takes what it prints.
+            domain: ROS domain to join.
+            log: file for its output.
             ours: whether it is a node of this package.
         """
         self._ours = ours
@@ -56,38 +56,39 @@ class NodeProcess(ChildProcess):
         cls, name: str, command: list[str], *, domain: int, log: Path,
         graces_s: tuple[float, float] = (SIGINT_GRACE_S, SIGTERM_GRACE_S),
     ) -> Self:
-        """Start somebody's command, which is to be a node, whatever it starts in turn.
+        """Start a user's command as a node, including its child processes.
 
         Args:
             name: of the node.
             command: program and arguments.
-            domain: ROS domain that it joins.
-            log: file that takes what it prints.
-            graces_s: what is left to it after SIGINT, and after SIGTERM [s].
+            domain: ROS domain to join.
+            log: file for its output.
+            graces_s: grace periods after SIGINT and after SIGTERM [s].
 
         Raises:
-            UsageError: there is no such program.
+            UsageError: the program does not exist.
         """
         if shutil.which(command[0]) is None:
             raise UsageError(f'{name}: {command[0]}: no such program')
         words = wrapped_command(command, os.getpid(), *graces_s)
-        return cls(name, words, domain=domain, log=log)  # the keeper looks after its parent's death
+        return cls(name, words, domain=domain, log=log)  # the wrapper watches for its parent's
+        # death
 
     @classmethod
     def of_ours(
         cls, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, log: Path,
         scratch: Path, remaps: Sequence[str] = (),
     ) -> Self:
-        """Start a node of this package; Linux kills it when its parent goes.
+        """Start a node of this package; Linux kills it when its parent dies.
 
         Args:
             name: of the node.
             kind: node class whose module is the program.
             parameters: the node's ROS parameters.
-            domain: ROS domain that it joins.
-            log: file that takes what it prints.
-            scratch: folder of its parameter file, which must last as long as the process.
-            remaps: rules, ``FROM:=TO``.
+            domain: ROS domain to join.
+            log: file for its output.
+            scratch: folder for its parameter file; must outlive the process.
+            remaps: remap rules, ``FROM:=TO``.
         """
         words = node_command(kind.__module__)
         options = [part for rule in remaps for part in ('-r', rule)]
@@ -100,21 +101,21 @@ class NodeProcess(ChildProcess):
         return cls(name, words, domain=domain, log=log, ours=True)
 
     def kill(self) -> None:
-        """Kill it and all that it has started, in whatever session that is."""
+        """Kill the process and its descendants in any session."""
         with contextlib.suppress(psutil.NoSuchProcess):
-            # Nobody else would know of what a keeper has adopted, so it is the last to go.
+            # Only the wrapper knows the processes it adopted, so it is killed last.
             for process in psutil.Process(self.process.pid).children(recursive=True):
                 with contextlib.suppress(psutil.NoSuchProcess):
                     process.kill()
         super().kill()
 
     def last_line(self, but: str | None = CHILDREN_LEFT) -> str:
-        """The last line that it printed itself, or ''."""
+        """The last line printed by the process itself, or ''."""
         return super().last_line(but)
 
     @property
     def refused(self) -> str:
-        """What a node of ours said before it left for a mistake of the user's, or ''."""
+        """Usage error printed by a node of this package before it exited, or ''."""
         if not self._ours or self.code != ExitCode.USAGE:
             return ''
         return self.how_it_ended().split('error: ', 1)[-1]
@@ -124,15 +125,15 @@ class NodeProcess(ChildProcess):
 def command_processes(
     commands: Mapping[str, list[str]], domain: int, logs: Path
 ) -> Iterator[list[NodeProcess]]:
-    """Start somebody's commands as nodes of a graph; none of them outlasts the ``with``.
+    """Context of user commands running as nodes of a graph; all are ended on exit.
 
     Args:
         commands: program and arguments by the node's name.
-        domain: ROS domain that the nodes join.
-        logs: folder that takes what each of them prints.
+        domain: ROS domain of the nodes.
+        logs: folder for their output.
 
     Raises:
-        UsageError: there is no such program.
+        UsageError: the program does not exist.
     """
     children: list[NodeProcess] = []
     try:
@@ -146,5 +147,5 @@ def command_processes(
 
 
 def node_command(module: str) -> list[str]:
-    """What runs a node of this package, which holds signals back until it can answer them."""
+    """Command line of a node of this package; it blocks signals until it can handle them."""
     return module_command('taxinet_ros.cli.start', module)

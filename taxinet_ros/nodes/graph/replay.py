@@ -1,7 +1,7 @@
-"""A recorded run again: its scenario through the whole graph, or its bag into one node.
+"""Repeat a recorded run: rerun its scenario in the whole graph, or replay its bag into one node.
 
-The node that a run is replayed into cannot tell it from the graph: the player speaks on all
-topics that the node hears, in lockstep, and stands in for everybody that hears the node.
+For the node under test, the replay is indistinguishable from the graph: the player publishes on all
+topics the node subscribes to, in lockstep, and replaces all its subscribers.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun, gains_text
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
@@ -36,10 +37,10 @@ from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
 from taxinet_ros.nodes.messages.convert import scenario_message
 from taxinet_ros.nodes.messages.step import StepCollector
-from taxinet_ros.nodes.recorder import bag_name
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.registry import KMWH
 
 Step = tuple[int, Mapping[str, Sequence[bytes]]]
 """Number of a control step, and its serialised messages by topic of the table."""
@@ -48,11 +49,11 @@ ANSWER_TIMEOUT_S = 30.0
 
 
 class Player(Node):
-    """Publishes step after step, each when the one before is answered.
+    """Publishes the steps one by one, each after the previous one is answered.
 
     Attributes:
         answers: messages of the node under test by control step and topic.
-        finished: done when the last step is answered; carries what went wrong.
+        finished: done when the last step is answered; raises on failure.
     """
 
     def __init__(
@@ -62,16 +63,16 @@ class Player(Node):
         """Join the graph and wait for the node under test.
 
         Args:
-            scenario: whose run it is; ``target`` alone takes part.
-            steps: what to play, drawn one at a time.
+            scenario: scenario of the run; only ``target`` takes part.
+            steps: steps to play, drawn one at a time.
             target: name of the node under test.
-            speaks: topics that are played.
-            answer: topic that the node answers every step on.
-            per_step: with so many messages.
-            executor: the one that spins this node.
+            speaks: topics to publish.
+            answer: topic of the node's answers.
+            per_step: number of answers per step.
+            executor: executor that spins this node.
             node: goes to :class:`rclpy.node.Node`.
         """
-        # Nodes wait for one another by name, and here this one is the simulator.
+        # Nodes wait for each other by name, and this one acts as the simulator.
         super().__init__(interface.SIMULATOR, **node)
         self._scenario, self._steps, self._target = scenario, steps, target
         self._collector = StepCollector({answer.name: per_step})
@@ -94,7 +95,7 @@ class Player(Node):
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
     def _callback(self, topic: Topic, answer: Topic) -> Callable[[Any], None]:
-        """What is done with a message; the node waits for listeners even to what nobody needs."""
+        """Callback of a topic; the node needs subscribers even on unused topics."""
         if topic is answer:
             return functools.partial(self._on_answer, topic.name)
         return self._on_status if topic is interface.NODE_STATUS else lambda message: None
@@ -113,7 +114,7 @@ class Player(Node):
             self._fail(kind, f'silent for {ANSWER_TIMEOUT_S:g} s')
 
     def _found(self) -> bool:
-        """Whether the node under test is at the other end of every topic."""
+        """Whether the node under test is matched on every topic."""
         return all(
             publisher.get_subscription_count() for publisher in self._speakers.values()
         ) and all(heard.get_publisher_count() for heard in self._listeners)
@@ -136,7 +137,7 @@ class Player(Node):
         try:
             step = next(self._steps, None)
         except Exception as error:
-            # It belongs to whoever waits for the replay, not to the executor.
+            # It belongs to the caller of the replay, not to the executor.
             self.finished.set_exception(error)
             return
         if step is None:
@@ -159,7 +160,7 @@ _ANSWERS = {
     interface.MTL_MONITOR: interface.ROBUSTNESS,
 }
 TARGETS = tuple(_ANSWERS)
-"""Nodes that a run can be replayed into."""
+"""Nodes into which a run can be replayed."""
 Columns = dict[str, NDArray[np.float64]]
 
 
@@ -167,28 +168,28 @@ def replay(
     recording: Recording, run: RecordedRun, *, target: str, perception: str,
     controller: str = STEERING,
 ) -> Columns:
-    """Feed a recorded run to one node over its topics.
+    """Replay a recorded run into one node over its topics.
 
-    Camera frames that the bag lacks are rendered.
+    Camera frames missing from the bag are rendered.
 
     Args:
         recording: of a run.
-        run: what it says of it, or that changed.
+        run: facts of the run, possibly modified.
         target: one of :data:`TARGETS`.
-        perception: word or file of the perception, where that is the target.
+        perception: word or file of the perception, if that is the target.
         controller: word of the controller, likewise.
 
     Returns:
-        What the node answered, by the names of :attr:`.recording.Recording.columns`:
-        ``seq`` and the columns of the target.
+        The node's answers, by the names of :attr:`.recording.Recording.columns`: ``seq`` and the
+        columns of the target.
 
     Raises:
-        UsageError: unknown target, or the bag's messages are of another version.
-        InfraError: the node broke or fell silent.
-        BagError: the bag cannot be read, or its frames cannot be had.
+        UsageError: unknown target, or the bag's messages have another version.
+        InfraError: the node failed or timed out.
+        BagError: the bag cannot be read, or its frames cannot be rendered.
     """
     if target not in _ANSWERS:
-        raise UsageError(f'--into {target}: cannot be replayed into; known: {", ".join(TARGETS)}')
+        raise UsageError(f'--into {target}: not a replay target; known: {", ".join(TARGETS)}')
     inputs = _inputs(target, perception)
     answer = _ANSWERS[target]
     _check_types(recording, inputs)
@@ -212,7 +213,7 @@ def replay(
 
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
-    """The topics that steer a node from step to step."""
+    """Input topics of a node in every step."""
     looks = target != interface.PERCEPTION or make_perception(perception).needs_image
     unused = interface.TRUTH if looks else interface.IMAGE
     return tuple(
@@ -230,13 +231,13 @@ def _check_types(recording: Recording, inputs: tuple[Topic, ...]) -> None:
             raise UsageError(f'{bag}: no topic {bag_name(topic)}, so there is nothing to replay')
         if found is not None and found.type_hash != type_hash(topic.type_name):
             raise UsageError(
-                f'{bag}: {topic.type_name} on {found.name} is of another version than the '
-                'installed one; record the run again: taxinet run --from'
+                f'{bag}: {topic.type_name} on {found.name} has another version than the installed '
+                'one; re-record the run with taxinet run --from'
             )
 
 
 def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
-    """The inputs of every control step, frames rendered where the bag has none."""
+    """Yield the inputs of every control step; missing frames are rendered."""
     if inputs == (interface.IMAGE,):
         for seq, cdr in frame_messages(recording):
             yield seq, {interface.IMAGE.name: [cdr]}
@@ -247,7 +248,7 @@ def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
         step: dict[str, list[bytes]] = {}
         for message in group:
             step.setdefault(names[message.topic.name], []).append(message.cdr)
-        if len(step) == len(inputs):  # A run that broke down may have left a torn step.
+        if len(step) == len(inputs):  # A failed run may end with an incomplete step.
             yield seq, step
 
 
@@ -263,7 +264,7 @@ def _columns(answer: Topic, answers: dict[int, dict[str, list[Any]]]) -> Columns
 
 
 def _numbers(message: Any) -> dict[str, float]:
-    """The numbers of one answer, named as in a trace; an estimate that is invalid has none."""
+    """Values of one answer, named as in a trace; none for an invalid estimate."""
     if isinstance(message, interface.ESTIMATE.type):
         if not message.valid:
             return {}
@@ -279,13 +280,13 @@ def _numbers(message: Any) -> dict[str, float]:
 def rerun(
     runs: Sequence[tuple[RecordedRun, str, str]], out: Path, *, images: str, processes: bool = False
 ) -> dict[str, RunResult]:
-    """Run recorded runs again, each in a graph as it had one.
+    """Rerun recorded runs, each in a graph like its original one.
 
     Args:
-        runs: each with the words of the perception and the controller to use.
-        out: folder that takes the new bags, one folder per run, by the same names.
+        runs: recorded runs, each with the words of perception and controller to use.
+        out: folder for the new bags, one folder per run with the same name.
         images: as in :class:`.graph.GraphOptions`.
-        processes: every node a process of its own.
+        processes: run every node in its own process.
 
     Returns:
         Results by name of the run.
@@ -296,14 +297,15 @@ def rerun(
         results[request.run_id] = result
         return result.outcome.judged
 
-    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str, str]:
-        return run[1], run[2], gains_text(run[0].gains), run[0].timing.words
+    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, ...]:
+        return run[1], run[2], gains_text(run[0].gains), run[0].timing.words, run[0].world
 
     for (perception, controller, *_), group in groupby(sorted(runs, key=kind), kind):
         alike = [run for run, *_ in group]
         options = GraphOptions(
             perception=perception, out=out, images=images, controller=controller,
             gains=alike[0].gains if controller == STEERING else {}, timing=alike[0].timing,
+            world=alike[0].world or KMWH, world_sha256=alike[0].world_fingerprint,
         )
         requests = [
             dataclasses.replace(run.request, participants=PARTICIPANTS) for run in alike

@@ -1,7 +1,6 @@
-"""The whole graph for a campaign: composed in one process, or each node a process.
+"""The graph of a campaign: composed in one process, or one process per node.
 
-Both start the same node classes on a ROS domain of their own, with discovery on this machine
-only.
+Both start the same node classes on a private ROS domain, with discovery on this machine only.
 """
 
 from __future__ import annotations
@@ -38,6 +37,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 from taxinet_ros.processes.child import end_all
+from taxinet_ros.registry import KMWH
 
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
@@ -49,23 +49,25 @@ _PERCEPTIONS: dict[str, NodeClass] = {
 
 @dataclass(frozen=True, kw_only=True)
 class GraphOptions:
-    """What a graph is made of.
+    """Options of a graph.
 
     Attributes:
         perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
-        out: folder that takes one bag folder per run.
-        make_out: whether that is made where it is missing. A campaign has made its own, so if it is
-            missing then it was moved or deleted, and nothing is to be begun in its place.
-        images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
+        out: folder for the bags, one folder per run.
+        make_out: whether to create a missing ``out``. A campaign creates its own, so if it is
+        missing, it was moved or deleted and must not be replaced.
+        images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
-        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
+        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], if not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
-        controller: ``steering``, ``FILE.py:NAME``, or a word of node_words.
-        controller_sha256: what the controller's file has to be, with those that it lists, so that
-            one that changes amid a campaign is not mixed in; '' where it may be any.
-        alone: whether runs are asked for by this process alone, so that no other is recorded.
-        timing: when answers take effect.
+        controller: ``steering``, ``FILE.py:NAME``, or a word of :mod:`taxinet_ros.core.user_code`.
+        controller_sha256: required hash of the controller's file and the files it lists, so that a
+        change during a campaign is detected; '' for any.
+        alone: whether only this process may request runs; others are not recorded.
+        timing: timing of answers.
+        world: name of the world that runs take place in.
+        world_sha256: what the package that brings it has to be; '' where it may be any.
     """
 
     perception: str
@@ -79,9 +81,11 @@ class GraphOptions:
     controller_sha256: str = ''
     alone: bool = True
     timing: Timing = AT_ONCE
+    world: str = KMWH
+    world_sha256: str = ''
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
-        """Class and parameters of every node of ours but the sampler, by node name."""
+        """Class and parameters of every node of this package except the sampler, by node name."""
         executable, parameters = perception_executable(self.perception)
         perception = (_PERCEPTIONS[executable], parameters)
         steering = {} if self.controller == STEERING else {
@@ -100,65 +104,71 @@ class GraphOptions:
         return {name: node for name, node in every.items() if name not in self.elsewhere}
 
     def _simulator(self) -> dict[str, Any]:
+        there = {} if self.world == KMWH else {
+            'world': self.world, 'world_sha256': self.world_sha256,
+        }
         if self.timing.free:
-            return {'lockstep': False, 'real_time_factor': self.timing.factor}
-        return {'latency': self.timing.latency} if self.timing.laws else {}
+            return {**there, 'lockstep': False, 'real_time_factor': self.timing.factor}
+        return {**there, 'latency': self.timing.latency} if self.timing.laws else there
 
     @property
     def elsewhere(self) -> dict[str, str]:
-        """Words of :mod:`taxinet_ros.core.user_code`, by the name of the node they stand for."""
+        """Words of :mod:`taxinet_ros.core.user_code` by the name of the node they replace."""
         words = {
             interface.PERCEPTION: self.perception, interface.STEERING_CONTROLLER: self.controller,
         }
         return {name: word for name, word in words.items() if is_node_elsewhere(word)}
 
     def commands(self, remaps: Sequence[str] = ()) -> dict[str, list[str]]:
-        """Program and arguments of every node that somebody's command is, by node name.
+        """Program and arguments of every user command, by node name.
 
-        The node is given the name that the graph knows it by, and ``remaps``, ``FROM:=TO`` each.
+        The node gets its name in the graph and ``remaps`` of the form ``FROM:=TO``.
         """
         found = {name: node_command(word, name, remaps) for name, word in self.elsewhere.items()}
         return {name: words for name, words in found.items() if words}
 
 
-def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
-    """What the graphs of a campaign are made of.
+def campaign_graph(
+    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
+) -> GraphOptions:
+    """Options of the graphs of a campaign.
 
     Args:
-        campaign: whose folder is there.
-        controller_sha256: of its controller, as it is on record.
+        campaign: campaign whose folder exists.
+        controller_sha256: recorded hash of its controller.
+        world_sha256: likewise of the package that brings its world, or ''.
     """
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
-        timing=campaign.timing,
+        timing=campaign.timing, world=campaign.world, world_sha256=world_sha256,
     )
 
 
 class Graph(Protocol):
-    """A running graph that answers requests."""
+    """A running graph that executes requests."""
 
     @property
     def domain(self) -> int:
-        """The ROS domain id that it has for itself."""
+        """The private ROS domain id."""
 
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
-        """Run the requests one after the other until they end or ``on_result`` says False."""
+        """Run the requests in order until they end or ``on_result`` returns False."""
 
     def interrupt(self) -> None:
-        """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
+        """End the current run as INTERRUPTED and return from :meth:`run`."""
 
     def abort(self) -> bool:
-        """Have :meth:`run` raise KeyboardInterrupt now; False where it does not run."""
+        """Make :meth:`run` raise KeyboardInterrupt now; False if it is not active."""
 
 
 @contextlib.contextmanager
 def composed_graph(
     options: GraphOptions, executor: Callable[..., Any] = EventsExecutor
 ) -> Iterator[SampledGraph]:
-    """Every node in this process, on one executor; they still talk only over topics.
+    """Run every node in this process on one executor; they still communicate only over topics.
 
-    ``executor`` makes another one, from the keyword ``context``.
+    ``executor`` is an alternative factory, called with the keyword ``context``.
     """
     with (
         own_domain() as domain,
@@ -176,18 +186,18 @@ def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
 
 
 class SampledGraph:
-    """A graph with a sampler in this process, beside whatever other nodes are added to it."""
+    """A graph with a sampler in this process and any other nodes added to it."""
 
     def __init__(
         self, spinning: NodeExecutor, patience: Mapping[str, float],
         children: Sequence[NodeProcess],
     ) -> None:
-        """Take over what spins.
+        """Create the sampler.
 
         Args:
-            spinning: nodes of this process; the caller's to close.
+            spinning: executor of the nodes in this process; the caller closes it.
             patience: parameters of the sampler.
-            children: processes that are nodes of the graph: where one dies, its run ends.
+            children: processes that are nodes of the graph; the death of one ends its run.
         """
         self.children = children
         self._spinning = spinning
@@ -202,7 +212,7 @@ class SampledGraph:
 
     @property
     def seq(self) -> int:
-        """The control step that the run at hand has reached, as far as the sampler has heard."""
+        """Latest control step of the current run known to the sampler."""
         return self._sampler.seq if self._sampler is not None else -1
 
     @property
@@ -248,7 +258,7 @@ class SampledGraph:
 
 @contextlib.contextmanager
 def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
-    """Every node but the sampler as a process of its own; ``logs`` takes what they print."""
+    """Run every node except the sampler in its own process; output goes to ``logs``."""
     with (
         own_domain() as domain, node_processes(options, domain, logs) as children,
         NodeExecutor(domain) as spinning,
@@ -261,14 +271,14 @@ def node_processes(
     options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = (),
     remaps: Sequence[str] = (),
 ) -> Iterator[list[NodeProcess]]:
-    """Start every node of a graph but the sampler; none of them outlasts the ``with``.
+    """Context of all nodes of a graph except the sampler; all are ended on exit.
 
     Args:
-        options: what the graph is made of.
-        domain: ROS domain that the nodes join.
-        logs: folder that takes what each of them prints.
+        options: options of the graph.
+        domain: ROS domain of the nodes.
+        logs: folder for their output.
         without: names of nodes to leave out.
-        remaps: rules for every node, ``FROM:=TO``.
+        remaps: remap remap rules for every node, ``FROM:=TO``.
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []

@@ -1,4 +1,4 @@
-"""A standing graph, each node a process, that waits for a sampler from elsewhere."""
+"""A standing graph of node processes that waits for an external sampler."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from taxinet_ros.processes.child import IN_ORDER, end_all
 
 @dataclass(frozen=True, kw_only=True)
 class UpOptions:
-    """A standing graph.
+    """Options of a standing graph.
 
     Attributes:
-        graph: what it is made of; its ``out`` takes the logs too.
+        graph: graph options; ``out`` also holds the logs.
         record: whether there is a recorder.
-        domain: ROS domain; None for one of its own.
-        namespace: absolute, of every name of the graph, its clock included; graphs with namespaces
-            of their own may share a domain that is set.
-        care: how it is looked after.
+        domain: ROS domain; None for a free one.
+        namespace: absolute namespace of every name in the graph, including its clock; graphs with
+        different namespaces may share a domain set by the user.
+        care: supervision options.
     """
 
     graph: GraphOptions
@@ -45,46 +45,46 @@ class UpOptions:
 
     @property
     def remaps(self) -> tuple[str, ...]:
-        """What puts each node into the namespace."""
+        """Remaps that move each node into the namespace."""
         return namespace_remaps(self.namespace) if self.namespace != '/' else ()
 
     @property
     def ros_arguments(self) -> list[str]:
-        """The same on a command line."""
+        """The remaps as command-line arguments."""
         options = [part for rule in self.remaps for part in ('-r', rule)]
         return ['--ros-args', *options] if options else []
 
     @property
     def participants(self) -> tuple[str, ...]:
-        """Nodes that take part in the lockstep beside the simulator."""
+        """Nodes that take part in the lockstep, without the simulator."""
         return tuple(
             name for name in interface.PARTICIPANTS if self.record or name != interface.RECORDER
         )
 
 
 class GraphDisplay(Protocol):
-    """Whoever shows a standing graph to people."""
+    """Interface of a display of a standing graph."""
 
     def say(self, line: str) -> None:
-        """Take a line about something that happened."""
+        """Show a line about an event."""
 
     def watching(
         self, supervisor: Supervisor, domain: int
     ) -> contextlib.AbstractContextManager[None]:
-        """Show the graph as it is while the ``with`` lasts."""
+        """Context in which the state of the graph is shown."""
 
 
 def run_standing_graph(
-    options: UpOptions, shown: GraphDisplay, on_stop: Callable[[Callable[[], None]], None]
+    options: UpOptions, shown: GraphDisplay, on_start: Callable[[Supervisor], None]
 ) -> None:
-    """Start a graph, and look after it until it is told to stop.
+    """Start a graph and supervise it until stopped.
 
-    A ``KeyboardInterrupt``, whenever it comes, kills every node; else they end in order.
+    A ``KeyboardInterrupt`` at any time kills every node; otherwise they end in order.
 
     Args:
-        options: what to start.
-        shown: who shows it.
-        on_stop: is given the function that ends it in order, as soon as there is one.
+        options: options of the graph.
+        shown: the display.
+        on_start: called with the supervisor, which can stop the graph, once it exists.
 
     Raises:
         UsageError: bad input, or the domain belongs to another graph.
@@ -102,7 +102,7 @@ def run_standing_graph(
             cli_args=options.ros_arguments,
         )
         spinning.add(supervisor)
-        on_stop(supervisor.stop)
+        on_start(supervisor)
         with shown.watching(supervisor, domain):
             spin_until(spinning.executor, supervisor.ended)
 

@@ -1,6 +1,6 @@
-"""The node that supervises a graph of processes: waits for it, restarts nodes, or ends it.
+"""Node that supervises a graph of processes: waits until ready, restarts nodes, or ends it.
 
-Beside it: what is known of each supervised node, and what is heard of the graph's runs.
+Also here: the state of each supervised node, and the observed runs of the graph.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MOST_QUESTIONS = 60
 
 
 class State(enum.StrEnum):
-    """How a node stands, outside of a run too."""
+    """State of a node, also outside runs."""
 
     STARTING = 'starting'
     READY = 'ready'
@@ -41,18 +41,18 @@ class State(enum.StrEnum):
 
 
 class RestartLimit:
-    """So many new starts within so long a time, and no more."""
+    """Limits the number of restarts within a time window."""
 
     def __init__(self, times: int, window_s: float) -> None:
-        """Allow ``times`` starts, 0 for none, within any ``window_s`` [s]."""
+        """Allow ``times`` restarts (0 for none) within any ``window_s`` [s]."""
         self.times, self.window_s = times, window_s
         self._starts: collections.deque[float] = collections.deque()
 
     def spend(self, now_s: float) -> int:
-        """Ask for one more start at a time of the monotonic clock [s].
+        """Request a restart at a time of the monotonic clock [s].
 
         Returns:
-            Which of the allowed ones it is, from 1; 0 if there is none left.
+            Its number within the limit, from 1; 0 if the limit is reached.
         """
         while self._starts and now_s - self._starts[0] > self.window_s:
             self._starts.popleft()
@@ -63,31 +63,31 @@ class RestartLimit:
 
 
 class Pulse:
-    """Whether a node answers: a node that hangs or is stopped does not say so, run or no run.
+    """Liveness of a node, to detect one that hangs or is stopped, even outside runs.
 
-    Asks for no parameter at all, once a second, which the node's executor has to answer.
+    Sends an empty parameter request once a second, which the node's executor must answer.
 
     Attributes:
-        heard_s: when it last answered, by the monotonic clock [s].
-        answered: whether it ever has since its process was started.
+        heard_s: time of its last answer, monotonic clock [s].
+        answered: whether it has answered since its process started.
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        """Ask from ``node`` about the node ``name``."""
+        """Query the node ``name`` from ``node``."""
         self._client = node.create_client(GetParameters, f'{name}/get_parameters')
         self._questions: collections.deque[Future] = collections.deque()
         self.heard_s = self._asked_s = 0.0
         self.answered = False
 
     def begin(self, now_s: float) -> None:
-        """Its process starts now: nothing that was asked before will be answered."""
+        """Its process starts now: earlier requests will not be answered."""
         while self._questions:
             self._forget()
         self.answered = False
         self.heard_s = now_s
 
     def ask(self, now_s: float) -> None:
-        """Ask, where it is time to."""
+        """Send a request if one is due."""
         if now_s - self._asked_s < _ASK_PERIOD_S or not self._client.service_is_ready():
             return
         if len(self._questions) >= _MOST_QUESTIONS:
@@ -108,17 +108,17 @@ class Pulse:
 
 @dataclass(kw_only=True)
 class WatchedNode:
-    """A node, its process, and what was seen of it.
+    """A supervised node, its process and its state.
 
     Attributes:
         process: the node's process.
-        pulse: whether it answers.
-        limit: how often it may be started anew.
-        state: how it stands.
-        since_s: when it came into its state, by the monotonic clock [s].
-        started_s: when its process started, likewise.
-        restarts: number of new starts so far.
-        gone: ends of its dead processes, which linger in the graph for a while.
+        pulse: its liveness.
+        limit: its restart limit.
+        state: its state.
+        since_s: time of entering the state, monotonic clock [s].
+        started_s: time its process started, monotonic clock [s].
+        restarts: number of restarts so far.
+        gone: endpoints of its dead processes, which stay in the graph for a while.
     """
 
     process: NodeProcess
@@ -140,14 +140,14 @@ class WatchedNode:
         self.state, self.since_s = state, now_s
 
     def begin(self, now_s: float) -> None:
-        """Its process was started."""
+        """Record that its process was started."""
         self.started_s = now_s
         self.pulse.begin(now_s)
         self.become(State.STARTING, now_s)
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a process stands still by a signal, or in a debugger."""
+    """Whether a process is stopped by a signal or a debugger."""
     try:
         return psutil.Process(pid).status() in (psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP)
     except psutil.Error:
@@ -155,7 +155,7 @@ def is_stopped(pid: int) -> bool:
 
 
 def memory_mb(pid: int) -> float | None:
-    """Memory that a process has for itself and shares, RSS [MB]; None where it cannot be known."""
+    """Resident memory (RSS) of a process [MB]; None if unknown."""
     try:
         return float(psutil.Process(pid).memory_info().rss / 1e6)
     except psutil.Error:
@@ -166,21 +166,21 @@ _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
 
 
 class RunWatch:
-    """Follows the runs of a graph, tells it of a death, and can have the run at hand ended.
+    """Follows the runs of a graph, reports deaths to it, and can end the current run.
 
-    Listens only to what is latched and to the action's feedback: no node counts such ears.
+    Subscribes only to latched topics and action feedback, which no node counts.
 
     Attributes:
-        run_id: the run at hand, or ''.
-        running: whether it has begun.
-        seq: the control step that it has reached.
-        heard_s: when the simulator was heard last, by the monotonic clock [s].
-        last_run: the run that ended last, or ''.
-        outcomes: how many runs ended how.
+        run_id: the current run, or ''.
+        running: whether it has started.
+        seq: its latest control step.
+        heard_s: time of the simulator's last message, monotonic clock [s].
+        last_run: the last finished run, or ''.
+        outcomes: number of runs by outcome.
     """
 
     def __init__(self, node: Node, say: Callable[[str], None]) -> None:
-        """Listen and speak through ``node``; ``say`` takes a line when a run has ended."""
+        """Communicate through ``node``; call ``say`` with a line when a run has ended."""
         self._say = say
         self._node = node
         self._deaths: dict[str, tuple[str, set[End]]] = {}
@@ -203,9 +203,9 @@ class RunWatch:
         self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
 
     def report_death(self, name: str, detail: str) -> None:
-        """A node's process is dead: have the run at hand end at once, with the reason.
+        """Report a dead node process: the current run ends at once with this reason.
 
-        A run is at hand as soon as one is begun, though it may be heard of only after the death.
+        A run counts as soon as it is started, even if it becomes known only after the death.
         """
         self._deaths[name] = detail, self._in_graph()
         if self.run_id:
@@ -217,9 +217,9 @@ class RunWatch:
             self._death_notices.publish(death_notice(self.run_id, name, detail, seq=self.seq))
 
     def interrupt(self) -> bool:
-        """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.
+        """End the current run as INTERRUPTED, whoever requested it; False if there is none.
 
-        An empty request means all goals, by the definition of the action's cancel service.
+        An empty request cancels all goals (definition of action_msgs/srv/CancelGoal).
         """
         if not self.run_id or not self._cancel.service_is_ready():
             return False
@@ -227,10 +227,10 @@ class RunWatch:
         return True
 
     def _follow(self, run_id: str, *, running: bool) -> None:
-        """A run is heard of: it is told of deaths that are none of the past for it.
+        """On news of a run, report deaths that concern it.
 
-        Since a death nobody new has come to the graph: then a run of the dead simulator is at hand,
-        or one that had begun with the dead node among those who were ready.
+        If no node has joined since a death, the run belongs to the dead simulator, or started when
+        the dead node was ready.
         """
         self.run_id = run_id
         for name, (detail, others) in self._deaths.items():
@@ -238,7 +238,7 @@ class RunWatch:
                 self._tell(name, detail)
 
     def _in_graph(self) -> set[End]:
-        """Ends by which the simulator and the nodes of the lockstep speak of runs."""
+        """Endpoints through which the simulator and lockstep nodes report runs."""
         return {
             tuple(end.endpoint_gid) for topic in (interface.RUN_STATUS, interface.NODE_STATUS)
             for end in self._node.get_publishers_info_by_topic(topic.name)
@@ -264,7 +264,8 @@ class RunWatch:
             self._end(lost_run_status(notice))
 
     def _on_status(self, status: NodeStatus) -> None:
-        # What the simulator said of the run may have been lost with it: others are ready for it.
+        # The simulator's messages about the run may be lost with it, but other nodes are ready for
+        # it.
         if status.state == NodeStatus.READY and not self.run_id and status.run_id != self.last_run:
             self._follow(status.run_id, running=False)
         if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):
@@ -278,14 +279,14 @@ class RunWatch:
 
 _TICK_S = 0.1
 _KILL_AFTER = 3.0
-"""A node that is silent so many times the allowed time is taken for dead."""
+"""A node silent for this multiple of the allowed time counts as dead."""
 _END_OF_RUN_S, _END_HEARD_S = 5.0, 20.0
-"""How long the end of a run is awaited: of a silent simulator, and of one that is heard still."""
+"""Timeouts for the end of a run: with a silent simulator, and with one still heard."""
 _HEARD_S = 1.0
 
 
 class Restart(enum.StrEnum):
-    """What becomes of a node that ended without being asked to."""
+    """What to do when a node ends unexpectedly."""
 
     NEVER = 'never'
     ON_FAILURE = 'on-failure'
@@ -293,15 +294,15 @@ class Restart(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class SupervisionOptions:
-    """How a graph is looked after.
+    """How a graph is supervised.
 
     Attributes:
-        restart: what becomes of a node that died.
-        limit: most new starts of a node within ``window_s``.
+        restart: what to do when a node dies.
+        limit: maximum number of restarts of a node within ``window_s``.
         window_s: see ``limit`` [s].
-        ready_s: longest time until the graph is whole [s].
-        silent_s: silence after which a node is named [s]; after three times that it is killed,
-            where dead nodes are started anew.
+        ready_s: timeout until the graph is complete [s].
+        silent_s: silence after which a node is reported [s]; after three times that it is killed,
+            if dead nodes are restarted.
     """
 
     restart: Restart = Restart.ON_FAILURE
@@ -312,18 +313,18 @@ class SupervisionOptions:
 
 
 class GraphLostError(Exception):
-    """The graph cannot go on. The message is one line."""
+    """The graph cannot continue. The message is one line."""
 
 
 class Supervisor(Node):
-    """Looks after processes that are nodes of one graph.
+    """Supervises the processes of one graph.
 
     Attributes:
-        nodes: what is known of each node.
-        runs: what is heard of the runs.
-        ready: whether the whole graph has been there.
-        ended: done when there is nothing left to look after; raises :class:`GraphLostError`, or
-            :class:`UsageError` for a mistake of the user's.
+        nodes: state of each node.
+        runs: observed runs.
+        ready: whether the graph was complete once.
+        ended: done when there is nothing left to supervise; raises :class:`GraphLostError`, or
+            :class:`UsageError` for invalid input.
     """
 
     def __init__(
@@ -333,12 +334,12 @@ class Supervisor(Node):
         say: Callable[[str], None],
         **node: Any,
     ) -> None:
-        """Begin to watch.
+        """Start supervision.
 
         Args:
-            processes: that were started just now.
-            care: how to look after them.
-            say: takes a line about whatever happens.
+            processes: the processes just started.
+            care: supervision options.
+            say: called with a line per event.
             node: goes to :class:`rclpy.node.Node`.
         """
         super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
@@ -356,6 +357,7 @@ class Supervisor(Node):
         self.ready = False
         self.ended = Future()
         self._end_by_s: float | None = None
+        self._aborted = False
         self._strangers: list[str] = []
         now_s = time.monotonic()
         for watched in self.nodes:
@@ -363,14 +365,26 @@ class Supervisor(Node):
         self.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
-        """End the run at hand in order, if there is one, and then ``ended`` is done."""
+        """End the current run in order, if any; then ``ended`` is done."""
         self._end_by_s = time.monotonic() + (_END_OF_RUN_S if self.runs.interrupt() else 0.0)
 
+    def abort(self) -> bool:
+        """Have ``ended`` raise KeyboardInterrupt soon. False if it is done already.
+
+        For signal handlers: raised in a callback, rclpy would print it with a traceback, and the
+        lock of ``ended`` may be held by the code that the signal interrupted.
+        """
+        self._aborted = True
+        return not self.ended.done()
+
     def close(self) -> None:
-        """Nothing is lost with this node."""
+        """Release the node."""
 
     def _tick(self) -> None:
         if self.ended.done():
+            return
+        if self._aborted:
+            self.ended.set_exception(KeyboardInterrupt())
             return
         try:
             self._look(time.monotonic())
@@ -395,7 +409,7 @@ class Supervisor(Node):
     # Getting ready ---------------------------------------------------------------------------
 
     def _wait(self, now_s: float) -> None:
-        """See which of the nodes that have been started are all there."""
+        """Check which of the started nodes are ready."""
         why = missing_nodes(self, self._names, self._gone())
         for watched in self.nodes:
             if watched.state is not State.STARTING:
@@ -417,11 +431,11 @@ class Supervisor(Node):
             self._say(f'ready: {", ".join(self._names)}')
 
     def _gone(self) -> set[End]:
-        """Ends of all processes that died."""
+        """Endpoints of all dead processes."""
         return {end for watched in self.nodes for end in watched.gone}
 
     def _look_for_strangers(self) -> None:
-        """Somebody else's clock would drive every node that goes by simulated time."""
+        """Check for foreign clocks, which would drive every node on simulated time."""
         keepers = clock_keepers(self)
         gone = self._gone()
         own = f'{self.get_namespace().rstrip("/")}/{interface.SIMULATOR}'
@@ -430,7 +444,7 @@ class Supervisor(Node):
             end for end in self.get_publishers_info_by_topic(interface.CLOCK.name)
             if tuple(end.endpoint_gid) not in gone
         ]
-        # What a simulator that died early leaves behind may be found later than its death.
+        # Endpoints of a simulator that died early may be discovered after its death.
         if not strangers and len(live) > 1 and not any(watched.restarts for watched in self.nodes):
             strangers = [f'another {own}']
         if strangers == self._strangers:
@@ -439,12 +453,12 @@ class Supervisor(Node):
         if strangers and not self.ready:
             raise UsageError(another_graph(self.context.get_domain_id(), strangers))
         if strangers:
-            self._say(f'{" and ".join(strangers)} publishes /clock too: runs may break')
+            self._say(f'{" and ".join(strangers)} also publishes /clock: runs may fail')
 
     # Death and silence -----------------------------------------------------------------------
 
     def _handle_death(self, watched: WatchedNode, now_s: float) -> None:
-        """Name the dead, have its run ended, and start it anew if that is allowed."""
+        """Report a dead node, end its run, and restart it if allowed."""
         if watched.state is State.DEAD:
             return
         detail = watched.process.how_it_ended()
@@ -456,8 +470,8 @@ class Supervisor(Node):
         if not number:
             raise GraphLostError(self._too_often(watched, detail))
         self._say(
-            f'{watched.name} died: {detail}; started again '
-            f'({number} of {self._care.limit} in {self._care.window_s:g} s)'
+            f'{watched.name} died: {detail}; restarted ({number} of {self._care.limit} in '
+            f'{self._care.window_s:g} s)'
         )
         watched.gone |= ends_of(self, watched.name)
         watched.process.start()
@@ -471,7 +485,7 @@ class Supervisor(Node):
         return f'{words}; {_logs([watched])}'
 
     def _check_answering(self, watched: WatchedNode, now_s: float) -> None:
-        """Name a node that does not answer, and one that answers again."""
+        """Report nodes that stop answering, and those that answer again."""
         watched.pulse.ask(now_s)
         silence_s = now_s - watched.pulse.heard_s
         if silence_s <= self._care.silent_s:
@@ -491,18 +505,18 @@ class Supervisor(Node):
     def _why_silent(self, watched: WatchedNode) -> str:
         pid = watched.process.pid
         if is_stopped(pid):
-            return f'its process is stopped; kill -CONT {pid} wakes it'
+            return f'its process is stopped; resume it with kill -CONT {pid}'
         return f'no answer for {self._care.silent_s:g} s'
 
     # The end ---------------------------------------------------------------------------------
 
     def _see_run_end(self, end_by_s: float, now_s: float) -> None:
-        """Leave when the run at hand has ended, and its bag is closed."""
+        """Finish when the current run has ended and its bag is closed."""
         over = bool(self.runs.last_run) and not self.runs.run_id
         if over and (self.runs.closed or interface.RECORDER not in self._names):
-            self.ended.set_result(None)  # the simulator waits until its answer is out
+            self.ended.set_result(None)  # the simulator waits until its answer is sent
             return
-        # On a busy machine a step may take its time; a simulator that is heard has not forgotten.
+        # On a busy machine a step may take long; a simulator still heard is still working.
         busy = bool(self.runs.run_id) and now_s - self.runs.heard_s < _HEARD_S
         if now_s >= end_by_s + (_END_HEARD_S - _END_OF_RUN_S if busy else 0.0):
             self.ended.set_result(None)

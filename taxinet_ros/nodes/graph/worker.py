@@ -1,7 +1,7 @@
-"""A worker of a search: one composed graph in a process of its own, for many runs.
+"""Worker process of a search: one composed graph for many runs.
 
-Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which says what goes over
-the pipes, and has Linux kill it when its parent goes, however it goes.
+Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which defines the pipe protocol;
+Linux kills the worker when its parent dies.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ _BEAT_S = 1.0
 
 
 def worker_command(options: GraphOptions) -> list[str]:
-    """What starts a worker with a graph."""
+    """Command line of a worker with a graph."""
     return module_command(
         'taxinet_ros.nodes.graph.worker',
         f'--perception={options.perception}', f'--out={options.out}',
         f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
         f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
-        f'--timing={options.timing.words}',
+        f'--timing={options.timing.words}', f'--world={options.world}',
+        f'--world-sha256={options.world_sha256}',
     )
 
 
 class _Inbox:
-    """What the parent asks for, read in a thread so that an interrupt is heard amid a run."""
+    """Requests of the parent, read in a thread so that interrupts work during a run."""
 
     def __init__(self) -> None:
         self._requests: queue.SimpleQueue[RunRequest | None] = queue.SimpleQueue()
@@ -47,10 +48,10 @@ class _Inbox:
         self.graph: SampledGraph | None = None
 
     def listen(self) -> None:
-        """Read until the parent hangs up."""
+        """Read until the parent closes the pipe."""
         from taxinet_ros.campaign.worker_pool import request_from_json
 
-        # Unbuffered: the lock of a buffer would be held for ever by a thread that is not joined.
+        # Unbuffered: an unjoined thread would hold a buffer's lock forever.
         for line in io.FileIO(sys.stdin.fileno(), closefd=False):
             message = json.loads(line)
             if 'run' in message:
@@ -60,7 +61,7 @@ class _Inbox:
         self._requests.put(None)
 
     def requests(self) -> Iterator[RunRequest]:
-        """The runs, as they come, until there are no more."""
+        """Yield the runs as they arrive, until there are no more."""
         while not self._interrupted and (request := self._requests.get()) is not None:
             yield request
 
@@ -72,7 +73,7 @@ class _Inbox:
 
 
 class _Outbox:
-    """Lines to the parent, whole ones, from several threads."""
+    """Sends whole lines to the parent from several threads."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -86,14 +87,14 @@ class _Outbox:
             os.write(self._fd, encode_line(message))
 
     def answer(self, request: RunRequest, result: RunResult) -> bool:
-        """Send a result; the parent decides what becomes of this graph."""
+        """Send a result; the parent decides whether to keep this graph."""
         from taxinet_ros.campaign.worker_pool import result_to_json
 
         self.say(result=result_to_json(result))
         return True
 
     def beat(self, graph: SampledGraph, end: threading.Event) -> None:
-        """Tell how far the run has come, every now and then; silence means that it hangs."""
+        """Report the progress of the run periodically; silence means that it hangs."""
         told = -1
         while not end.wait(_BEAT_S):
             if graph.seq != told:
@@ -105,7 +106,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Work until there is no more to do.
 
     Returns:
-        Exit code: 0, or 2 after a mistake of the user's.
+        Exit code: 0, or 2 after a usage error.
     """
     arguments = _arguments(words)
     from taxinet_ros.core.pacing.timing import parse_timing
@@ -115,7 +116,8 @@ def main(words: Sequence[str] | None = None) -> int:
         perception=arguments.perception, out=arguments.out, make_out=False,
         images=arguments.images, gains=json.loads(arguments.gains),
         controller=arguments.controller, controller_sha256=arguments.controller_sha256,
-        timing=parse_timing(arguments.timing),
+        timing=parse_timing(arguments.timing), world=arguments.world,
+        world_sha256=arguments.world_sha256,
     )
     outbox = _Outbox(arguments.answers)
     try:
@@ -155,6 +157,8 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--controller', required=True)
     parser.add_argument('--controller-sha256', default='')
     parser.add_argument('--timing', default='')
+    parser.add_argument('--world', required=True)
+    parser.add_argument('--world-sha256', default='')
     return parser.parse_args(words)
 
 

@@ -1,1 +1,1 @@
-"""The monitor of any topics: its options, inputs and outputs."""
+"""The monitor for arbitrary topics: options, inputs and outputs."""

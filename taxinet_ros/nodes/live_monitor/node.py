@@ -1,7 +1,7 @@
-"""The MTL monitor on any numeric fields of any robot's topics: no simulator, no lockstep.
+"""MTL monitor for numeric fields of any robot's topics, without simulator and lockstep.
 
-``ros2 run taxinet_ros mtl_monitor`` is this node where parameters are given, and the
-participant of the lockstep where none are.
+``ros2 run taxinet_ros mtl_monitor`` starts this node if parameters are given, else the lockstep
+participant.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from taxinet_ros.nodes.running.parameters import Parameter, declare_all, refuse_
 LIVE_PARAMETERS = (
     Parameter(
         name='signals', default=[''], takes='NAME[unit]=/topic:field.path*factor each',
-        description='where the signals come from, one for each that formulas read',
+        description='sources of the signals, one per signal in the formulas',
     ),
     Parameter(
         name='specs', default=[''], takes='NAME=FORMULA over the signals each',
@@ -42,55 +42,53 @@ LIVE_PARAMETERS = (
     ),
     Parameter(
         name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each',
-        description='vouched for: bounds of signals',
+        description='assumed ranges of signals',
     ),
     Parameter(
         name='rates', default=[''], takes='SIGNAL=CHANGE per second each',
-        description='vouched for: how fast signals change',
+        description='assumed maximum rates of change',
     ),
     Parameter(
-        name='sampled_on', default='', takes='a signal, or empty for the first',
-        description='signal whose messages make samples',
+        name='sampled_on', default='', takes='a signal; empty: the first',
+        description='signal whose messages trigger samples',
     ),
     Parameter(
         name='period', default=0.0, limits=(0.0, 1e6),
-        description='sample on a grid instead [s]; 0: do not',
+        description='fixed sample period instead [s]; 0: off',
     ),
     Parameter(
         name='max_age', default=1.0, limits=(0.0, 1e6),
-        description='older values, and longer times without a sample, are not judged [s]; 0: any '
-        'age',
+        description='maximum age of values and of gaps between samples [s]; 0: unlimited',
     ),
     Parameter(
         name='horizon', default=0.0, limits=(0.0, 1e9),
-        description='length of what is judged, from the first sample on [s]; 0: no end',
+        description='length of the evaluation from the first sample [s]; 0: unlimited',
     ),
     Parameter(
-        name='repeat', default=False, description='begin anew where the horizon is reached',
+        name='repeat', default=False, description='restart when the horizon is reached',
     ),
     Parameter(
         name='time_source', default='header', words=('header', 'clock'),
-        description="whose time a sample has: the messages' stamps where they have any, or the "
-        'clock',
+        description='time of a sample: message stamps (if any) or the clock',
     ),
 )
-"""Parameters of the monitor on its own; with none of them it is the one of a graph."""
+"""Parameters of the standalone monitor; without them it is the monitor of a graph."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveMonitorOptions:
-    """What the node is told, checked.
+    """Validated options of the node.
 
     Attributes:
-        sources: where the signals come from.
+        sources: sources of the signals.
         specs: the formulas.
-        assumptions: what is vouched for of the signals.
-        sampled_on: signal whose messages each make a sample, or '' on a grid.
-        period_ns: step of the grid [ns], or 0.
-        max_age_ns: greatest age of a held value, and longest time between samples [ns]; 0: any.
-        horizon_ns: length of a stretch [ns]; 0: it has no end.
-        repeat: whether a stretch begins where one ended.
-        by_clock: whether to ignore the headers' stamps.
+        assumptions: assumptions on the signals.
+        sampled_on: signal whose messages trigger samples, or '' with a fixed period.
+        period_ns: sample period [ns], or 0.
+        max_age_ns: maximum age of a held value and maximum gap between samples [ns]; 0: unlimited.
+        horizon_ns: length of a stretch [ns]; 0: unlimited.
+        repeat: whether a new stretch starts when one ends.
+        by_clock: whether to use the clock instead of header stamps.
     """
 
     sources: tuple[SignalSource, ...]
@@ -105,7 +103,7 @@ class LiveMonitorOptions:
 
 
 def declared_options(node: Node) -> LiveMonitorOptions:
-    """Declare the parameters of a node, and check what was given.
+    """Declare the parameters of a node and validate their values.
 
     Raises:
         UsageError: a parameter is unknown, missing or wrong.
@@ -135,10 +133,12 @@ def _parse_specs(
     texts: Sequence[str], signals: Mapping[str, str], horizon_ns: int
 ) -> tuple[Spec, ...]:
     if not signals:
-        raise UsageError('signals: give one at least, e.g. cte=/robot/odom:pose.pose.position.y')
+        raise UsageError(
+            'signals: at least one is required, e.g. cte=/robot/odom:pose.pose.position.y'
+        )
     if not texts:
         first = next(iter(signals))
-        raise UsageError(f'specs: give one at least, e.g. near=always(abs({first}) <= 1.5)')
+        raise UsageError(f'specs: at least one is required, e.g. near=always(abs({first}) <= 1.5)')
     try:
         specs = tuple(parse_spec(text, signals=signals) for text in texts)
         for spec in specs if horizon_ns else ():
@@ -148,7 +148,7 @@ def _parse_specs(
     names = [spec.name for spec in specs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise UsageError(f'specs: {twice} is there twice')
+        raise UsageError(f'specs: {twice} is given twice')
     return specs
 
 
@@ -165,7 +165,7 @@ def _parse_assumptions(
 def _sampler(sampled_on: str, period_s: float, sources: Sequence[SignalSource]) -> str:
     names = [source.name for source in sources]
     if sampled_on and period_s:
-        raise UsageError('sampled_on: with a period no signal makes the samples; give one of both')
+        raise UsageError('sampled_on: no effect with period; give only one of them')
     if sampled_on and sampled_on not in names:
         raise UsageError(f'sampled_on: {sampled_on!r} is no signal; known: {", ".join(names)}')
     return '' if period_s else sampled_on or names[0]
@@ -173,23 +173,23 @@ def _sampler(sampled_on: str, period_s: float, sources: Sequence[SignalSource]) 
 
 def _repeats(repeat: bool, horizon_s: float) -> bool:
     if repeat and not horizon_s:
-        raise UsageError('repeat: needs a horizon > 0, after which to begin anew')
+        raise UsageError('repeat: needs a horizon > 0')
     return repeat
 
 
 RESTART = 'monitor/restart'
-"""Service that ends the stretch and begins anew."""
+"""Service that ends the current stretch and starts a new one."""
 _LOOK_S = 0.1
 _TELL_S = 1.0
 _REMIND = 5
-"""Every how many diagnostics a line in the log repeats what is awaited."""
+"""Number of diagnostics after which the log repeats what is awaited."""
 
 
 class LiveMonitor(Node):
-    """Judges whatever is published, from the first sample of all signals on.
+    """Evaluates formulas on any topics, from the first sample of all signals on.
 
     Attributes:
-        ended: done, with an exception, when the node cannot do what it was asked to.
+        ended: done, with an exception, when the node cannot continue.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -213,7 +213,7 @@ class LiveMonitor(Node):
         self._told = 0
         self._last_sample_ns = self._steady_ns()
         self.create_service(Trigger, RESTART, self._restart)
-        # The graph, and an operator who looks at it, live on wall time, whatever the robot's is.
+        # Graph discovery and operators use wall time, whatever clock the robot uses.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._looking = self.create_timer(_LOOK_S, self._look, clock=steady)
         self.create_timer(_TELL_S, self._tell_regularly, clock=steady)
@@ -221,7 +221,7 @@ class LiveMonitor(Node):
             self.get_logger().info(f'{spec.name}: {spec.text}')
 
     def close(self) -> None:
-        """Nothing is lost: every change was published when it came."""
+        """Release the node; every change has been published already."""
 
     def _make_readers(self) -> dict[str, TopicReader]:
         by_topic: dict[str, list[SignalSource]] = {}
@@ -236,7 +236,7 @@ class LiveMonitor(Node):
         try:
             return self.resolve_topic_name(source.topic)
         except rclpy_implementation.RCLError as error:
-            # What follows is where in the C code it was noticed.
+            # The rest of the message is the place in the C code.
             reason = str(error).split(', at /')[0]
             raise UsageError(
                 f"{self.get_name()}: parameter signals: '{source}': {reason}"
@@ -259,7 +259,7 @@ class LiveMonitor(Node):
         self._run_id = f'stretch-{self._stretch_number}'
         self._seq = -1
         self._newest_ns = 0
-        # On a grid the samples are as regular as it is, and max_age is a matter of the values.
+        # With a fixed period, samples are regular, and max_age applies to the values.
         self._stretch = Stretch(
             options.specs, horizon_ns=options.horizon_ns,
             max_gap_ns=0 if options.period_ns else options.max_age_ns,
@@ -267,7 +267,7 @@ class LiveMonitor(Node):
         )
 
     def _look(self) -> None:
-        """Hear the topics that are there; once all are, say what is judged."""
+        """Subscribe to available topics; once all are available, publish the specs."""
         if self.ended.done():
             return
         try:
@@ -299,7 +299,7 @@ class LiveMonitor(Node):
     def _arrive(self, topic: str, stamp_ns: int | None, readings: Readings) -> None:
         if stamp_ns is None or self._options.by_clock:
             stamp_ns = self.get_clock().now().nanoseconds
-            self._clock_missing = stamp_ns == 0  # use_sim_time, and nobody publishes /clock yet
+            self._clock_missing = stamp_ns == 0  # use_sim_time, and /clock is not published yet
             if self._clock_missing:
                 return
         for sample in self._holder.arrive(topic, stamp_ns, readings):
@@ -331,9 +331,9 @@ class LiveMonitor(Node):
         )
 
     def _restart(self, request: Any, response: Any) -> Any:
-        """End the stretch with what is known, and begin anew with the next sample."""
+        """End the stretch with its current verdict, and restart with the next sample."""
         if not self._stretch.begun:
-            response.success, response.message = False, 'nothing to end: no sample yet'
+            response.success, response.message = False, 'nothing to restart: no sample yet'
             return response
         lines = '; '.join(self._lines())
         response.success = True
@@ -355,7 +355,7 @@ class LiveMonitor(Node):
         ):
             if standing_level(standing) is Level.OK:
                 self.get_logger().info(line)
-            else:  # rclpy allows each line of code one severity
+            else:  # rclpy allows only one severity per line of code
                 self.get_logger().error(line)
 
     def _tell_regularly(self) -> None:
@@ -367,7 +367,7 @@ class LiveMonitor(Node):
         self._tell()
 
     def _awaited(self) -> str:
-        """What keeps the first sample from coming, or ''."""
+        """What the first sample is waiting for, or ''."""
         absent = [reader.absence() for reader in self._readers.values() if not reader.received]
         if absent:
             return '; '.join(absent)
@@ -386,7 +386,7 @@ class LiveMonitor(Node):
         return f'no sample for {silent_ns / NS_PER_S:.1f} s'
 
     def _tell(self) -> None:
-        """Publish the diagnostics of now."""
+        """Publish the current diagnostics."""
         node, awaited = self.get_name(), self._awaited()
         silence = awaited or self._silence()
         pairs = zip(self._options.specs, self._stretch.standings, strict=True)

@@ -1,4 +1,4 @@
-"""What a monitor on its own publishes: robustness, verdict, what is judged by, and diagnostics."""
+"""Outputs of the standalone monitor: robustness, verdict, specs and diagnostics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from taxinet_ros.core.mtl.live.stretch import Level, Standing, standing_level, s
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import robustness_message
 
-# Only the newest counts, for whoever joins late too.
+# Only the newest message counts, also for late subscribers.
 _NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -33,12 +33,12 @@ _EVERY = QoSProfile(
 OUTPUTS = {
     'robustness': (Robustness, interface.ROBUSTNESS.name, _EVERY),
     'verdict': (Verdict, interface.VERDICT.name, _NEWEST),
-    # Text, because a requirement is one; JSON, which is YAML too, in a type that every tool shows.
+    # JSON text (also valid YAML) in a message type that every tool displays.
     'specs': (String, 'monitor/specs', _NEWEST),
-    # Not relative: robots gather all diagnostics there.
+    # Absolute: robots collect all diagnostics there.
     'diagnostics': (DiagnosticArray, '/diagnostics', _EVERY),
 }
-"""Type, topic and quality of service of all that is published."""
+"""Type, topic and quality of service of all outputs."""
 
 _FIGURES = (
     'max_cross_track_error', 'settle_time',
@@ -50,7 +50,7 @@ _FIGURES = (
 def robustness_messages(
     specs: Sequence[Spec], standings: Sequence[Standing], stamp_ns: int, run_id: str, seq: int
 ) -> list[Robustness]:
-    """One message for each formula after sample ``seq`` of a stretch."""
+    """One message per formula after sample ``seq`` of a stretch."""
     return [
         robustness_message(spec, standing.reading, run_id, seq, stamp_ns, frame_id='')
         for spec, standing in zip(specs, standings, strict=True)
@@ -58,7 +58,7 @@ def robustness_messages(
 
 
 def verdict_message(results: Sequence[Robustness]) -> Verdict:
-    """The formulas together; the figures of a taxi run, which this is not, are NaN."""
+    """Verdict over all formulas; statistics of a taxi run are NaN here."""
     newest = results[0]
     complete = all(result.final and result.valid for result in results)
     return Verdict(
@@ -72,12 +72,12 @@ def verdict_message(results: Sequence[Robustness]) -> Verdict:
 
 
 def specs_message(specs: Sequence[Spec], signals: Sequence[Any], **settings: Any) -> String:
-    """What is judged, and on what.
+    """Formulas and their inputs, as a message.
 
     Args:
         specs: the formulas.
         signals: for each signal a mapping of name, topic, type, field and factor.
-        settings: how samples are made.
+        settings: sampling settings.
     """
     formulas = {spec.name: spec.text for spec in specs}
     document = {'specs': formulas, 'signals': list(signals), **settings}
@@ -90,8 +90,8 @@ def spec_status(node: str, spec: Spec, standing: Standing, silence: str) -> Diag
     Args:
         node: name of the node.
         spec: the formula.
-        standing: how it stands.
-        silence: what keeps samples from coming, or ''; that alone is a warning.
+        standing: its current result.
+        silence: what samples are waiting for, or ''; this alone is a warning.
     """
     level, line = standing_level(standing), standing_line(standing)
     if silence:
@@ -105,7 +105,7 @@ def spec_status(node: str, spec: Spec, standing: Standing, silence: str) -> Diag
 
 
 def status(level: Level, name: str, line: str, values: dict[str, Any]) -> DiagnosticStatus:
-    """One line of diagnostics."""
+    """One diagnostic status."""
     return DiagnosticStatus(
         level=bytes([level]),
         name=name,

@@ -1,4 +1,4 @@
-"""One topic of any installed type: waits for its publisher, then reads signals off it."""
+"""Read signals from one topic of any installed type, once it has a publisher."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _TYPE = re.compile(r'(?P<package>[a-z][a-z0-9_]*)(?:/msg)?/(?P<name>[A-Z][A-Za-z
 
 
 def message_class(type_name: str) -> type[Any]:
-    """The class of a message type, ``package/msg/Name`` or ``package/Name``.
+    """Class of a message type, ``package/msg/Name`` or ``package/Name``.
 
-    A type's name comes from whoever is on the network, so nothing is imported but a package that
-    the generators of ROS interfaces have made.
+    Type names come from the network, so only packages made by the ROS interface generators are
+    imported.
 
     Raises:
-        UsageError: the name is no message's, or the package is not installed or lacks it.
+        UsageError: the name is not a message type, or its package is not installed or lacks it.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
@@ -38,37 +38,36 @@ def message_class(type_name: str) -> type[Any]:
     package, name = match['package'], match['name']
     if not _is_interface_package(package):
         raise UsageError(
-            f'type {type_name}: message package {package} is not installed here; '
-            'source the workspace that has it'
+            f'type {type_name}: message package {package} is not installed; source its workspace'
         )
     found = getattr(importlib.import_module(f'{package}.msg'), name, None)
     if found is None or not hasattr(found, 'get_fields_and_field_types'):
-        raise UsageError(f'type {type_name}: the {package} that is installed here has no {name}')
+        raise UsageError(f'type {type_name}: the installed {package} has no {name}')
     return found
 
 
 def fields_of(type_name: str) -> Mapping[str, str]:
-    """Types of a message's fields by name, as the generators spell them."""
+    """Types of a message's fields by name, in the generators' notation."""
     return message_class(type_name).get_fields_and_field_types()
 
 
 def offered_type(topic: str, publishers: Sequence[TopicEndpointInfo]) -> str:
-    """The type that a topic's publishers agree on.
+    """The common type of a topic's publishers.
 
     Raises:
-        UsageError: they do not.
+        UsageError: they disagree.
     """
     types = sorted({info.topic_type for info in publishers})
     if len(types) != 1:
-        raise UsageError(f'topic {topic} is published with {len(types)} types: {", ".join(types)}')
+        raise UsageError(f'topic {topic} has publishers of {len(types)} types: {", ".join(types)}')
     return types[0]
 
 
 def matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest quality of service with which every publisher is heard.
+    """Strictest quality of service compatible with every publisher.
 
-    Reliable where all are, else best effort; what latched publishers said before where all are
-    latched. A reader that asks for more than a writer offers hears nothing of it.
+    Reliable if all are, else best effort; transient local if all are. A reader that requests more
+    than a writer offers receives nothing from it.
     """
     offers = [info.qos_profile for info in publishers]
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
@@ -82,14 +81,14 @@ def matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
 
 
 def qos_words(qos: QoSProfile) -> str:
-    """Reliability and durability for people."""
+    """Reliability and durability as text."""
     reliable = qos.reliability == ReliabilityPolicy.RELIABLE
     latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return f'{"reliable" if reliable else "best effort"}, {"latched" if latched else "volatile"}'
 
 
 def _is_interface_package(package: str) -> bool:
-    spec = importlib.util.find_spec(package)  # of a top-level name: finds it, runs nothing of it
+    spec = importlib.util.find_spec(package)  # of a top-level name: does not execute it
     folders = (spec.submodule_search_locations if spec else None) or []
     return any(
         Path(folder, 'msg', '__init__.py').is_file()
@@ -100,23 +99,23 @@ def _is_interface_package(package: str) -> bool:
 
 Readings = Mapping[str, tuple[float, str]]
 OnMessage = Callable[[str, int | None, Readings], None]
-"""Takes the topic, the header's stamp [ns] or None, and value and trouble of each signal."""
+"""Called with topic, header stamp [ns] or None, and value and problem of each signal."""
 
 
 class TopicReader:
-    """Hears one topic as soon as somebody publishes it, with the quality of service offered.
+    """Subscribes to one topic once it has a publisher, with the quality of service offered.
 
     Attributes:
         topic: full name of the topic.
-        sources: the signals that are read from it.
-        type_name: its type, or '' before there is a publisher.
-        received: number of messages heard.
+        sources: signals read from it.
+        type_name: its type, or '' without a publisher.
+        received: number of messages received.
     """
 
     def __init__(
         self, node: Node, topic: str, sources: Sequence[SignalSource], on_message: OnMessage
     ) -> None:
-        """Wait for a publisher; nothing is heard before :meth:`look` finds one."""
+        """Prepare; nothing is received before :meth:`look` finds a publisher."""
         self.topic = topic
         self.sources = tuple(sources)
         self.type_name = ''
@@ -129,15 +128,15 @@ class TopicReader:
 
     @property
     def qos(self) -> str:
-        """The quality of service that it is heard with, or ''."""
+        """Quality of service of the subscription, or ''."""
         return qos_words(self._qos) if self._qos is not None else ''
 
     def look(self) -> bool:
-        """Look who publishes, and follow what they offer; whether the topic is heard.
+        """Match the subscription to the current publishers; return whether there is one.
 
         Raises:
-            UsageError: the publishers disagree on the type, the type is not installed, or a signal
-                reads a field that it does not have.
+            UsageError: publishers disagree on the type, the type is not installed, or a signal
+                reads a missing field.
         """
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         if self.type_name:
@@ -152,7 +151,7 @@ class TopicReader:
         return True
 
     def absence(self) -> str:
-        """What is awaited, in one line, with the name of a topic that may be meant."""
+        """One line on what is awaited, with a similar topic name if any."""
         names = ', '.join(source.name for source in self.sources)
         if self._heard is not None:
             return f'waiting for the first message on {self.topic} (signal {names})'

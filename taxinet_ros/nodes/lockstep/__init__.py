@@ -1,1 +1,1 @@
-"""The lockstep of a run: who takes part, who answers, and what is wrong."""
+"""The lockstep of a run: participants, answers and errors."""

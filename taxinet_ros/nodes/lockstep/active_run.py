@@ -1,4 +1,4 @@
-"""The run that the simulator is at: its world and bookkeeping, checks of answers, health."""
+"""The simulator's current run: world, bookkeeping, checks of answers, health."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import check_specs
 from taxinet_ros.core.judging import Judging, StopOn
-from taxinet_ros.core.loop import LateCommands
+from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
@@ -33,15 +33,15 @@ from taxinet_ros.nodes.names import check_participants
 
 
 def check_answer(answer: StepMessage, who: str, seq: int) -> None:
-    """See that an answer is to a frame that is out. A late or repeated one is nothing bad.
+    """Check that an answer refers to a published frame. Late or repeated answers are allowed.
 
     Args:
         answer: an estimate or a command.
-        who: node that gave it.
+        who: node that sent it.
         seq: the newest frame.
 
     Raises:
-        InfraError: it is to a frame still to come, or contradicts itself about which.
+        InfraError: it refers to a future frame, or its stamp and frame number disagree.
     """
     if answer.seq > seq:
         detail = f'answered frame {answer.seq}, which is not out yet'
@@ -52,10 +52,10 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
 
 
 def check_command(command: TaxiCommand, who: str, seq: int) -> None:
-    """See that an aircraft can follow the command that a node gave as its answer to a frame.
+    """Check that a command is physically valid.
 
     Raises:
-        InfraError: the angle is not finite, or the speed is not, or is negative.
+        InfraError: the angle or speed is not finite, or the speed is negative.
     """
     if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
         detail = f'commanded {command.steering_rad:g} rad at {command.speed_mps:g} m/s'
@@ -63,43 +63,42 @@ def check_command(command: TaxiCommand, who: str, seq: int) -> None:
 
 
 FREE_TICK_S = 0.001
-"""How often it is looked whether the next frame is due [s]: a hundredth of a step in real time."""
+"""Polling period for the next frame [s]: a hundredth of a step in real time."""
 
 
 def chosen_timing(timing: Timing, *, lockstep: bool, factor: float) -> Timing:
-    """What the simulator's parameters ask for together.
+    """Timing from the simulator's parameters.
 
     Args:
-        timing: with the latency.
+        timing: timing with the latency.
         lockstep: simulated time waits for every answer.
         factor: simulated seconds per second of the wall clock in a free run; 0: no limit.
 
     Raises:
-        UsageError: one of them has no effect beside another.
+        UsageError: one of them has no effect with another.
     """
     if lockstep and factor != 1.0:
         raise UsageError('simulator: real_time_factor: no effect in lockstep; set lockstep false')
     if not lockstep and timing.laws:
         raise UsageError(
-            f'simulator: latency {timing.latency}: has no effect in a free run, where answers are '
-            'as late as they are'
+            f'simulator: latency {timing.latency}: no effect in a free run, which has real delays'
         )
     return timing if lockstep else free_timing(f'{factor!r}')
 
 
 class ActiveRun:
-    """The world, the lockstep's bookkeeping and the answer that a goal's client waits for."""
+    """World, lockstep bookkeeping and pending action result of a run."""
 
     def __init__(
         self, goal: Any, executor: Any, timing: Timing, make_world: WorldMaker = SimulatedWorld
     ) -> None:
-        """Build the world that the goal's scenario describes.
+        """Build the world of the goal's scenario.
 
         Args:
             goal: of the action.
             executor: of the node.
-            timing: when answers take effect.
-            make_world: makes the world.
+            timing: timing of answers.
+            make_world: factory of the world.
 
         Raises:
             UsageError: the scenario has a value out of range, no name that a folder can have, an
@@ -118,15 +117,16 @@ class ActiveRun:
         if not message.specs:
             raise UsageError('specs: a run needs a formula to be judged by')
         judging = Judging.from_message(message)
-        _ = judging.assumptions  # refused if they are none
+        _ = judging.assumptions  # refused if invalid
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario.duration_s)
         self.world = make_world(scenario)
-        self.commands = LateCommands(timing, message.seed, message.index)
+        self.first = rolling_on(scenario.speed_mps)
+        self.commands = LateCommands(timing, message.seed, message.index, self.first)
         may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(
-                f'stop_on {message.stop_on}: not in a free run, where nobody waits for the monitor'
+                f'stop_on {message.stop_on}: not in a free run, which does not wait for the monitor'
             )
         roles: dict[str, Any] = {
             'participants': self.participants, 'chain': interface.CHAIN,
@@ -144,25 +144,30 @@ class ActiveRun:
         self.suspect: tuple[InfraError, float] | None = None
         self.verdict: Verdict | None = None
         self.ending: RunStatus | None = None
-        self.unwanted_s = 0.0  # When somebody asked for its end, by the monotonic clock.
+        self.unwanted_s = 0.0  # Time of a cancel request, monotonic clock.
         self.done = Future(executor=executor)
         self.created = self.last_heard = time.monotonic()
 
     def listeners(self, topic: str) -> set[str]:
-        """Participants that have said that they subscribe to a topic."""
+        """Participants that have declared a subscription to a topic.
+
+        Only a free run publishes timing, and its followers must receive it.
+        """
+        if self.free is not None and topic == interface.TIMING.name:
+            return set(interface.FOLLOWERS) & set(self.participants)
         return {node for node, topics in self.listens.items() if topic in topics}
 
     def reset_watchdog(self) -> None:
-        """Somebody answered: the watchdog starts anew."""
+        """Restart the watchdog after an answer."""
         self.last_heard = time.monotonic()
 
     def finish(self) -> None:
-        """Answer the client with the ending announced."""
+        """Send the announced ending to the client."""
         if not self.done.done():
             self.done.set_result(self.ending)
 
     def status(self, state: int, **what: Any) -> RunStatus:
-        """A status message of this run at its present step."""
+        """Status message of this run at its current step."""
         seq = max(self.lockstep.seq, 0)
         return RunStatus(
             header=header(seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state, seq=seq,
@@ -170,13 +175,13 @@ class ActiveRun:
         )
 
     def feedback(self) -> RunScenario.Feedback:
-        """How far the run has come."""
+        """Progress of the run."""
         seq = max(self.lockstep.seq, 0)
         return RunScenario.Feedback(seq=seq, elapsed=seq * CONTROL_PERIOD_NS / 1e9)
 
 
 def not_begun(run_id: str, error: Exception) -> RunStatus:
-    """How a run ends whose world could not be built: the scenario's fault, or the bench's."""
+    """Ending of a run whose world could not be built: invalid scenario or infrastructure error."""
     status = RunStatus(
         run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=InfraKind.SIM,
         who=interface.SIMULATOR, detail=one_line(error),
@@ -193,20 +198,20 @@ _OF_FREE_RUNS = ('unanswered', 'late', 'stale', 'overruns')
 
 
 class RunHealth:
-    """How the simulator is doing: the run at hand, its pace and whom it waits for.
+    """Health of the simulator: current run, pace and the nodes it waits for.
 
     Attributes:
-        frames: what making and publishing frames takes.
+        frames: time to make and publish frames.
     """
 
     def __init__(self) -> None:
-        """Begin without a run."""
+        """Start without a run."""
         self.frames = Pace()
         self._ended: Counter[str] = Counter()
         self._broken = ''
 
     def ended(self, run_id: str, status: RunStatus) -> None:
-        """A run has ended."""
+        """Record the end of a run."""
         self._ended[status.outcome] += 1
         self._broken = ''
         if status.outcome == Outcome.INFRA_ERROR:
@@ -216,9 +221,9 @@ class RunHealth:
         """What to tell.
 
         Args:
-            run: the run at hand, if there is one.
-            waits_for: names of the nodes that it waits for now; '' for none. Of a free run, which
-                waits for nobody, of those that have been silent for too long.
+            run: the current run, if any.
+            waits_for: names of the nodes it waits for; '' for none. In a free run, names of nodes
+                silent for too long.
         """
         rate, frames = self.frames.look('frame')
         values: dict[str, object] = {
@@ -243,5 +248,5 @@ class RunHealth:
             line = f'run {run.run_id} has waited{since} for {waits_for}'
             return Health(level=DiagnosticStatus.WARN, message=line, values=values)
         line = f'run {run.run_id}: step {run.lockstep.seq} of {run.world.last_seq}'
-        return Health(message=line if run.started else f'run {run.run_id}: gets ready',
+        return Health(message=line if run.started else f'run {run.run_id}: starting',
                       values=values)

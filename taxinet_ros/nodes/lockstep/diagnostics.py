@@ -1,16 +1,15 @@
-"""How each node of a graph is doing, on ``/diagnostics``, for whoever asks.
+"""Health of each node of a graph, published on ``/diagnostics``.
 
 The form is that of diagnostic_updater (REP-107): names are ``NODE: WHAT``, levels OK, WARN and
-ERROR, figures are pairs of texts. They are of the wall clock, so no bag has them, and as nothing is
-said while nobody listens, a campaign pays for no more than a look once a second.
+ERROR, figures are pairs of texts. They depend on the wall clock, so they are not recorded. Without
+subscribers nothing is published, so a campaign pays only for one check per second.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -18,27 +17,24 @@ from rclpy.node import Node
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.running.parameters import Parameter, declare
-
-if TYPE_CHECKING:
-    pass
-
+from taxinet_ros.nodes.running.remaps import cut_off
 
 PARAMETER = Parameter(
     name='diagnostics', default=1.0, limits=(0.0, 3600.0),
-    description='wall-clock time between two reports on /diagnostics [s]; 0: none',
+    description='wall-clock period of reports on /diagnostics [s]; 0: off',
 )
 PATIENCE_S = 2.0
-"""A node that waits for longer [s] says so as a warning."""
-"""What is told of a free run so far, see :meth:`.FreeRunAccount.figures`; in lockstep it is 0."""
+"""Waiting time [s] after which a node reports a warning."""
+"""Figures of a free run, see :meth:`.FreeRunAccount.figures`; 0 in lockstep."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Health:
-    """How a node is doing.
+    """Health of a node.
 
     Attributes:
         level: OK, WARN or ERROR of :class:`diagnostic_msgs.msg.DiagnosticStatus`.
-        message: one line for people.
+        message: one line of text.
         values: figures by name, the unit in the name.
     """
 
@@ -48,18 +44,18 @@ class Health:
 
 
 class Diagnostics:
-    """Asks a node how it is doing, and publishes the answer, while somebody subscribes.
+    """Polls a node's health and publishes it while there are subscribers.
 
     Attributes:
-        watched: whether somebody does, so that it pays to measure.
+        watched: whether there are subscribers, so that measuring pays off.
     """
 
     def __init__(self, node: Node, health: Callable[[], Health]) -> None:
-        """Declare the parameter and begin.
+        """Declare the parameter and start.
 
         Args:
-            node: who tells.
-            health: gives what to tell; it is asked once in a period.
+            node: the reporting node.
+            health: returns the health; called once per period.
         """
         period_s = declare(node, PARAMETER)
         self._node, self._health = node, health
@@ -76,11 +72,14 @@ class Diagnostics:
             return
         try:
             health = self._health()
-        except Exception as error:  # What is only told must not end what it is told of.
+            if parted := cut_off(self._node):
+                level = max(health.level, DiagnosticStatus.WARN)
+                health = replace(health, level=level, message='; '.join([health.message, *parted]))
+        except Exception as error:  # A reporting error must not end the node.
             line = f'{type(error).__name__}: {error}'.splitlines()[0]
             health = Health(level=DiagnosticStatus.ERROR, message=line)
         if not before:
-            return  # Its figures are of when nobody looked.
+            return  # The figures cover a time without subscribers.
         name = self._node.get_fully_qualified_name().lstrip('/')
         status = DiagnosticStatus(
             level=health.level, name=f'{name}: run', message=health.message, hardware_id='',
@@ -92,26 +91,26 @@ class Diagnostics:
 
 
 class Pace:
-    """How often something was done, and how long it took, since the last look."""
+    """Rate and durations of an operation since the last look."""
 
     def __init__(self) -> None:
-        """Begin now."""
+        """Start measuring."""
         self._count, self._total_s, self._most_s = 0, 0.0, 0.0
         self._since_s = time.monotonic()
 
     def took(self, seconds: float) -> None:
-        """It was done once more, and took so long [s]."""
+        """Record one operation of this duration [s]."""
         self._count += 1
         self._total_s += seconds
         self._most_s = max(self._most_s, seconds)
 
     def look(self, what: str) -> tuple[float, dict[str, object]]:
-        """How often a second, and the figures of ``what`` since the last look; begins anew."""
+        """Return rate [1/s] and figures of ``what`` since the last look, and reset."""
         elapsed_s = max(time.monotonic() - self._since_s, 1e-9)
         mean_ms = 1e3 * self._total_s / self._count if self._count else 0.0
         figures: dict[str, object] = {
             f'{what}s': self._count,
-            f'{what} time, mean [ms]': mean_ms, f'{what} time, most [ms]': 1e3 * self._most_s,
+            f'{what} time, mean [ms]': mean_ms, f'{what} time, max [ms]': 1e3 * self._most_s,
         }
         rate = self._count / elapsed_s
         self._count, self._total_s, self._most_s = 0, 0.0, 0.0
@@ -120,7 +119,7 @@ class Pace:
 
 
 def too_long(waited_s: float) -> bool:
-    """Whether a wait [s] is worth a warning."""
+    """Whether a wait [s] deserves a warning."""
     return waited_s > PATIENCE_S
 
 

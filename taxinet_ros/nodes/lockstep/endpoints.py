@@ -1,14 +1,13 @@
-"""Publishers and subscribers of a graph's topics: who is matched, missing, or a stranger.
+"""Publishers and subscribers of a graph's topics: matched, missing and foreign ones.
 
-A publisher has to be matched with every node that must hear it. Counting is not enough: an
-``ros2 topic echo`` that was there first would be counted as a node of the run, and the run's
-first messages would pass that node by.
+A publisher must be matched with every node that needs its messages. Counting is not enough: an
+earlier ``ros2 topic echo`` would be counted as a node of the run, and that node would miss the
+run's first messages.
 
-Who publishes on the topics of a run is known by the ends at its READY, and nobody else may
-after that. DDS tells a subscription of each publisher that it is matched with before that
-publisher's first message comes through, and counts them, so somebody who comes, publishes once
-and leaves is noticed too. rclpy does not tell who sent a message; so a run into which somebody
-else has published, or could have, has no verdict.
+The publishers of a run's topics are pinned at READY; no others are allowed after that. DDS reports
+each matched publisher to a subscription before its first message arrives, and counts them, so a
+publisher that joins, publishes once and leaves is noticed too. rclpy does not tell who sent a
+message; so a run into which another node has published, or could have, has no verdict.
 """
 
 from __future__ import annotations
@@ -27,18 +26,19 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import SIMULATOR, Topic
+from taxinet_ros.nodes.running.remaps import elsewhere
 
 
 def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
-    """Whether whatever a publisher says now reaches all of some nodes.
+    """Whether a publisher is matched with all of the given nodes.
 
     Args:
-        node: that the publisher belongs to.
-        publisher: the speaking end.
-        names: of the nodes that must hear it.
+        node: node of the publisher.
+        publisher: the publisher.
+        names: names of the nodes that must be matched.
     """
     matched = publisher.get_subscription_count()
-    if matched < len(names):  # Far cheaper than what follows, and asked many times.
+    if matched < len(names):  # Much cheaper than the check below, and called often.
         return False
     ends = node.get_subscriptions_info_by_topic(publisher.topic_name)
     fitting = sum(fits(publisher.qos_profile, end.qos_profile) for end in ends)
@@ -46,13 +46,13 @@ def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
 
 
 def fits(offered: Any, asked: Any) -> bool:
-    """Whether quality of service lets a publisher and a subscription of these profiles connect."""
+    """Whether these QoS profiles of a publisher and a subscription are compatible."""
     return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
 
 
 End = tuple[int, ...]
-"""The identifier of one publisher or subscription, which is never used again."""
-# Which of its possible inputs a perception or a recorder takes, it decides when it starts.
+"""Unique identifier (GID) of a publisher or subscription, never reused."""
+# A perception or a recorder chooses its inputs at start-up.
 _CHOSEN = {
     interface.IMAGE.name: {interface.PERCEPTION, interface.RECORDER},
     interface.TRUTH.name: {interface.PERCEPTION},
@@ -60,12 +60,12 @@ _CHOSEN = {
 
 
 def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) -> dict[str, str]:
-    """What keeps a graph from being whole: for each node that is not all there, why, in words.
+    """Nodes that are missing or incomplete, each with the reason as text.
 
     Args:
-        node: who looks.
-        names: of the nodes that belong to the graph.
-        gone: ends that are known to belong to processes that died, and linger.
+        node: the observing node.
+        names: names of the nodes of the graph.
+        gone: endpoints known to belong to dead processes.
     """
     why: dict[str, str] = {}
     for topic in interface.TOPICS:
@@ -78,15 +78,37 @@ def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) 
             ('subscribe to', listeners, topic.listeners(names) - _CHOSEN.get(topic.name, set())),
         )
         for verb, ends, wanted in expected:
-            for name in wanted & set(names) - {end.node_name for end in ends}:
-                why.setdefault(name, f'does not {verb} {topic.name}')
+            for name in wanted & set(names) - {end.node_name for end in ends} - why.keys():
+                others = elsewhere(node, topic, {name}, publish=ends is speakers)
+                but = f' but {"to " if ends is listeners else ""}{others[0][1]}' if others else ''
+                why[name] = f'does not {verb} {topic.name}{but}'
         for name in _misfits(speakers, listeners, set(names)):
-            why.setdefault(name, f'quality of service does not fit on {topic.name}')
+            why.setdefault(name, f'incompatible quality of service on {topic.name}')
     return why
 
 
+def why_silent(node: Node, name: str, names: Sequence[str]) -> str:
+    """What a node of a graph lacks that says nothing, or '': a topic, or an end that fits.
+
+    Args:
+        node: who looks.
+        name: of the silent one.
+        names: of the nodes that belong to the graph.
+    """
+    if why := missing_nodes(node, names).get(name):
+        return why
+    inputs = [topic for topic in interface.TOPICS if name in _CHOSEN.get(topic.name, ())]
+    if any(name == end.node_name for topic in inputs for end in _ends(node, topic)[1]):
+        return ''
+    others = [end for topic in inputs for end in elsewhere(node, topic, {name}, publish=False)]
+    if not others and name != interface.PERCEPTION:
+        return ''
+    but = f' but to {others[0][1]}' if others else ''
+    return f'does not subscribe to {" or ".join(topic.name for topic in inputs)}{but}'
+
+
 def ends_of(node: Node, name: str) -> set[End]:
-    """All ends that a node of a graph is known to have."""
+    """All known endpoints of a node of a graph."""
     return {
         tuple(end.endpoint_gid)
         for topic in interface.TOPICS for ends in _ends(node, topic) for end in ends
@@ -102,7 +124,7 @@ def _ends(node: Node, topic: Topic) -> tuple[list[Any], list[Any]]:
 
 
 def _misfits(speakers: list[Any], listeners: list[Any], names: set[str]) -> Iterator[str]:
-    """Nodes of the graph that subscribe where another one of it cannot reach them."""
+    """Nodes with a subscription incompatible with a publisher of the graph."""
     for speaker in speakers:
         for listener in listeners:
             ours = {speaker.node_name, listener.node_name} <= names
@@ -111,9 +133,9 @@ def _misfits(speakers: list[Any], listeners: list[Any], names: set[str]) -> Iter
 
 
 UNKNOWN = 'unknown'
-"""Who it was, where nobody knows: it was gone again before its name was told."""
+"""Name of a node that left before its name was known."""
 NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""What rmw calls the node of an end that is known a moment before its name is."""
+"""Node name that rmw returns for an endpoint whose name is not known yet."""
 _MATCHED = rclpy_implementation.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_MATCHED
 _NAME_WAIT_S, _NAME_PERIOD_S = 0.5, 0.02
 Gid = tuple[int, ...]
@@ -121,12 +143,12 @@ Gid = tuple[int, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Stranger:
-    """Somebody who publishes on a topic of a run without a part in it.
+    """A foreign publisher on a topic of a run.
 
     Attributes:
-        name: of the node; :data:`UNKNOWN` where it was gone before its name was known.
-        topic: what it publishes on.
-        speakers: names of the nodes that may.
+        name: name of the node; :data:`UNKNOWN` if it left before its name was known.
+        topic: topic it publishes on.
+        speakers: names of the nodes allowed to publish there.
     """
 
     name: str
@@ -135,7 +157,7 @@ class Stranger:
 
     @property
     def detail(self) -> str:
-        """One line for people."""
+        """Description in one line."""
         if self.name == UNKNOWN:
             return f'somebody who is gone again published on {self.topic.name}'
         if self.name in self.speakers:
@@ -143,20 +165,20 @@ class Stranger:
         return f'publishes {self.topic.name}, which is for {" and ".join(self.speakers)}'
 
     def error(self, step: int) -> InfraError:
-        """What it means for a run at a control step."""
+        """Error of a run at a control step."""
         return InfraError(InfraKind.INTRUDER, self.name, step, self.detail)
 
 
 class Speakers:
-    """The publishers of one topic as a node knows them, and which of them belong to a run."""
+    """Publishers of one topic known to a node, and those that belong to a run."""
 
     def __init__(self, node: Node, topic: Topic, name: str = '') -> None:
-        """Nobody is known before :meth:`pin`.
+        """No publisher is pinned before :meth:`pin`.
 
         Args:
-            node: who looks.
-            topic: what is published.
-            name: as it is in this graph, namespace and remapping included, where that is known.
+            node: the observing node.
+            topic: the topic.
+            name: full name in this graph with namespace and remapping, if known.
         """
         self.topic = topic
         self._node, self._name = node, name or topic.name
@@ -166,17 +188,17 @@ class Speakers:
         self._besides: set[str] = set()
 
     def wanted(self, participants: Collection[str]) -> set[str]:
-        """Nodes that must be there, one end each, before a run with these participants begins.
+        """Publishing nodes required, one endpoint each, before a run of these participants starts.
 
-        Where none of them takes part, whoever plays the simulator stands in, as in a replay.
+        If none of them takes part, the node acting as simulator replaces them, as in a replay.
         """
         return self.topic.speakers(tuple(participants)) or {SIMULATOR}
 
     def settled(self, participants: Collection[str]) -> bool:
-        """Whether each speaker of a run is there once, and nobody else.
+        """Whether each publisher of a run is present exactly once, and no other.
 
-        What a node leaves behind that died without a goodbye is another end, until DDS forgets it
-        after some 20 s: nobody can tell it from a living one.
+        The endpoint of a killed node remains until DDS drops it after about 20 s; until then it
+        cannot be distinguished from a live one.
         """
         names = [end.node_name for end in self._ends()]
         wanted = self.wanted(participants)
@@ -188,44 +210,44 @@ class Speakers:
         )
 
     def absent(self, participants: Collection[str]) -> set[str]:
-        """Those of the speakers of a run that are not there."""
+        """Publishers of a run that are missing."""
         return self.wanted(participants) - {end.node_name for end in self._ends()}
 
     def pin(self, participants: Collection[str]) -> None:
-        """From now on whoever is there speaks for the run, and who comes is a stranger."""
+        """Pin the current publishers to the run; later ones are foreign."""
         wanted = self.wanted(participants)
         self._named, self._besides = tuple(sorted(wanted)), self._tolerated(wanted)
         self._known = {_gid(end) for end in self._ends()}
         self._pinned = True
 
     def release(self) -> None:
-        """The run is over: who comes is no stranger any more."""
+        """Unpin after the run."""
         self._pinned = False
 
     def early_stranger(self, participants: Collection[str]) -> Stranger | None:
-        """Who keeps the speakers of a run that has not begun from being alone."""
+        """A foreign publisher present before the run has started."""
         wanted = self.wanted(participants)
         tolerated = self._tolerated(wanted)
         seen: set[str] = set()
         for end in self._ends():
             name = end.node_name
             if name == NAMELESS:
-                continue  # It may be one of the run's; a moment later everybody knows.
+                continue  # It may belong to the run; its name will be known shortly.
             if name in seen or name not in wanted | tolerated:
                 return Stranger(name=name, topic=self.topic, speakers=tuple(sorted(wanted)))
             seen.add(name)
         return None
 
     def stranger(self) -> Stranger | None:
-        """Who has come to a run that goes on, as far as the graph knows now."""
+        """A foreign publisher that joined during the run, as far as the graph knows."""
         return self._newcomer() if self._pinned else None
 
     def may_have_changed(self) -> bool:
-        """Whether there may be somebody: a look that costs a few microseconds."""
+        """Quick check for a possible foreign publisher, a few microseconds."""
         return self._pinned and self._node.count_publishers(self._name) != len(self._known)
 
     def _newcomer(self) -> Stranger | None:
-        """Who is there and was not when the run began; takes in who does no harm."""
+        """A publisher that joined since the run started; harmless ones are accepted."""
         new = self._new_ends()
         for end in new:
             if end.node_name not in self._besides:
@@ -237,18 +259,18 @@ class Speakers:
         return Stranger(name=_word(name), topic=self.topic, speakers=self._named)
 
     def _new_ends(self) -> list[Any]:
-        """Ends that were not there at the beginning, with names if these come within a moment."""
+        """Endpoints added since the start, with names if they become known shortly."""
         deadline = time.monotonic() + _NAME_WAIT_S
         while True:
             new = [end for end in self._ends() if _gid(end) not in self._known]
             nameless = any(end.node_name == NAMELESS for end in new)
             if not nameless or time.monotonic() > deadline:
                 return new
-            # The middleware's own threads learn the name meanwhile.
+            # The middleware's threads discover the name meanwhile.
             time.sleep(_NAME_PERIOD_S)
 
     def _tolerated(self, wanted: Collection[str]) -> set[str]:
-        """Nodes of the graph that take no part in the run, and say nothing in it."""
+        """Nodes of the graph that take no part in the run and publish nothing in it."""
         return set(self.topic.publishers) - set(wanted)
 
     def _ends(self) -> list[Any]:
@@ -256,7 +278,7 @@ class Speakers:
 
 
 class HeardSpeakers(Speakers):
-    """Those of a topic that the node subscribes to: even who comes and goes is counted."""
+    """Publishers of a subscribed topic; those that join and leave are counted too."""
 
     def __init__(
         self, node: Node, topic: Topic, callback: Callable[[Any], None], *, raw: bool,
@@ -265,12 +287,12 @@ class HeardSpeakers(Speakers):
         """Subscribe.
 
         Args:
-            node: who hears.
+            node: the subscribing node.
             topic: what.
-            callback: takes the messages; where ``raw``, their bytes.
+            callback: called with messages, or their bytes if ``raw``.
             raw: see above.
-            on_match: called after a publisher was found or lost.
-            qos: of the subscription, where it is not the topic's.
+            on_match: called after a publisher was matched or lost.
+            qos: QoS of the subscription, if not the topic's.
         """
         def matched(_: object) -> None:
             on_match()
@@ -280,17 +302,17 @@ class HeardSpeakers(Speakers):
             event_callbacks=SubscriptionEventCallbacks(matched=matched),
         )
         super().__init__(node, topic, self.subscription.topic_name)
-        # One of its own: that of the event callback is read when the executor comes to it.
+        # A separate count: the event's is read only when the executor gets to it.
         self._matched = rclpy_implementation.EventHandle(self.subscription.handle, _MATCHED)
         self._ever = 0
 
     def close(self) -> None:
-        """Let go of the subscription; called before its node is destroyed."""
+        """Release the subscription; called before its node is destroyed."""
         self._matched.destroy_when_not_in_use()
 
     def settled(self, participants: Collection[str]) -> bool:
-        """See :class:`Speakers`; and whatever they say is heard."""
-        # Far cheaper than what follows, and asked many times.
+        """See :class:`Speakers`; also requires that all of them are matched."""
+        # Much cheaper than the check below, and called often.
         matched = self.subscription.get_publisher_count()
         if matched < len(self.wanted(participants)) or not super().settled(participants):
             return False
@@ -304,7 +326,7 @@ class HeardSpeakers(Speakers):
         super().pin(participants)
 
     def stranger(self) -> Stranger | None:
-        """See :class:`Speakers`; asks the middleware itself, whatever callbacks are yet to come."""
+        """See :class:`Speakers`; queries the middleware directly, ahead of pending callbacks."""
         ever = self._matched_ever()
         if not self._pinned or ever == self._ever:
             return super().stranger()
@@ -321,17 +343,17 @@ class HeardSpeakers(Speakers):
         return self._pinned and self._matched_ever() != self._ever
 
     def _matched_ever(self) -> int:
-        """How many publishers have been matched since the subscription was made."""
+        """Number of publishers ever matched with the subscription."""
         with self._matched:
             return int(self._matched.take_event().total_count)
 
 
 def first_stranger(topics: Iterable[Speakers], thorough: bool = False) -> Stranger | None:
-    """The first that one of some topics has; one with a name before one without.
+    """The first foreign publisher on any of the topics, named ones first.
 
     Args:
-        topics: where to look.
-        thorough: look at every end, also where nothing stirs.
+        topics: topics to check.
+        thorough: check every endpoint, even without changes.
     """
     found = [
         stranger for topic in topics

@@ -1,8 +1,8 @@
-"""The base class of nodes that look at a graph from outside, and must not disturb it.
+"""Base class of nodes that observe a graph without disturbing it.
 
-The nodes of a lockstep wait until each has found all its subscribers, and they count them: an
-observer that came early would be taken for one of them, and a message sent too soon. So it
-comes when the run has begun. It subscribes best effort, so that nobody ever waits for it.
+Lockstep nodes wait until all their subscribers are matched, and count them: an early observer would
+be counted as one of them, and a message sent too soon. So it subscribes after the run has started,
+with best effort, so that no node ever waits for it.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ AT_LEISURE = interface.qos_profile(topics.LOOKING_ON)
 
 
 class Observer(Node):
-    """A node beside a graph, whoever plays it: a simulator, or ``bag_player``."""
+    """A node that observes a graph driven by a simulator or ``bag_player``."""
 
     def __init__(self, name: str, **node: Any) -> None:
         """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(name, **node)
         self._waiting: list[tuple[Topic, Callable[[Any], None], bool]] = []
-        # What is latched reaches those who come late, so being counted does no harm there.
+        # Latched messages reach late subscribers, so being counted is harmless there.
         self._found = False
         self._status = self.create_subscription(
             RunStatus, interface.RUN_STATUS.name, self._on_run_status, interface.RUN_STATUS.qos
@@ -38,21 +38,21 @@ class Observer(Node):
         self._looking = self.create_timer(_LOOK_PERIOD_S, self._look, clock=steady)
 
     def watch(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe to a topic of the table, as soon as that disturbs nobody."""
+        """Subscribe to a topic of the table as soon as this disturbs no node."""
         if topic.quality.latched:
             self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=raw)
         else:
             self._waiting.append((topic, callback, raw))
 
     def found(self) -> None:
-        """Called once, when there is something to look at."""
+        """Called once, when a graph was found."""
 
     def waits_for(self) -> list[str]:
-        """Who plays a graph, where nobody does: see :mod:`.waiting`."""
+        """The missing driver of a graph, see :class:`.node_main.Waiting`."""
         return [] if self._found else [f'{interface.SIMULATOR} or bag_player']
 
     def close(self) -> None:
-        """Stop looking; called once before the node goes away."""
+        """Stop observing; called once before the node is destroyed."""
         self._looking.cancel()
 
     def _on_run_status(self, status: RunStatus) -> None:
@@ -60,7 +60,7 @@ class Observer(Node):
             self._join()
 
     def _look(self) -> None:
-        """Join at once where no simulator counts heads, but a player plays."""
+        """Join at once if a player drives the graph, which counts no subscribers."""
         if not self._found and self._status.get_publisher_count():
             self._found = True
             self.found()

@@ -1,4 +1,4 @@
-"""What every node of the lockstep has in common: take the scenario, get ready, report trouble."""
+"""Base class of lockstep nodes: take the scenario, become ready, report errors."""
 
 from __future__ import annotations
 
@@ -14,32 +14,35 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, Scenario
 
+from taxinet_ros.bag.run.messages import progress_cdr
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
 from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN, HeardSpeakers, first_stranger, heard_by
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
-from taxinet_ros.nodes.messages.step import is_read_raw, progress_cdr, step_reader
+from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
 
 _READY_POLL_S = 0.005
 _SILENT_LOOKS = 20
 
 
 class Participant(Node):
-    """A node that sets itself up for each scenario and then answers messages.
+    """A node that prepares for each scenario and then answers messages.
 
-    A subclass overrides :meth:`prepare`, and :meth:`clear` if it keeps what it hears. An exception
-    in a callback becomes an ERROR status that names the node, so that the run ends at once with a
-    reason instead of a timeout. Who speaks where the node listens is known at its READY. Who comes
-    later, but before the first step, may be a node of the run that was started anew: the node
-    waits until each is there once, and gets ready again. Who comes after that is charged.
+    A subclass overrides :meth:`prepare`, and :meth:`clear` if it stores messages. An exception in a
+    callback becomes an ERROR status that names the node, so that the run ends at once with a reason
+    instead of a timeout. The publishers of the node's inputs are pinned at its READY. A publisher
+    that joins later, but before the first step, may be a restarted node of the run: the node waits
+    until each is present once, and becomes ready again. One that joins after that is reported as an
+    error.
 
     Attributes:
-        run_id: the run that the node is set up for, or ''.
-        implementation: which of the exchangeable kinds it is; goes into every bag.
+        run_id: the run the node is prepared for, or ''.
+        implementation: name of the implementation; recorded in every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
-        silent_looks: how often :meth:`may_leave` was asked since the last message.
+        origin: what of which package it is (:func:`.registry.origin_words`), or ''.
+        silent_looks: number of :meth:`may_leave` calls since the last message.
     """
 
     def __init__(self, name: str, **node: Any) -> None:
@@ -48,6 +51,7 @@ class Participant(Node):
         self.run_id = ''
         self.implementation = ''
         self.fingerprint = ''
+        self.origin = ''
         self._scenario: Scenario | None = None
         self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
@@ -57,17 +61,17 @@ class Participant(Node):
         self._diagnostics = Diagnostics(self, self.health)
         self._status = self.speak(interface.NODE_STATUS)
         self.listen(interface.SCENARIO, self._take)
-        # Getting ready is about processes finding each other, so it runs on wall time.
+        # Becoming ready depends on discovery, so it runs on wall time.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         report_ready = functools.partial(self._guarded(self._report_ready), None)
         self._poll = self.create_timer(_READY_POLL_S, report_ready, clock=steady)
         self._poll.cancel()
 
     def prepare(self, scenario: Scenario) -> None:
-        """Forget the previous run and set up for this one."""
+        """Reset from the previous run and prepare for this one."""
 
     def clear(self) -> None:
-        """Forget what was heard before READY: those who speak in the run say nothing till then."""
+        """Drop messages received before READY; publishers of the run send none until then."""
 
     def speak(self, topic: Topic) -> Publisher:
         """Publish on a topic of the table."""
@@ -79,13 +83,13 @@ class Participant(Node):
         self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False,
         newest: bool = False,
     ) -> None:
-        """Subscribe to a topic of the table, with every exception reported.
+        """Subscribe to a topic of the table; exceptions in the callback are reported.
 
         Args:
-            topic: what is heard.
-            callback: takes the messages; of a topic that is read here, what they say.
-            raw: it takes their bytes.
-            newest: of messages that wait it takes the last; in lockstep no second one ever waits.
+            topic: the topic.
+            callback: called with messages, decoded for topics read raw.
+            raw: pass the bytes instead.
+            newest: take only the last waiting message; in lockstep at most one waits.
         """
         if is_read_raw(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
@@ -101,7 +105,7 @@ class Participant(Node):
         super().destroy_node()
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
-        """Tell the simulator how this node stands in the current run."""
+        """Report this node's state in the current run to the simulator."""
         ready = state == NodeStatus.READY
         if state == NodeStatus.ERROR:
             self._trouble = detail
@@ -118,17 +122,17 @@ class Participant(Node):
         ))
 
     def progress(self, seq: int, stamp_ns: int) -> bytes:
-        """The status, serialised, of having come as far as control step ``seq``."""
+        """Serialised status for progress up to control step ``seq``."""
         return progress_cdr(
             self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
         )
 
     def figures(self) -> Mapping[str, object]:
-        """What else there is to tell of this node on ``/diagnostics``."""
+        """Further figures of this node for ``/diagnostics``."""
         return {}
 
     def health(self) -> Health:
-        """How this node is doing in its run."""
+        """Health of this node in its run."""
         rate, work = self._work.look('message')
         values = {
             'run': self.run_id, 'implementation': self.implementation,
@@ -140,32 +144,32 @@ class Participant(Node):
         if self._scenario is None or self._poll.is_canceled():
             return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
         if not too_long(time.monotonic() - self._taken_s):
-            return Health(message=f'run {self.run_id}: gets ready', values=values)
+            return Health(message=f'run {self.run_id}: starting', values=values)
         values['waits for'] = ', '.join(sorted(self.waits_for()))
         unsettled = ', '.join(self._unsettled())
-        if not unsettled:  # any more, and its READY comes with the next look
-            return Health(message=f'run {self.run_id}: gets ready', values=values)
-        line = f'run {self.run_id}: not all ends are found on {unsettled}'
+        if not unsettled:  # no more; READY follows at the next check
+            return Health(message=f'run {self.run_id}: starting', values=values)
+        line = f'run {self.run_id}: endpoints not matched on {unsettled}'
         return Health(level=DiagnosticStatus.WARN, message=line, values=values)
 
     def may_leave(self) -> bool:
-        """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
+        """Whether no node waits for this one after a shutdown request; called every 0.05 s.
 
-        So it is without a run or a simulator, and where for a second nothing was said or heard.
+        True without a run or a simulator, or after one second without messages.
         """
         self.silent_looks += 1
         return self.without_simulator() or (self.silent_looks > _SILENT_LOOKS and all(
-            # What DDS has lost on its way it sends once more, as long as this node is there.
+            # DDS resends lost messages as long as this node exists.
             publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
         ))
 
     def without_simulator(self) -> bool:
-        """Whether there is no run, or no simulator any more that could end it."""
+        """Whether there is no run, or no simulator that could end it."""
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
         return not self.run_id or not heard.subscription.get_publisher_count()
 
     def waits_for(self) -> set[str]:
-        """Names of those of the run that are not found yet: see :mod:`.waiting`."""
+        """Nodes of the run not matched yet, see :class:`.node_main.Waiting`."""
         if self._scenario is None or self._poll.is_canceled():
             return set()
         present = self._scenario.participants
@@ -181,16 +185,16 @@ class Participant(Node):
         return found - {self.get_name()}
 
     def close(self) -> None:
-        """Finish what must not be lost; called once before the node goes away."""
+        """Finish pending work; called once before the node is destroyed."""
 
     def charge(self, error: InfraError) -> None:
-        """Have the run end for what somebody else did."""
+        """End the run because of another node's error."""
         Participant.report(self, NodeStatus.ERROR, detail=blame_text(error))
 
     def spoken_into(self) -> bool:
-        """Whether somebody speaks where this node listens who was not there at its READY.
+        """Whether an input has a publisher that was not present at READY.
 
-        Tells the simulator of it, once.
+        Reports it to the simulator once.
         """
         if not self._charged and (stranger := first_stranger(self._listeners)) is not None:
             if not self._begun:
@@ -201,10 +205,10 @@ class Participant(Node):
         return self._charged
 
     def _wait_again(self) -> None:
-        """Not ready any more."""
+        """Withdraw READY."""
         for heard in self._listeners:
             heard.release()
-        self.report(NodeStatus.PROGRESS, detail='waits until each speaker is there once')
+        self.report(NodeStatus.PROGRESS, detail='waits until each publisher is present once')
         self._poll.reset()
 
     def _take(self, scenario: Scenario) -> None:
@@ -227,9 +231,9 @@ class Participant(Node):
         self._report_ready()
 
     def _report_ready(self, _: None = None) -> None:
-        """Report ready as soon as every end has found all its other ends of this run.
+        """Report READY as soon as every endpoint is matched with all its peers of this run.
 
-        Both directions count: a reader that does not know its writer yet drops what that sends.
+        Both directions count: a reader not yet matched with a writer drops its messages.
         """
         if self._scenario is None or self._poll.is_canceled():
             return
@@ -241,10 +245,10 @@ class Participant(Node):
         self.clear()
         self._begun = False
         self._poll.cancel()
-        self.report(NodeStatus.READY)
+        self.report(NodeStatus.READY, detail=self.origin)
 
     def _unsettled(self) -> Iterator[str]:
-        """Topics on which not every end of this run has found this node's, or is alone."""
+        """Topics with unmatched or foreign endpoints in this run."""
         assert self._scenario is not None
         present = self._scenario.participants
         for topic, publisher in self._speakers:
@@ -275,7 +279,7 @@ class Participant(Node):
                 if watched:
                     self._work.took(time.perf_counter() - begun_s)
             except Exception as error:
-                # What it cannot take may be somebody else's, and is not this node's fault then.
+                # A bad message may come from a foreign node, which is then to blame.
                 if self.spoken_into():
                     return
                 if isinstance(error, InfraError):

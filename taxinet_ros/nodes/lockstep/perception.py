@@ -1,4 +1,4 @@
-"""The perception node: a camera frame (or the truth) in, an estimate of the tracking error out."""
+"""Perception node: camera frame (or ground truth) in, estimated tracking error out."""
 
 from __future__ import annotations
 
@@ -8,26 +8,29 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.cdr.image import frame_of_cdr
+from taxinet_ros.bag.run.messages import error_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.step import StepMessage, error_cdr
+from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.parameters import refuse_unknown
+from taxinet_ros.registry import PERCEPTIONS, origin_words
 
 
 class PerceptionNode(Participant, abc.ABC):
-    """Runs one perception of the core, and subscribes to what that one needs only."""
+    """Runs one perception of the core and subscribes only to its inputs."""
 
     def __init__(self, **node: Any) -> None:
-        """Choose the perception; a network never gets the truth, nor the truth the picture."""
+        """Choose the perception; a network never gets the truth, nor truth the image."""
         super().__init__(interface.PERCEPTION, **node)
         self._perception = self.choose()
         refuse_unknown(self)
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
+        self.origin = origin_words(PERCEPTIONS, self.implementation)
         self._estimates = self.speak(interface.ESTIMATE)
         if self._perception.needs_image:
             self.listen(interface.IMAGE, self._see, raw=True, newest=True)
@@ -35,12 +38,12 @@ class PerceptionNode(Participant, abc.ABC):
             self.listen(interface.TRUTH, self._know, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
-        """Forget the previous run."""
+        """Reset from the previous run."""
         self._perception.begin()
 
     @abc.abstractmethod
     def choose(self) -> Perception:
-        """Which perception this node runs; may declare parameters to decide it."""
+        """Return the perception to run; may declare parameters for it."""
 
     def _see(self, cdr: bytes) -> None:
         stamp_ns, pixels = frame_of_cdr(cdr)

@@ -1,4 +1,4 @@
-"""The client of the action ``run_scenario``: has the graph run one scene after the other."""
+"""Client of the action ``run_scenario``: runs scenes on the graph one by one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ASK_AGAIN_S = 2.0
 PATIENCE = (
     Parameter(
         name='server_timeout', default=30.0, limits=(0.1, 3600.0),
-        description='wall-clock time to find the simulator [s]',
+        description='wall-clock timeout to find the simulator [s]',
     ),
     Parameter(
         name='silence_timeout', default=60.0, limits=(0.1, 3600.0),
@@ -43,10 +43,10 @@ PATIENCE = (
 
 
 class _RunClient(ActionClient):
-    """An action client that outlives a second server's answer, for which rclpy 7.1 raises.
+    """Action client that tolerates a second server's response, for which rclpy 7.1 raises.
 
     Attributes:
-        answered_twice: whether there was one.
+        answered_twice: whether there was a second response.
     """
 
     answered_twice = False
@@ -65,9 +65,9 @@ class ScenarioSampler(Node):
     """Drives the graph run by run over the action ``run_scenario``.
 
     Attributes:
-        seq: the control step that the run at hand has reached, as far as is known.
+        seq: latest known control step of the current run.
         interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether it is not awaited that a second simulator goes away.
+        one_simulator: whether to fail at once if there is a second simulator.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -95,12 +95,12 @@ class ScenarioSampler(Node):
         self, executor: Any, requests: Iterable[RunRequest],
         on_result: Callable[[RunRequest, RunResult], bool],
     ) -> Future:
-        """Begin a campaign; the future is done when its last answer is taken.
+        """Start a campaign; the future is done after its last result.
 
         Args:
             executor: the one that spins this node.
             requests: the runs, in order; drawn one at a time.
-            on_result: called with every answer; False ends the campaign.
+            on_result: called with every result; False ends the campaign.
         """
         self._executor = executor
         self._finished = Future(executor=executor)
@@ -109,21 +109,21 @@ class ScenarioSampler(Node):
         return self._finished
 
     def interrupt(self) -> None:
-        """Cancel the run at hand, take its answer, and ask for no more."""
+        """Cancel the current run, take its result, and request no more."""
         self.interrupted = True
         self._silent_looks = 0
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
     def abort(self) -> bool:
-        """Wait for no answer: the campaign ends with KeyboardInterrupt. False where none is on."""
+        """End the campaign now with KeyboardInterrupt. False if none is active."""
         if self._finished is None or self._finished.done():
             return False
         self._finished.set_exception(KeyboardInterrupt())
         return True
 
     def report_death(self, node: str, detail: str) -> None:
-        """A node's process is known to be dead: end its run at once, with the reason."""
+        """Report a dead node process: its run ends at once with the reason."""
         if self._request is None or self._answer is None or self._answer.done():
             return
         if node == interface.SIMULATOR:
@@ -133,7 +133,7 @@ class ScenarioSampler(Node):
             self._death_notices.publish(notice)
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
-        """End the run in its stead."""
+        """End the run in place of the simulator."""
         assert self._request is not None
         assert self._answer is not None
         if kind == InfraKind.DIED:
@@ -144,16 +144,16 @@ class ScenarioSampler(Node):
         self._answer.set_result(RunResult.infra_error(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:
-        """Leave the graph; every answer is already taken."""
+        """Leave the graph; all results have been taken."""
         self._client.destroy()
 
     # Run by run --------------------------------------------------------------------------------
     #
-    # By callbacks, not by tasks that await: such a task of the events executor of rclpy 7.1 notices
-    # what another task brings at the next event only, and is looked after at every one till then.
+    # Uses callbacks, not awaiting tasks: in the events executor of rclpy 7.1, such a task sees
+    # another task's result only at the next event, and is polled at every event until then.
 
     def _guarded(self, action: Callable[..., None], *what: Any) -> Callable[..., None]:
-        """What it raises belongs to whoever waits for the campaign, not to the executor."""
+        """Exceptions belong to the caller of the campaign, not to the executor."""
         finished = self._finished
         assert finished is not None
 
@@ -194,14 +194,14 @@ class ScenarioSampler(Node):
             self._finished.set_result(None)
 
     def _servers(self) -> dict[Gid, str]:
-        """Who serves the action, as far as the graph tells: node by the end that answers."""
+        """Known servers of the action: node by response endpoint."""
         name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
-        # How DDS names the topic of a service's answers, by ROS 2 in all its implementations.
+        # DDS topic name of service responses in all ROS 2 implementations.
         ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
         return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
 
     def _may_ask(self) -> bool:
-        """Whether there is one simulator, and nothing lingers of one that died."""
+        """Whether there is exactly one simulator, with no remains of a dead one."""
         servers = self._servers()
         alone = len(servers) <= 1 and not self._dead & servers.keys()
         return alone and self._client.server_is_ready()
@@ -240,7 +240,7 @@ class ScenarioSampler(Node):
         if self._client.answered_twice:
             strangers.append(interface.SIMULATOR)
         if result.outcome is not Outcome.INFRA_ERROR and strangers:
-            detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
+            detail = f'serves {interface.RUN_SCENARIO} too, so the result is ambiguous'
             result = RunResult.infra_error(
                 InfraKind.INTRUDER, strangers[0], detail, result.last_seq
             )
@@ -258,7 +258,8 @@ class ScenarioSampler(Node):
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
         self._silent_looks += 1
-        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
+        # Ctrl-C in a terminal may also have ended the simulator; a dead one stays visible for a
+        # while.
         silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
         if self.interrupted and silent:
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
@@ -278,7 +279,7 @@ class ScenarioSampler(Node):
         return self.one_simulator and len(self._servers()) > 1
 
     def _not_asked(self, within: str) -> RunResult:
-        """Why there was nobody to ask, or more than one."""
+        """Reason why there was no simulator, or more than one."""
         names = sorted(self._servers().values())
         if len(names) > 1:
             others = [name for name in names if name != interface.SIMULATOR] or names
@@ -290,10 +291,10 @@ class ScenarioSampler(Node):
 
 
 def result_of(answer: Any) -> RunResult:
-    """What the result of the action ``run_scenario`` says, whoever gave it."""
+    """Convert the result of the action ``run_scenario``, from any server."""
     status, verdict = answer.status, answer.verdict
     if status.outcome not in list(Outcome):
-        detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
+        detail = plain_line(f'answered {status.outcome!r}, which is not an outcome')
         return RunResult.infra_error(InfraKind.PROTOCOL, interface.SIMULATOR, detail, status.seq)
     outcome = Outcome(status.outcome)
     judged = outcome.judged

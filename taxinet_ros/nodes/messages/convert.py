@@ -1,4 +1,4 @@
-"""Messages to core values and back, and the status messages that report faults of nodes.
+"""Convert messages to core values and back; status messages that report node errors.
 
 Floats pass unchanged, so the graph matches the core's bits. The messages of every control step
 are in :mod:`taxinet_ros.nodes.messages.step`.
@@ -6,20 +6,16 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
+from taxinet_ros.bag.run.message_values import reading_values, scenario_values
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.camera import camera
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
@@ -27,97 +23,40 @@ from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, InfraKind, plain_line
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import CAMERA_FRAME, MAP_FRAME
+from taxinet_ros.nodes.interface import MAP_FRAME
 
 
 def time_of(stamp_ns: int) -> Time:
-    """Nanoseconds since the start of the run as a ROS time."""
+    """Convert nanoseconds since the start of the run to a ROS time."""
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
 def stamp_of(stamp: Time) -> int:
-    """A ROS time as nanoseconds since the start of the run."""
+    """Convert a ROS time to nanoseconds since the start of the run."""
     return stamp.sec * NS_PER_S + stamp.nanosec
 
 
 def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
-    """A header at simulated time ``stamp_ns``."""
+    """Header at simulated time ``stamp_ns``."""
     return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
 
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
-    """The message that asks for a run."""
-    return taxinet.Scenario(
-        header=header(0),
-        run_id=request.run_id,
-        index=request.index,
-        program=request.program,
-        seed=request.seed,
-        specs=list(request.judging.specs),
-        stop_on=request.judging.stop_on,
-        bounds=list(request.judging.bounds),
-        rates=list(request.judging.rates),
-        participants=list(request.participants),
-        **dataclasses.asdict(request.scenario),
-    )
-
-
-def camera_info_message() -> CameraInfo:
-    """Intrinsics of the wing camera at the start of a run."""
-    matrix = camera.intrinsics()
-    projection = np.hstack([matrix, np.zeros((3, 1))])
-    return CameraInfo(
-        header=header(0, CAMERA_FRAME),
-        height=camera.IMAGE_HEIGHT,
-        width=camera.IMAGE_WIDTH,
-        distortion_model='plumb_bob',
-        d=[0.0] * 5,
-        k=matrix.ravel().tolist(),
-        r=np.eye(3).ravel().tolist(),
-        p=projection.ravel().tolist(),
-    )
+    """Message that requests a run."""
+    return taxinet.Scenario(header=header(0), **scenario_values(request))
 
 
 def robustness_message(
     spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME
 ) -> taxinet.Robustness:
-    """One formula's reading."""
+    """Current robustness of one formula."""
     return taxinet.Robustness(
-        header=header(stamp_ns, frame_id),
-        run_id=run_id,
-        seq=seq,
-        spec=spec.name,
-        formula=spec.text,
-        rho_lower=reading.lower,
-        rho_upper=reading.upper,
-        verdict=int(reading.verdict),
-        final=reading.final,
-        valid=reading.valid,
-        trusted=reading.trusted,
-        samples=reading.samples,
-        rejected=reading.rejected,
+        header=header(stamp_ns, frame_id), **reading_values(spec, reading, run_id, seq)
     )
 
 
-def statistics_fields(statistics: RunStatistics) -> dict[str, Any]:
-    """The fields of a verdict that hold the run's figures; the inverse of :func:`statistics_of`."""
-    cte, he = statistics.cte_error, statistics.he_error
-    return {
-        'left_runway': statistics.left_runway,
-        'max_cross_track_error': statistics.max_cross_track_m,
-        'settle_time': statistics.settle_time_s,
-        'estimate_cte_error_mean': cte.mean,
-        'estimate_cte_error_mean_abs': cte.mean_abs,
-        'estimate_cte_error_max_abs': cte.max_abs,
-        'estimate_he_error_mean': he.mean,
-        'estimate_he_error_mean_abs': he.mean_abs,
-        'estimate_he_error_max_abs': he.max_abs,
-        'unusable_estimates': statistics.unusable_estimates,
-    }
-
-
 def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:
-    """The run's figures in a verdict."""
+    """Statistics of the run in a verdict."""
     return RunStatistics(
         max_cross_track_m=verdict.max_cross_track_error,
         settle_time_s=verdict.settle_time,
@@ -134,7 +73,7 @@ def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:
 
 
 def settled_message(free: FreeRun, run_id: str) -> TimingMessage:
-    """What becomes known with a frame: which earlier ones get no answer any more."""
+    """Message on the earlier frames settled with a frame: those that get no answer."""
     unestimated, uncommanded = free.settle()
     return TimingMessage(
         header=header(free.seq * CONTROL_PERIOD_NS, ''), run_id=run_id, seq=free.seq,
@@ -143,7 +82,7 @@ def settled_message(free: FreeRun, run_id: str) -> TimingMessage:
 
 
 def account_message(free: FreeRun, run_id: str) -> TimingMessage:
-    """How a free run went, at its end."""
+    """Message with the account of a free run, at its end."""
     account = free.account
     seq = max(free.seq, 0)
     return TimingMessage(
@@ -169,39 +108,39 @@ _KINDS = {NodeStatus.DIED: InfraKind.DIED, NodeStatus.ERROR: InfraKind.TIMEOUT}
 
 
 def blame_text(error: InfraError) -> str:
-    """The detail of an ERROR status by which a node charges another one."""
+    """Detail of an ERROR status by which a node reports another one's error."""
     return plain_line(f'{error.kind} {error.who}: {error.detail}')
 
 
 def parse_blame(detail: str) -> tuple[str, str, str] | None:
-    """Kind, who and what of a charge; None where a node speaks of itself."""
+    """Parse kind, node and detail of such a report; None if a node reports its own error."""
     found = _BLAME.fullmatch(detail)
     return (found[1], found[2], found[3]) if found else None
 
 
 def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
-    """Whether two READYs of a node say the same of it; a node that comes back says it again."""
+    """Whether two READY messages of a node are equal; a node repeats its READY."""
     return (one.implementation, one.fingerprint) == (other.implementation, other.fingerprint)
 
 
 def duplicate_node_error(node: str) -> InfraError:
-    """For a run in which READY came twice for a node, of two different ones."""
+    """Error of a run with two different READY messages of the same node name."""
     return InfraError(
-        InfraKind.INTRUDER, node, -1, 'two different nodes say that they are this one'
+        InfraKind.INTRUDER, node, -1, 'two different nodes have this name'
     )
 
 
 def death_notice(
     run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0
 ) -> NodeStatus:
-    """What somebody who looks after a node says to the nodes of a run, which then ends.
+    """Message by which a supervisor reports a dead node to a run, which then ends.
 
     Args:
-        run_id: the run at hand.
-        name: of the node.
-        detail: how it ended, in a line.
-        kind: ``died``, or ``timeout`` of a simulator that is given up.
-        seq: control step that the run had reached, as far as is known.
+        run_id: the current run.
+        name: name of the node.
+        detail: how it ended, in one line.
+        kind: ``died``, or ``timeout`` of a simulator that stopped responding.
+        seq: last known control step of the run.
     """
     state = next(state for state, known in _KINDS.items() if known == kind)
     return NodeStatus(
@@ -211,7 +150,7 @@ def death_notice(
 
 
 def lost_run_status(notice: NodeStatus) -> RunStatus:
-    """How a run ends of whose simulator this was said: nobody else can tell any more."""
+    """Final status of a run whose simulator was reported dead."""
     return RunStatus(
         run_id=notice.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
         kind=_KINDS.get(notice.state, InfraKind.DIED), who=interface.SIMULATOR,
@@ -220,5 +159,5 @@ def lost_run_status(notice: NodeStatus) -> RunStatus:
 
 
 def one_line(error: BaseException) -> str:
-    """Kind and first line of an exception."""
+    """Type and first line of an exception."""
     return f'{type(error).__name__}: {error}'.splitlines()[0]

@@ -1,181 +1,35 @@
-"""The messages of a control step: serialised from core values, read back, collected.
+"""The messages of a control step: read back, collected, and the transforms that follow them.
 
-rclpy publishes bytes as they are, and hands them to subscribers that ask for raw messages. A
-message object it converts field by field, which takes several times as long. Floats pass
-unchanged, so the graph matches the core's bits.
+rclpy publishes bytes as they are (:mod:`taxinet_ros.bag.run.messages` makes them), and hands them
+to subscribers that ask for raw messages. A message object it converts field by field, which takes
+several times as long. Floats pass unchanged, so the graph matches the core's bits.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
-from taxinet_msgs import msg as taxinet
 
 from taxinet_ros.bag.cdr.decode import decoder
-from taxinet_ros.bag.cdr.fields import MessageTemplate
-from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.mtl import Reading, Spec
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
-from taxinet_ros.core.world import Observation
+from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.messages.convert import camera_info_message, header, stamp_of
-
-_STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
-_STEP = (*_STAMP, 'seq')
-_KEPT = 256
-"""Templates of a kind that are kept: more than a run has formulas, which take turns."""
-
-
-def clock_cdr(stamp_ns: int) -> bytes:
-    """Simulated time [ns]."""
-    return _clock().filled(*divmod(stamp_ns, NS_PER_S))
-
-
-def camera_info_cdr(stamp_ns: int) -> bytes:
-    """Intrinsics of the wing camera, stamped [ns]."""
-    return _camera_info().filled(*divmod(stamp_ns, NS_PER_S))
-
-
-def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
-    """The true state: pose in map, velocity in base_link."""
-    return _odometry().filled(
-        *divmod(stamp_ns, NS_PER_S), state.x_m, state.y_m, state.z_m,
-        *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
-        state.speed_mps, state.yaw_rate_radps,
-    )
-
-
-def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """Truth or estimate."""
-    return _error(run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
-    )
-
-
-def command_cdr(command: TaxiCommand, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """A command."""
-    return _command(run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, command.steering_rad, command.speed_mps
-    )
-
-
-def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """One formula's reading."""
-    return _robustness(spec.name, spec.text, run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, reading.lower, reading.upper, reading.verdict,
-        reading.final, reading.valid, reading.samples, reading.rejected, reading.trusted,
-    )
-
-
-def progress_cdr(
-    node: str, implementation: str, fingerprint: str, run_id: str, seq: int, stamp_ns: int
-) -> bytes:
-    """The status of a node of the lockstep that has come as far as ``seq``.
-
-    Args:
-        node: its name.
-        implementation: which of the exchangeable kinds it is.
-        fingerprint: sha256 of the weights that decide its behaviour, or ''.
-        run_id: its run.
-        seq: the last control step that it is done with.
-        stamp_ns: simulated time of that [ns].
-    """
-    return _progress(node, implementation, fingerprint, run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq
-    )
-
-
-@functools.cache
-def _clock() -> MessageTemplate:
-    return _template(interface.CLOCK, Clock(), 'clock.sec', 'clock.nanosec')
-
-
-@functools.cache
-def _camera_info() -> MessageTemplate:
-    return _template(interface.CAMERA_INFO, camera_info_message(), *_STAMP)
-
-
-@functools.cache
-def _odometry() -> MessageTemplate:
-    message = Odometry(header=header(0), child_frame_id=interface.BASE_FRAME)
-    return _template(
-        interface.ODOMETRY, message, *_STAMP,
-        *(f'pose.pose.position.{axis}' for axis in 'xyz'),
-        *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
-        'twist.twist.linear.x', 'twist.twist.angular.z',
-    )
-
-
-@functools.lru_cache(_KEPT)
-def _error(run_id: str) -> MessageTemplate:
-    message = taxinet.TrackingError(header=header(0), run_id=run_id)
-    fields = 'cross_track_error', 'heading_error', 'valid'
-    return _template(interface.TRUTH, message, *_STEP, *fields)
-
-
-@functools.lru_cache(_KEPT)
-def _command(run_id: str) -> MessageTemplate:
-    message = taxinet.TaxiCommand(header=header(0, interface.BASE_FRAME), run_id=run_id)
-    return _template(interface.COMMAND, message, *_STEP, 'steering_angle', 'speed')
-
-
-@functools.lru_cache(_KEPT)
-def _robustness(name: str, text: str, run_id: str) -> MessageTemplate:
-    message = taxinet.Robustness(header=header(0), run_id=run_id, spec=name, formula=text)
-    return _template(
-        interface.ROBUSTNESS, message, *_STEP,
-        'rho_lower', 'rho_upper', 'verdict', 'final', 'valid', 'samples', 'rejected', 'trusted',
-    )
-
-
-@functools.lru_cache(_KEPT)
-def _progress(node: str, implementation: str, fingerprint: str, run_id: str) -> MessageTemplate:
-    message = taxinet.NodeStatus(
-        header=header(0, ''), run_id=run_id, node=node, state=taxinet.NodeStatus.PROGRESS,
-        implementation=implementation, fingerprint=fingerprint,
-    )
-    return _template(interface.PROGRESS, message, *_STEP)
-
-
-def _template(topic: Topic, message: Any, *fields: str) -> MessageTemplate:
-    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
-    return MessageTemplate(described, bytes(serialize_message(message)), fields)
-
-
-def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic, bytes]]:
-    """The serialised messages of a control step, in the order in which they are published.
-
-    Args:
-        now: what there is to know.
-        run_id: the run that it belongs to.
-    """
-    stamp_ns = now.stamp_ns
-    yield interface.CLOCK, clock_cdr(stamp_ns)
-    yield interface.ODOMETRY, odometry_cdr(now.state, stamp_ns)
-    yield interface.TRUTH, error_cdr(now.state.tracking_error, run_id, now.seq, stamp_ns)
-    yield interface.CAMERA_INFO, camera_info_cdr(stamp_ns)
-    if now.image is not None:
-        yield interface.IMAGE, image_cdr(now.image, stamp_ns, interface.CAMERA_FRAME)
+from taxinet_ros.nodes.messages.convert import stamp_of
 
 
 class StepMessage(NamedTuple):
-    """What one message of a control step says.
+    """Content of one message of a control step.
 
     Attributes:
         stamp_ns: simulated time since the start of the run [ns].
         value: a :class:`TrackingError`, a :class:`TaxiCommand`, a :class:`Motion`, or the name of
             the node that reports progress.
-        run_id: the run that it belongs to; '' where messages of the topic do not tell.
-        seq: number of the step as the message has it; -1 where they do not tell.
+        run_id: the run it belongs to; '' if the message type has no run_id.
+        seq: step number in the message; -1 if the message type has none.
     """
 
     stamp_ns: int
@@ -185,10 +39,10 @@ class StepMessage(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What is monitored of odometry.
+    """Monitored values of odometry.
 
     Attributes:
-        x_m: place along the runway [m].
+        x_m: position along the runway [m].
         speed_mps: ground speed along the body x axis [m/s].
     """
 
@@ -229,19 +83,20 @@ _READ: dict[str, Callable[[Any], StepMessage]] = {
 
 
 def is_read_raw(topic: Topic) -> bool:
-    """Whether a topic is one of many messages, which is to be subscribed to as raw."""
+    """Whether a high-rate topic is subscribed to with raw messages."""
     return topic.name in _READ
 
 
 def step_reader(topic: Topic) -> Callable[[Any], Any]:
-    """From what a subscription gives, raw where :func:`is_read_raw`, to :class:`StepMessage`.
+    """Return a converter from subscribed messages to :class:`StepMessage`.
 
-    Messages of other topics stay as they are. The reader raises
-    :class:`~taxinet_ros.bag.errors.BagCorrupt` where bytes are no message of the topic's type.
+    Messages are raw if :func:`is_read_raw`; those of other topics are passed unchanged. The
+    converter raises :class:`~taxinet_ros.bag.errors.BagCorrupt` if bytes are not a message of the
+    topic's type.
     """
     if not is_read_raw(topic):
         return _as_it_is
-    # rclpy's own objects cost three times as much, a seventh of a run (docs/performance.md).
+    # rclpy's message objects cost three times as much, a seventh of a run (docs/performance.md).
     decode = decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
     read = _READ[topic.name]
     return lambda cdr: read(decode(cdr))
@@ -252,16 +107,16 @@ def _as_it_is(message: Any) -> Any:
 
 
 class TransformBroadcaster:
-    """Publishes ``tf_static`` once, for whoever comes, and ``tf`` with each odometry."""
+    """Publishes ``tf_static`` once (latched), and ``tf`` with each odometry."""
 
     def __init__(
         self, node: Node, *, prefix: str = '', odometry: TopicInfo | None = None
     ) -> None:
-        """Say where the camera is.
+        """Publish the camera transform.
 
         Args:
-            node: who speaks.
-            prefix: what is put before the names of the topics, with its slash.
+            node: publishing node.
+            prefix: prefix of the topic names, with slash.
             odometry: as in :class:`.OdometryTransforms`.
         """
         static, moving = (
@@ -273,21 +128,21 @@ class TransformBroadcaster:
         static.publish(camera_transform())
 
     def follow(self, odometry: bytes) -> None:
-        """Say where ``base_link`` is by serialised odometry, if anybody listens.
+        """Publish ``base_link`` from serialised odometry, if there are subscribers.
 
         Raises:
-            BagCorrupt: the bytes are no odometry.
+            BagCorrupt: the bytes are not odometry.
         """
         if self._moving.get_subscription_count():
             self._moving.publish(self._transform_of(odometry))
 
 
 Step = tuple[int, dict[str, list[Any]]]
-"""Number of a control step, and its messages by topic."""
+"""Control step number and its messages by topic."""
 
 
 class StepCollector:
-    """Collects so many messages per topic and step, and hands out whole steps in order."""
+    """Collects messages per topic and step, and returns complete steps in order."""
 
     def __init__(self, expected: Mapping[str, int]) -> None:
         """``expected``: topic name to number of messages per step."""
@@ -298,9 +153,9 @@ class StepCollector:
         self.repeated = 0
 
     def add(self, topic: str, seq: int, message: Any) -> Sequence[Step]:
-        """Take one message; answer every step that is now whole, oldest first.
+        """Add one message; return the steps now complete, oldest first.
 
-        A message beyond the expected number (a repetition, or one of a step already handed out) is
+        A message beyond the expected number (a repetition, or of a step already returned) is
         counted in :attr:`repeated` and ignored.
         """
         if seq < self._next:
@@ -323,7 +178,7 @@ class StepCollector:
         return () if step.missing or seq != self._next else self._whole()
 
     def excuse(self, topic: str, seq: int) -> Sequence[Step]:
-        """What a topic says of a step does not come, or came for nothing; answer as :meth:`add`."""
+        """Drop a topic from a step, including messages received; return as :meth:`add`."""
         if seq < self._next:
             return ()
         step = self._pending.setdefault(seq, _Pending(self._total))
@@ -341,12 +196,12 @@ class StepCollector:
         return whole
 
     def torn(self) -> list[Step]:
-        """Steps begun and not whole, oldest first: what an aborted run left behind."""
+        """Incomplete steps, oldest first, left by an aborted run."""
         return sorted((seq, step.messages) for seq, step in self._pending.items())
 
 
 class _Pending:
-    """Messages of a step by topic, how many are to come, and topics of which none is."""
+    """Messages of a step by topic, number still missing, and excused topics."""
 
     __slots__ = ('excused', 'messages', 'missing')
 

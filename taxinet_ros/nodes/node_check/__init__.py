@@ -1,1 +1,1 @@
-"""The check of a user's node against the contract of the graph."""
+"""Check of a user's node against the lockstep contract."""

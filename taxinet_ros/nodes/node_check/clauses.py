@@ -1,8 +1,8 @@
-"""What a perception or a controller owes the graph, and what a record says of each clause.
+"""Clauses of the contract of perception and controller nodes, and their evaluation.
 
-The clauses are data; ``docs/own_nodes.md`` says the same, and a test holds the two together.
-:mod:`taxinet_ros.nodes.node_check.driver` drives a node and records what it does; what that
-means is judged here, from the record alone.
+The clauses are data; ``docs/own_nodes.md`` lists the same, and a test compares both.
+:mod:`taxinet_ros.nodes.node_check.driver` drives a node and records what it does; the record is
+evaluated here.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from taxinet_ros.nodes.node_check.record import (
 )
 
 BOTH: Final = ('perception', 'controller')
-"""The first places in which a node is asked: cross-track error [m] and heading error [rad]."""
+"""First poses used for questions: cross-track error [m] and heading error [rad]."""
 _DEGREES = 180.0 / math.pi
 _GRACES_S: Final = {'SIGINT': SIGINT_GRACE_S + SIGTERM_GRACE_S, 'SIGTERM': SIGTERM_GRACE_S}
 _STEERING_LIMIT_RAD, _SPEED_LIMIT_MPS = math.pi / 3, 10.0
 
 
 class Status(enum.StrEnum):
-    """What became of a clause."""
+    """Result of a clause."""
 
     PASS = 'PASS'
     FAIL = 'FAIL'
@@ -51,15 +51,15 @@ class Status(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Clause:
-    """One thing that a node has to do.
+    """One requirement on a node.
 
     Attributes:
-        name: one word for it.
-        expected: what is asked for, in a line; ``{node}``, ``{answers}`` and ``{hears}`` are filled
-            in.
-        mend: what to do where it is broken.
-        roles: who owes it.
-        informative: nobody owes it; what came is told.
+        name: short name.
+        expected: the requirement in one line; ``{node}``, ``{answers}`` and ``{hears}`` are filled
+        in.
+        mend: how to fix a violation.
+        roles: roles it applies to.
+        informative: not a requirement; the observation is reported.
     """
 
     name: str
@@ -126,12 +126,12 @@ CLAUSES: Final = (
            informative=True),
     Clause('limits', 'largest angle and speed', roles=('controller',), informative=True),
 )
-"""In the order in which they are tried; what the first broken one is in the way of is not."""
+"""In order of evaluation; clauses blocked by the first broken one are not tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What became of one clause; ``came`` says what was seen, in a line."""
+    """Result of one clause; ``came`` is the observation in one line."""
 
     clause: Clause
     status: Status
@@ -139,11 +139,11 @@ class Finding:
     expected: str
 
 Judged = tuple[Status, str] | None
-"""None: there is nothing to judge by, since something before it is broken."""
+"""None: cannot be evaluated, since an earlier clause is broken."""
 
 
 def judge(record: Record) -> list[Finding]:
-    """What a record means, clause by clause."""
+    """Evaluate a record, clause by clause."""
     role = record.role
     words = {
         'node': role.node, 'answers': role.answers.name,
@@ -152,7 +152,7 @@ def judge(record: Record) -> list[Finding]:
     owed = [clause for clause in CLAUSES if role.word in clause.roles]
     judged = {clause.name: _JUDGES[clause.name](record) for clause in owed}
     broken = ', '.join(name for name, one in judged.items() if one and one[0] is Status.FAIL)
-    left = Status.NOT_TRIED, f'mend {broken} first' if broken else 'did not come to it'
+    left = Status.NOT_TRIED, f'fix {broken} first' if broken else 'not reached'
     return [
         Finding(
             clause=clause, status=status, came=came, expected=clause.expected.format(**words),
@@ -268,9 +268,9 @@ def _ready_says(record: Record) -> Judged:
             lacks = ', '.join(sorted(heard)) or 'nothing'
             return Status.FAIL, f'listens is {list(status.listens)}; it hears {lacks}'
         if not same_ready(said[0], status):
-            return Status.FAIL, 'implementation or fingerprint changes from run to run'
+            return Status.FAIL, 'implementation or fingerprint changes between runs'
     one = said[0]
-    mark = one.fingerprint[:12] or 'no fingerprint: nobody can tell two versions of it apart'
+    mark = one.fingerprint[:12] or 'no fingerprint: its versions cannot be distinguished'
     return Status.PASS, f'{one.implementation!r}, {mark}'
 
 
@@ -327,7 +327,7 @@ def _all_answers(record: Record) -> list[tuple[Run, Question, Answer]]:
 def _each_answer(
     wrong: Callable[[Run, Question, Answer], str], came: str
 ) -> Callable[[Record], Judged]:
-    """A judge that looks at every answer by itself."""
+    """Evaluator that checks each answer separately."""
     def judge_answers(record: Record) -> Judged:
         every = _all_answers(record)
         broken = next((words for one in every if (words := wrong(*one))), '')
@@ -364,7 +364,7 @@ def _bad_command(value: TaxiCommand) -> str:
 
 
 def _whole(record: Record, kind: str) -> list[Any] | None:
-    """Answers of a run that was asked and answered to its end."""
+    """Answers of a run that was completed."""
     run = record.run(kind)
     if run is None or not run.ordinary or not all(one.answers for one in run.ordinary):
         return None
@@ -383,28 +383,28 @@ def _forgets(record: Record) -> Judged:
         return None
     different = _difference(first, second)
     if not different:
-        return Status.PASS, f'{len(second)} the same to the bit'
+        return Status.PASS, f'{len(second)} bit-identical'
     if fresh is None or _difference(first, fresh):
-        again = 'a fresh process differs again: it draws numbers without a seed, or its '
-        again += 'arithmetic has no fixed order'
+        again = 'a fresh process differs again: unseeded random numbers, or '
+        again += 'arithmetic without fixed order'
         return Status.FAIL, f'{different}; {again}' if fresh is not None else different
-    return Status.FAIL, f'{different}; a fresh process does as the first run: it remembers'
+    return Status.FAIL, f'{different}; a fresh process repeats the first run: it keeps state'
 
 
 def _reproducible(record: Record) -> Judged:
     first, fresh = _whole(record, 'first'), _whole(record, 'fresh')
     if not record.ours:
-        return Status.NOT_TRIED, 'the process is not ours to start again'
+        return Status.NOT_TRIED, 'the process was not started by the kit'
     if first is None or fresh is None:
         return None
     different = _difference(first, fresh)
-    return Status.NOTE, f'not reproducible: {different}' if different else 'yes, to the bit'
+    return Status.NOTE, f'not reproducible: {different}' if different else 'yes, bit for bit'
 
 
 def _strange_image(record: Record) -> Judged:
     heard = {end.topic.name for end in _of_node(record) if not end.publishes}
     if interface.IMAGE.name not in heard:
-        return (Status.NOT_TRIED, 'hears no pictures') if heard else None
+        return (Status.NOT_TRIED, 'does not use images') if heard else None
     runs = [run for run in record.runs if run.kind == 'strange']
     if (deadly := _deadly(record)) is not None:
         return Status.FAIL, f'{deadly.kind}: {record.died}'
@@ -412,14 +412,14 @@ def _strange_image(record: Record) -> Judged:
     if not runs or after is None or record.died:
         return None
     if not after.answered():
-        return Status.FAIL, 'no answer to a good one in the run after'
+        return Status.FAIL, 'no answer to a valid one in the next run'
     return Status.PASS, '; '.join(_of_strange(run) for run in runs)
 
 
 def _deadly(record: Record) -> Question | None:
-    """The strange message that ended the node: its process takes a while, maybe to the run after.
+    """The malformed message that ended the node; its process may end only in the next run.
 
-    One that it has answered did not, where it lived on to the run after.
+    A message it answered is not the cause if it survived into the next run.
     """
     if not record.died or not record.runs or record.died_in not in ('strange', 'after'):
         return None
@@ -444,7 +444,7 @@ def _of_strange(run: Run) -> str:
     if not said:
         return f'{one.kind}: no answer'
     usable = isinstance(said[0], TrackingError) and said[0].usable
-    return f'{one.kind}: {"an estimate, of what?" if usable else "valid=false"}'
+    return f'{one.kind}: {"a valid estimate from a bad image" if usable else "valid=false"}'
 
 
 def _unusable(record: Record) -> Judged:
@@ -468,8 +468,8 @@ def _other_run(record: Record) -> Judged:
     if run is None or not asked:
         return None
     named = [said.run_id for said in asked[0].answers]
-    came = 'answers with its run_id, which nobody hears' if named else 'no answer'
-    return _kept('answers it as one of this run' if run.run_id in named else '', came)
+    came = 'answers with its run_id, which is ignored' if named else 'no answer'
+    return _kept("answers it with this run's run_id" if run.run_id in named else '', came)
 
 # Its process -------------------------------------------------------------------------------------
 
@@ -485,7 +485,7 @@ def _lives(record: Record) -> Judged:
 def _ends(name: str) -> Callable[[Record], Judged]:
     def judge_end(record: Record) -> Judged:
         if not record.ours:
-            return Status.NOT_TRIED, 'the process is not ours to end'
+            return Status.NOT_TRIED, 'the process was not started by the kit'
         ending = record.endings.get(name)
         if ending is None:
             return None
@@ -495,7 +495,7 @@ def _ends(name: str) -> Callable[[Record], Judged]:
             *([f'leaves {ending.left}'] if ending.left else []),
         ]
         took_s = ending.after_s or 0.0
-        late = f'; in a graph a command is ended after {_GRACES_S[name]:g} s' \
+        late = f'; in a graph a command is killed after {_GRACES_S[name]:g} s' \
             if took_s > _GRACES_S[name] else ''
         return _kept(', '.join(wrong), f'after {took_s:.1f} s{late}')
 
@@ -509,16 +509,16 @@ def _time(record: Record) -> Judged:
     median, worst = statistics.median(took), took[-1]
     high = took[min(len(took) - 1, round(0.95 * len(took)))]
     factor = CONTROL_PERIOD_NS / NS_PER_S / max(median, 1e-9)
-    slow = '' if factor >= 1 else '; runs take longer than what they simulate'
+    slow = '' if factor >= 1 else '; slower than real time'
     return Status.NOTE, (
-        f'median {median * 1e3:.1f} ms, 95 % {high * 1e3:.1f} ms, most {worst * 1e3:.1f} ms of '
+        f'median {median * 1e3:.1f} ms, 95 % {high * 1e3:.1f} ms, max {worst * 1e3:.1f} ms of '
         f'{len(took)}: at most {factor:.3g} x real time{slow}'
     )
 
 
 def _memory(record: Record) -> Judged:
     if not record.ours:
-        return Status.NOT_TRIED, 'the process is not ours'
+        return Status.NOT_TRIED, 'the process was not started by the kit'
     if len(record.memory_mb) < 2:
         return None
     before, after = record.memory_mb[0], record.memory_mb[-1]
@@ -534,7 +534,8 @@ def _disorder(record: Record) -> Judged:
         f'{one.kind}: {"answered" if one.answers else "no answer"}' for one in odd
     )
 
-# What its answers mean ---------------------------------------------------------------------------
+# Plausibility of its answers
+# ---------------------------------------------------------------------------
 
 
 def _accuracy(record: Record) -> Judged:
@@ -558,14 +559,14 @@ def _accuracy(record: Record) -> Judged:
 
 
 def _suspect(name: str, pairs: np.ndarray[Any, Any]) -> str:
-    """The commonest mistakes, by how estimates go with the truth."""
+    """Detect common mistakes from estimates against the truth."""
     true, said = pairs[:, 0], pairs[:, 1]
     if said.std() == 0 or true.std() == 0:
         return f' ({name} is always the same)'
     together = float(np.corrcoef(true, said)[0, 1])
     factor = float((true * said).sum() / (true * true).sum())
     if together < -0.8:
-        return f' ({name} looks as if its sign were swapped: left is positive)'
+        return f' ({name} seems to have the wrong sign: left is positive)'
     if name == 'HE' and together > 0.8 and _DEGREES / 2 < factor < _DEGREES * 2:
         return ' (HE looks like degrees, not radians)'
     return ''
@@ -589,7 +590,7 @@ def _sign(record: Record) -> Judged:
             away.append(words)
     left = f'3 m left of the line: {math.degrees(sides[0][1].steering_rad):.1f} deg'
     if away:
-        return Status.NOTE, f'{left}; steers AWAY from the line at {"; ".join(away)}'
+        return Status.NOTE, f'{left}; steers AWAY from the centreline at {"; ".join(away)}'
     still = all(command.steering_rad == 0 for _, command in sides)
     return Status.NOTE, f'{left}; {"it does not steer" if still else "towards the line"}'
 
@@ -603,9 +604,9 @@ def _limits(record: Record) -> Judged:
     speed = max(one.speed_mps for one in commands)
     words = f'{math.degrees(angle):.1f} deg, {speed:g} m/s'
     if angle > _STEERING_LIMIT_RAD:
-        words += ': no nose wheel turns so far; radians?'
+        words += ': beyond any nose wheel; is it in radians?'
     if speed > _SPEED_LIMIT_MPS:
-        words += ': faster than taxiing; m/s?'
+        words += ': faster than taxiing; is it in m/s?'
     return Status.NOTE, words
 
 

@@ -1,8 +1,8 @@
-"""Drives one node of somebody's through the protocol of the lockstep, alone.
+"""Drive a single user node through the lockstep protocol.
 
-The kit plays the simulator and all other participants on a domain of its own: with their names,
-their ends, and a scenario, so that the node cannot tell it from a graph. What the node did is taken
-down in a :class:`~taxinet_ros.nodes.node_check.record.Record`, which is judged elsewhere.
+The kit simulates the simulator and all other participants on a private domain, with their names,
+endpoints and a scenario, so that the node cannot distinguish it from a graph. The node's behaviour
+is stored in a :class:`~taxinet_ros.nodes.node_check.record.Record`, which is evaluated elsewhere.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ from rclpy.task import Future
 from sensor_msgs.msg import Image
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
+from taxinet_ros.bag.run.messages import error_cdr, observation_messages
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.judging import Judging
@@ -44,8 +46,6 @@ from taxinet_ros.nodes.lockstep.endpoints import NAMELESS, heard_by
 from taxinet_ros.nodes.messages.convert import header, scenario_message
 from taxinet_ros.nodes.messages.step import (
     StepMessage,
-    error_cdr,
-    observation_messages,
     step_reader,
 )
 from taxinet_ros.nodes.node_check.clauses import Status, judge
@@ -65,24 +65,24 @@ from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_for
 
 START_S: Final = 30.0
-"""How long a node is waited for at first [s], as the simulator waits for READY."""
+"""Timeout for a node to appear [s], as for READY in the simulator."""
 
 _AWAITED_S = 300.0
-"""How long a node is waited for that a person starts [s]."""
+"""Timeout for a node started by the user [s]."""
 
 _READY_FACTOR = 3.0
 _LOOK_S = 0.01
 _MOMENT_S = 0.3
-"""How long it is watched whether something comes that should not [s]."""
+"""Time to watch for unexpected messages [s]."""
 
 _SLOWER = 2.0
-"""How much longer than the slowest answer one may take that need not come."""
+"""Factor on the slowest answer time when waiting for an optional answer."""
 
 _ENDING_S: Final = 5.0
-"""How long a node may take to end [s]."""
+"""Time limit for a node to end [s]."""
 
 _KEPT_S: Final = 60.0, 4.5
-"""How long its keeper leaves it to itself after SIGINT, and after SIGTERM [s]."""
+"""Grace periods of its wrapper after SIGINT and SIGTERM [s]."""
 
 _TAIL_BYTES = 1 << 20
 _TRACEBACK = 'Traceback (most recent call last)'
@@ -90,20 +90,20 @@ _SCENE = Scenario(distance_m=1000.0, time_of_day_s=10 * 3600.0, duration_s=60.0)
 
 
 Starter = Callable[[Role, int, Path], NodeProcess]
-"""Starts a process that is to play a role in a domain, and prints into a file."""
+"""Starts the node process of a role in a domain, with a log file."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """What is checked, and how.
+    """Options of a check.
 
     Attributes:
-        start: starts the node's process; None where the node stands already, or will.
-        role: which part it plays; None to find out by what it publishes.
-        domain: ROS domain; None for one of its own.
-        frames: how many messages a run asks.
-        patience_s: how long an answer is waited for, and READY three times as long [s].
-        log: file that takes what the node prints.
+        start: starts the node's process; None if the user starts it.
+        role: its role; None to detect it from its publishers.
+        domain: ROS domain; None for a free one.
+        frames: number of messages per run.
+        patience_s: timeout for an answer; three times as long for READY [s].
+        log: file for the node's output.
     """
 
     start: Starter | None
@@ -118,11 +118,11 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
     """Drive a node.
 
     Args:
-        options: what is checked.
-        say: takes a line on what is waited for.
+        options: options of the check.
+        say: called with a line on what is awaited.
 
     Raises:
-        UsageError: there is no such program, or nobody can tell what the node is to be.
+        UsageError: the program does not exist, or the role cannot be detected.
     """
     with own_domain(options.domain) as domain:
         role = ROLES[options.role or 'perception']
@@ -140,7 +140,7 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
 
 
 def _standing(domain: int) -> Role:
-    """Which part the node plays that stands on a domain, or will soon, by its name."""
+    """Role of a node already running or expected on a domain, by its name."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     probe = Node(
@@ -170,19 +170,19 @@ def _stage(options: CheckOptions, role: Role, domain: int) -> Iterator[Stage]:
 
 
 class SilenceError(Exception):
-    """Something was waited for in vain, or the node has died."""
+    """A timeout expired, or the node has died."""
 
 
 class Stage:
-    """The graph without the node that is checked, and what that node does on it."""
+    """The graph without the checked node, and a record of that node's behaviour."""
 
     def __init__(
         self, options: CheckOptions, role: Role, domain: int, spinning: NodeExecutor
     ) -> None:
-        """Put up all nodes but the one that is checked, and start that one.
+        """Create all nodes except the checked one, and start that one.
 
-        What the node's readiness is tried with is left out at first: who sends its input, and one
-        who hears its answers.
+        To test readiness, the publisher of its input and a subscriber of its answers are created
+        later.
         """
         self._options, self._role, self._executor = options, role, spinning.executor
         self._record = Record(
@@ -214,12 +214,12 @@ class Stage:
         self._process = options.start(role, domain, options.log) if options.start else None
 
     def close(self) -> None:
-        """End the node, if it was started here."""
+        """End the node if it was started here."""
         if self._process is not None:
             self._process.end()
 
     def _own_participant(self) -> tuple[int, ...]:
-        """The kit's participant of DDS, which all its ends have in common."""
+        """The kit's DDS participant, shared by all its endpoints."""
         name = f'taxinet_check_{uuid.uuid4().hex}'
         watcher = self._nodes[interface.SIMULATOR]
         probe = watcher.create_publisher(RunStatus, name, 1)
@@ -274,7 +274,7 @@ class Stage:
         self._changed()
 
     def _asked_by(self, run: Run, said: StepMessage) -> Question | None:
-        """Which message it answers: a slow node's may come when later ones are out."""
+        """The question an answer refers to: a slow answer may arrive after later questions."""
         def meant(one: Question) -> bool:
             return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
 
@@ -284,7 +284,7 @@ class Stage:
         ]
         now = [one for one in run.questions if meant(one)]
         waiting = [one for one in now if not one.answers]
-        # What says of itself nothing that fits can only be an answer to the newest one.
+        # An answer that matches no question can only refer to the newest one.
         found = earlier[:1] or waiting[:1] or now[-1:] or run.questions[-1:]
         return found[0] if found else None
 
@@ -293,10 +293,10 @@ class Stage:
             self._change.set_result(None)
 
     def _until(self, condition: Callable[[], object], within_s: float) -> bool:
-        """Spin until something is so, at most for a time.
+        """Spin until a condition holds, with a timeout.
 
-        A second is a hundred looks of this process, so that on a busy machine, which slows both,
-        the node is given more.
+        A second is counted as a hundred checks by this process, so that the node gets more time on
+        a busy machine.
         """
         for _ in range(max(1, round(within_s / _LOOK_S))):
             if condition():
@@ -321,35 +321,35 @@ class Stage:
     # Finding it --------------------------------------------------------------------------------
 
     def find(self) -> None:
-        """Wait for the node's ends, and take them down."""
+        """Wait for the node's endpoints and record them."""
         if self._until(self._theirs, START_S if self._process is not None else _AWAITED_S):
             self._until(self._whole, _READY_FACTOR * self._options.patience_s)
-            self._watch(2 * _MOMENT_S)  # what it has beside
+            self._watch(2 * _MOMENT_S)  # its other endpoints
         self._dead()
         self._survey()
 
     def looks_like(self) -> Role:
-        """Which part the node plays, by what it publishes; where that does not tell, this one."""
+        """Role of the node by its publishers; the current one if ambiguous."""
         spoken = {end.topic.name for end in self._record.ends if end.publishes}
         fitting = [role for role in ROLES.values() if role.answers.name in spoken]
         return fitting[0] if len(fitting) == 1 else self._role
 
     def _theirs(self) -> list[tuple[str, str]]:
-        """Names and namespaces of nodes that are not the kit's."""
+        """Names and namespaces of nodes outside the kit."""
         watcher = self._nodes[interface.SIMULATOR]
         found = Counter(
             (name, space) for name, space in watcher.get_node_names_and_namespaces()
             if not name.startswith('_')
         )
-        # Not by name alone: a node of theirs may be called as one of ours.
+        # Not by name alone: a user's node may have the name of a kit node.
         return list((found - Counter((name, '/') for name in self._nodes)).elements())
 
     def _whole(self) -> bool:
-        """Whether the node has all ends that some part asks for, whatever it is called."""
+        """Whether the node has all endpoints of some role, whatever its name."""
         self._survey()
         ends = {(end.topic.name, end.publishes) for end in self._record.ends}
         needed = {(interface.NODE_STATUS.name, True), (interface.SCENARIO.name, False)}
-        # Once: what is left of a process that was killed is forgotten by and by.
+        # Only once: remains of a killed process disappear later.
         named = [name for name, _ in self._theirs()].count(self._role.node) == 1
         return named and needed <= ends and any(
             (role.answers.name, True) in ends
@@ -386,7 +386,7 @@ class Stage:
     # Driving it --------------------------------------------------------------------------------
 
     def drive(self) -> Record:
-        """Put the node through everything, as far as what is broken does not keep it from that."""
+        """Run all tests that are not blocked by a violation."""
         with contextlib.suppress(SilenceError):
             if not self._fits():
                 return self._record
@@ -409,14 +409,14 @@ class Stage:
         return self._record
 
     def _fits(self) -> bool:
-        """Whether its ends are such that a run can begin at all."""
+        """Whether its endpoints allow a run to start."""
         found = {one.clause.name: one.status for one in judge(self._record)}
         return not self._dead() and all(
             found[name] is Status.PASS for name in ('starts', 'name', 'topics', 'types', 'qos')
         )
 
     def _begin_again(self) -> None:
-        """A fresh process, which has no memory of the one before."""
+        """Start a fresh process without state of the previous one."""
         assert self._process is not None
         self._run = None
         self._process.start()
@@ -427,7 +427,7 @@ class Stage:
             self._end('SIGTERM')
 
     def _first(self) -> None:
-        """The first run: is READY said before all ends of the run are there?"""
+        """The first run: test for READY before all endpoints are matched."""
         run = self._begin('first')
         name, topic = self._late_ear
         self._watch()
@@ -446,11 +446,11 @@ class Stage:
             run.early = who
 
     def _matched(self) -> bool:
-        """Whether what is sent to the node now reaches it."""
+        """Whether messages to the node would reach it now."""
         return not self._unmatched()
 
     def _unmatched(self) -> list[str]:
-        """Topics on which what is sent now would pass the node by."""
+        """Topics on which the node would miss messages sent now."""
         heard = {end.topic.name for end in self._record.ends if not end.publishes}
         return [
             topic.name for topic in self._role.hears if topic.name in heard and not heard_by(
@@ -471,7 +471,7 @@ class Stage:
         self._ask_all(run)
 
     def _third(self) -> None:
-        """A run in which something comes twice, late, or from another run."""
+        """A run with duplicate, late and foreign messages."""
         run = self._begin('third')
         self._await_ready(run, _READY_FACTOR * self._options.patience_s)
         for seq in range(2):
@@ -485,7 +485,7 @@ class Stage:
         self._finish()
 
     def _strange(self) -> None:
-        """Pictures that are none, each in a run of its own; or estimates that are none."""
+        """Malformed images, each in a separate run; or invalid estimates."""
         if self._role.word == 'controller':
             run = self._begin('strange')
             self._await_ready(run, _READY_FACTOR * self._options.patience_s)
@@ -548,7 +548,7 @@ class Stage:
     def _send_unexpected(
         self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
     ) -> None:
-        """Send a message that need not be answered, and see, as long as an answer may take."""
+        """Send a message that needs no answer, and wait for a possible one."""
         self._put(run, question, image=image, run_id=run_id)
         slowest_s = max(
             (said.after_s for _, one in self._record.asked() for said in one.answers), default=0.0
@@ -571,7 +571,7 @@ class Stage:
         run = self._run
         assert run is not None
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.ENDED))
-        self._watch(_MOMENT_S / 3)  # What comes twice.
+        self._watch(_MOMENT_S / 3)  # The duplicate.
         if self._dead():
             raise SilenceError
 
@@ -579,7 +579,7 @@ class Stage:
         self, run: Run, question: Question, *, estimate: TrackingError | None = None,
         image: Image | None = None, run_id: str = '',
     ) -> None:
-        """Say what the simulator, and the perception, say in a control step."""
+        """Publish the simulator's and perception's messages of a control step."""
         seq, stamp_ns = question.seq, question.stamp_ns
         run.questions.append(question)
         picture = None if image is not None or self._camera is None else self._picture(seq)
@@ -595,7 +595,7 @@ class Stage:
             said = question.truth if estimate is None else estimate
             self._say(interface.ESTIMATE, error_cdr(said, run_id or run.run_id, seq, stamp_ns))
 
-    def _say(self, topic: Topic, message: Any) -> None:
+    def _say(self, topic: topics.Topic, message: Any) -> None:
         self._publishers[topic.name].publish(message)
 
     def _truth(self, seq: int) -> TrackingError:
@@ -619,7 +619,7 @@ class Stage:
             self._record.memory_mb.append(sum(one.memory_info().rss for one in nodes) / 1e6)
 
     def _end(self, name: str) -> None:
-        """Ask the process to end, and see how it does."""
+        """Request the process to end, and record how it does."""
         assert self._process is not None
         self._run = None
         process, printed = self._process, self._options.log.stat().st_size
@@ -641,7 +641,7 @@ class Stage:
 
 
 def _participant(end: Any) -> tuple[int, ...]:
-    """The participant that an end belongs to: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
+    """Participant of an endpoint: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
     return tuple(end.endpoint_gid[:12])
 
 
@@ -651,7 +651,7 @@ def _run_status(run: Run, state: int) -> RunStatus:
 
 
 def _places(count: int) -> list[AircraftState]:
-    """Where the aircraft stands, step by step: first :data:`SIDES`, then over the runway."""
+    """Aircraft poses step by step: first :data:`SIDES`, then across the runway."""
     begin = Aircraft(_SCENE).state
     places = list(SIDES)[:count]
     for step in range(count - len(places)):
@@ -697,7 +697,7 @@ _STRANGE: Final = {'empty': _empty, 'cut off': _cut, 'mono8': _grey}
 
 
 def command_starter(words: list[str]) -> Starter:
-    """Starts somebody's command as the graph does."""
+    """Starter of a user's command, as in the graph."""
     def start(role: Role, domain: int, log: Path) -> NodeProcess:
         command = [*words, '--ros-args', '-r', f'__node:={role.node}']
         return NodeProcess.of_command(

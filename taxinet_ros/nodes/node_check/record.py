@@ -1,4 +1,4 @@
-"""What is recorded of a node that is checked: its part, its ends, its runs and answers."""
+"""Record of a checked node: role, endpoints, runs and answers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _FOREVER_NS = 2**63 - 1
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """One of the parts that a node of somebody's can play.
+    """One of the roles of a user's node.
 
     Attributes:
-        word: of the option, ``perception`` or ``controller``.
+        word: word of the option, ``perception`` or ``controller``.
         node: the node's name.
-        hears: topics of which it takes one.
+        hears: input topics, one of which is used.
         answers: topic of its answers.
     """
 
@@ -59,7 +59,7 @@ class End:
     qos: Any
 
     def misfit(self) -> str:
-        """In what its quality of service is not that of the table; '' where it is."""
+        """Mismatch of its quality of service with the table; '' if none."""
         offers = 'offered' if self.publishes else 'asked for'
         if self.qos.reliability != ReliabilityPolicy.RELIABLE:
             return f'{self}: reliability {_word(self.qos.reliability)} {offers}, reliable needed'
@@ -71,17 +71,17 @@ class End:
         return self._untimely()
 
     def _untimely(self) -> str:
-        """What it asks for, or lets go, in time, beyond the table, which says nothing of time."""
+        """Time-related QoS policies that cause loss; the table has none."""
         if self.publishes:
             lifespan_s = _seconds(self.qos.lifespan)
-            lost = f'{self}: lifespan {lifespan_s:g} s offered: older messages are lost'
+            lost = f'{self}: lifespan {lifespan_s:g} s offered, so older messages are lost'
             return lost if lifespan_s < math.inf else ''
         if (deadline_s := _seconds(self.qos.deadline)) < math.inf:
-            return f'{self}: deadline {deadline_s:g} s asked for, none offered'
+            return f'{self}: deadline {deadline_s:g} s requested, none offered'
         if self.qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC:
-            return f'{self}: liveliness {_word(self.qos.liveliness)} asked for, automatic offered'
+            return f'{self}: liveliness {_word(self.qos.liveliness)} requested, automatic offered'
         if (lease_s := _seconds(self.qos.liveliness_lease_duration)) < math.inf:
-            return f'{self}: liveliness lease {lease_s:g} s asked for, none offered'
+            return f'{self}: liveliness lease {lease_s:g} s requested, none offered'
         return ''
 
     def __str__(self) -> str:
@@ -90,7 +90,7 @@ class End:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """An estimate or a command, and how long after its message it came [s]."""
+    """An estimate or a command, and its delay after the question [s]."""
 
     seq: int
     stamp_ns: int
@@ -101,14 +101,14 @@ class Answer:
 
 @dataclass(kw_only=True)
 class Question:
-    """A message that the node is to answer.
+    """A message to be answered by the node.
 
     Attributes:
         seq: control step.
-        truth: what the tracking error is.
-        kind: what it is beside ordinary, or ''.
-        asked_s: when it was sent, by the monotonic clock [s].
-        missed: whether no answer came within the patience.
+        truth: true tracking error.
+        kind: kind of a non-ordinary question, or ''.
+        asked_s: time sent, monotonic clock [s].
+        missed: whether no answer came in time.
         answers: in order of arrival.
     """
 
@@ -127,20 +127,20 @@ class Question:
 
 @dataclass(kw_only=True)
 class Run:
-    """What the node did in one run.
+    """Behaviour of the node in one run.
 
     Attributes:
-        run_id: of its Scenario.
+        run_id: run_id of its Scenario.
         kind: ``first``, ``uninvited``, ``second``, ``third``, ``fresh``, ``strange`` or ``after``.
-        ready: its READYs for the run.
-        ready_s: how long the first one took [s].
-        early: who was not there yet at that time, or ''.
-        questions: what it was asked, in order.
+        ready: its READY messages for the run.
+        ready_s: time to the first one [s].
+        early: missing peers at that time, or ''.
+        questions: questions in order.
         unasked: number of answers before the first question.
-        errors: details of its ERRORs.
-        others: run_ids of READYs for no run.
-        given_up: whether something was waited for in vain.
-        unmatched: topics that the node hears, whose publisher never found it.
+        errors: details of its ERROR messages.
+        others: run_ids of READY messages for unknown runs.
+        given_up: whether a timeout expired.
+        unmatched: subscribed topics whose publisher was never matched.
     """
 
     run_id: str
@@ -157,26 +157,26 @@ class Run:
 
     @property
     def ordinary(self) -> list[Question]:
-        """What any run asks."""
+        """Questions of an ordinary run."""
         return [one for one in self.questions if not one.kind]
 
     def answered(self) -> list[tuple[Question, Answer]]:
-        """Every ordinary question with its first answer, where it has one."""
+        """Ordinary questions with their first answers."""
         return [(one, one.answers[0]) for one in self.ordinary if one.answers]
 
     def values(self) -> list[Any]:
-        """First answers, by what of them may be compared."""
+        """Comparable values of the first answers."""
         return [comparable(answer.value) for _, answer in self.answered()]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """How the node ended when it was asked to.
+    """How the node ended on request.
 
     Attributes:
-        after_s: how long it took [s]; None where it had to be killed.
+        after_s: time to end [s]; None if it had to be killed.
         traceback: whether it printed one.
-        left: processes that outlived it, by name, or ''.
+        left: names of processes that outlived it, or ''.
     """
 
     after_s: float | None
@@ -186,19 +186,19 @@ class Ending:
 
 @dataclass(kw_only=True)
 class Record:
-    """All that a node did while it was driven.
+    """Complete record of a driven node.
 
     Attributes:
-        role: the part that it plays.
-        ours: whether its process was started by us.
-        nodes: full names of the nodes that were found.
-        ends: theirs on topics of the graph.
-        elsewhere: topics that they publish on, which are not of the graph.
-        died: how it ended without being asked, or ''; and in which kind of run.
+        role: its role.
+        ours: whether the kit started its process.
+        nodes: full names of the nodes found.
+        ends: their endpoints on topics of the graph.
+        elsewhere: topics outside the graph they publish on.
+        died: how it ended unexpectedly, or '', and in which kind of run.
         runs: in order.
-        endings: by the name of the signal.
+        endings: endings by signal name.
         memory_mb: before and after the runs of its first process [MB].
-        patience_s: how long an answer was waited for [s].
+        patience_s: timeout for an answer [s].
     """
 
     role: Role
@@ -218,19 +218,19 @@ class Record:
         return next((run for run in self.runs if run.kind == kind), None)
 
     def asked(self) -> list[tuple[Run, Question]]:
-        """All that is asked in any run, in order."""
+        """All questions of all runs, in order."""
         return [(run, one) for run in self.runs for one in run.ordinary]
 
 
 def comparable(value: TrackingError | TaxiCommand) -> tuple[Any, ...]:
-    """As a value that equals itself where it holds NaN."""
+    """Convert to a value that equals itself even with NaN."""
     if isinstance(value, TrackingError):
         return (repr(value.cte_m), repr(value.he_rad), value.valid) if value.valid else (False,)
     return repr(value.steering_rad), repr(value.speed_mps)
 
 
 def _seconds(duration: Any) -> float:
-    """Of a duration of a quality of service; what is not given, or the longest, is infinite."""
+    """Convert a QoS duration to seconds; unspecified or maximum is infinite."""
     return duration.nanoseconds / NS_PER_S if 0 < duration.nanoseconds < _FOREVER_NS else math.inf
 
 

@@ -1,1 +1,1 @@
-"""How a node runs as a process: start, parameters, domain, end."""
+"""Running a node as a process: start, parameters, domain, shutdown."""

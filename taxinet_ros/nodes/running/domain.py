@@ -1,4 +1,4 @@
-"""Which ROS domain a graph has for itself, and the refusal to join another graph's."""
+"""Reserve a private ROS domain for a graph, and refuse to join another graph's."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ there are: of those who listen to all, and of each participant."""
 
 
 def anybody_here(domain: int) -> bool | None:
-    """Whether there is a participant on a domain on this machine, whoever started it.
+    """Whether there is any DDS participant on a domain on this machine.
 
     Args:
         domain: a ROS domain id, 0 to 232.
 
     Returns:
-        True also where another program has one of the ports. None where that cannot be told from
-        ports: with another middleware than Fast DDS, or on a system that does not tell which are
-        in use.
+        True also if another program uses one of the ports. None if ports do not tell: with another
+        middleware than Fast DDS, or if used ports cannot be listed.
     """
     if not get_rmw_implementation_identifier().startswith('rmw_fastrtps'):
         return None
@@ -49,13 +48,13 @@ def anybody_here(domain: int) -> bool | None:
 HIGHEST = 232
 """The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
 BY_HAND = 'TAXINET_DOMAIN_ID'
-"""Environment variable that sets the domain of a graph that would choose one itself."""
+"""Environment variable that overrides the automatic choice of a domain."""
 DISCOVERY_RANGE, LOCALHOST = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
-"""Environment variable of ROS 2 that says how far nodes look for others, and its narrowest word."""
+"""ROS 2 environment variable of the discovery range, and its narrowest value."""
 _PEERS = 'ROS_STATIC_PEERS'
-"""Environment variable of ROS 2 that names other machines to look at."""
+"""ROS 2 environment variable of static discovery peers."""
 _RESERVED = 'TAXINET_RESERVED_DOMAIN'
-"""Environment variable that tells a child which domain its parent has made sure of."""
+"""Environment variable that tells a child which domain its parent has reserved."""
 # Participants announce themselves every 3 s, and their endpoints too: what was missed at first on a
 # busy machine is found after one period (3.4 s was seen) or two.
 _LOOK_S, _LOOK_FAR_S = 7.0, 3.5
@@ -63,14 +62,14 @@ _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 _CHOICE = 100
 """Number of domains to choose from: the ports of those above are given away by Linux."""
-# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
+# Each graph starts its search after the previous one's domain, to avoid remains of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
 _made_sure_of: set[tuple[int, str]] = set()
 
 
 @contextlib.contextmanager
 def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]:
-    """Reserve a ROS domain id that nobody else uses, whether he reserves it or not.
+    """Reserve a ROS domain id that is not in use, even by programs that reserve none.
 
     Discovery stays on this machine unless the user has set another range. Of the domains from 1 to
     100 those are passed over that are reserved, and those where anybody is: that is told by the
@@ -80,13 +79,12 @@ def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]
     that was set by hand is looked at for some seconds first, unless nobody is there.
 
     Args:
-        wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
+        wanted: the domain; default ``TAXINET_DOMAIN_ID``, else a free one.
         namespace: of the graph, absolute; where it has one, a domain that was set may be that of
             other graphs too, which have others.
 
     Raises:
-        UsageError: a domain that was set by hand is none, or belongs to another graph; or there is
-            no free one.
+        UsageError: a domain set by hand is invalid or belongs to another graph, or none is free.
     """
     if wanted is None:
         wanted = domain_by_hand()
@@ -95,8 +93,8 @@ def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]
             refuse_neighbours(domain, namespace)
         if not alone and namespace == '/':
             raise UsageError(
-                f'ROS domain {domain} is taken: another graph that starts on this machine has '
-                f'reserved it (TCP port {PORT_BASE + domain}); set another one'
+                f'ROS domain {domain} is taken: another graph on this machine has reserved it (TCP '
+                f'port {PORT_BASE + domain}); choose another one'
             )
         with _set(_RESERVED, str(domain)):
             yield domain
@@ -106,7 +104,7 @@ def domain_by_hand() -> int | None:
     """The domain that ``TAXINET_DOMAIN_ID`` sets, if it does.
 
     Raises:
-        UsageError: it is none, or belongs to another graph.
+        UsageError: it is invalid, or belongs to another graph.
     """
     text = os.environ.get(BY_HAND)
     if not text:
@@ -118,17 +116,17 @@ def domain_by_hand() -> int | None:
 
 
 def check_workers(workers: int) -> None:
-    """See that as many graphs can have domains, before anything is begun.
+    """Check that each worker can get a domain, before anything is started.
 
     Raises:
-        UsageError: a domain is set by hand, and there is more than one worker; or it is none, or
+        UsageError: a domain is set by hand, and there is more than one worker; or it is invalid, or
             belongs to another graph.
     """
     text = os.environ.get(BY_HAND)
     if text and workers > 1:
         raise UsageError(
-            f'{BY_HAND} {text}: one domain takes one graph, and there are {workers} workers; say '
-            f'--workers 1, or unset {BY_HAND} and each worker gets a domain of its own'
+            f'{BY_HAND} {text}: a single domain, but {workers} workers need one each; use '
+            f'--workers 1, or unset {BY_HAND}'
         )
     domain_by_hand()
 
@@ -137,30 +135,30 @@ def domain_number(text: str, where: str) -> int:
     """Read a ROS domain id.
 
     Args:
-        text: what somebody typed.
-        where: option or variable, for the complaint.
+        text: the text given.
+        where: option or variable, for the error message.
 
     Raises:
         UsageError: it is none.
     """
     if not (text.isascii() and text.isdecimal() and int(text) <= HIGHEST):
-        raise UsageError(f'{where} {text!r}: a ROS domain is a whole number from 0 to {HIGHEST}')
+        raise UsageError(f'{where} {text!r}: a ROS domain is an integer from 0 to {HIGHEST}')
     return int(text)
 
 
 def refuse_neighbours(domain: int, namespace: str = '/') -> None:
-    """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
+    """Check that no other graph is on a domain; once per process, some seconds if it is in use.
 
     Args:
         domain: where to look.
         namespace: absolute; graphs with other ones do not count.
 
     Raises:
-        UsageError: names the node that is there, and says how to mend it.
+        UsageError: another graph is there; the message names its node.
     """
     clock = f'{namespace.rstrip("/")}{interface.CLOCK.name}'
     if (domain, clock) in _made_sure_of:
-        return  # What lingers there is left over from a graph of our own.
+        return  # Remaining endpoints belong to a previous graph of this process.
     look_s = _LOOK_S
     if anybody_here(domain) is False:
         if not _looks_far():
@@ -173,7 +171,7 @@ def refuse_neighbours(domain: int, namespace: str = '/') -> None:
 
 
 def _is_free(domain: int) -> bool:
-    """Whether nobody at all is on a domain, of any program."""
+    """Whether no participant of any program is on a domain."""
     here = anybody_here(domain)
     if here is False and not _looks_far():
         return True
@@ -181,12 +179,12 @@ def _is_free(domain: int) -> bool:
 
 
 def _looks_far() -> bool:
-    """Whether nodes of this process find others on other machines."""
+    """Whether discovery of this process reaches other machines."""
     return os.environ.get(DISCOVERY_RANGE) != LOCALHOST or bool(os.environ.get(_PEERS))
 
 
 def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> list[str]:
-    """Names of others that a node which joins a domain finds there within a time [s]."""
+    """Names of foreign nodes discovered on a domain within a time [s]."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     try:
@@ -204,7 +202,7 @@ def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> lis
 
 
 def require_free_domain() -> None:
-    """For a simulator that is started by hand: see that it will be the only one.
+    """Check that a simulator started by hand is the only one.
 
     Raises:
         UsageError: another graph is on the domain of this process.
@@ -215,28 +213,28 @@ def require_free_domain() -> None:
 
 
 def clock_keepers(node: Node, clock: str = interface.CLOCK.name) -> list[str]:
-    """Full names of all nodes that publish a clock, as far as ``node`` knows them by name."""
+    """Full names of known nodes that publish a clock."""
     found = node.get_publishers_info_by_topic(clock)
     return sorted(
         f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
-        # A publisher may be known a moment before the node that it belongs to.
+        # A publisher may be discovered shortly before its node.
         if end.node_name != _NAMELESS
     )
 
 
 def another_graph(domain: int, names: list[str], clock: str = interface.CLOCK.name) -> str:
-    """One line for somebody whose graph would meet another one."""
+    """Error message on another graph on the same domain."""
     they = ' and '.join(names)
     verb = 'publishes' if len(names) == 1 else 'publish'
     return (
-        f'another graph is on ROS domain {domain}: {they} {verb} {clock}; end it (one that was '
-        'killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
+        f'another graph is on ROS domain {domain}: {they} {verb} {clock}; end it (a killed one '
+        'disappears after about 20 s), or set another ROS_DOMAIN_ID'
     )
 
 
 @contextlib.contextmanager
 def _free() -> Iterator[tuple[int, bool]]:
-    """A domain that was chosen, reserved, and found to be free after that."""
+    """A domain chosen, reserved, and then checked to be free."""
     for _ in range(_CHOICE):
         with contextlib.ExitStack() as stack:
             domain, reserved = stack.enter_context(_reserved(next(_domains)))
@@ -248,7 +246,7 @@ def _free() -> Iterator[tuple[int, bool]]:
 
 @contextlib.contextmanager
 def _reserved(domain: int) -> Iterator[tuple[int, bool]]:
-    """A domain, and whether it could be reserved."""
+    """Reserve a domain; yields whether it succeeded."""
     # Entered and left by hand: the library's manager swallows an OSError of its body.
     reservation = domain_id(lambda: domain)
     try:
@@ -264,14 +262,14 @@ def _reserved(domain: int) -> Iterator[tuple[int, bool]]:
 
 @contextlib.contextmanager
 def _localhost() -> Iterator[None]:
-    """Discovery on this machine only, unless the user has set another range."""
+    """Limit discovery to this machine, unless the user has set a range."""
     with _set(DISCOVERY_RANGE, os.environ.get(DISCOVERY_RANGE) or LOCALHOST):
         yield
 
 
 @contextlib.contextmanager
 def _set(name: str, value: str) -> Iterator[None]:
-    """Have an environment variable within the ``with``."""
+    """Context in which an environment variable is set."""
     before = os.environ.get(name)
     os.environ[name] = value
     try:

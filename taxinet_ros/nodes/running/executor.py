@@ -1,4 +1,4 @@
-"""Nodes of this process on one executor, in a context of their own."""
+"""Run nodes of this process on one executor in a private context."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rclpy.experimental.events_executor import EventsExecutor
 
 
 class NodeExecutor:
-    """Spins nodes on a ROS domain; a context manager that takes them out of the graph at its end.
+    """Spins nodes on a ROS domain; a context manager that removes them from the graph at its end.
 
     Attributes:
-        context: what the nodes are made with.
-        executor: what spins them.
-        nodes: those that are spun.
+        context: rclpy context of the nodes.
+        executor: their executor.
+        nodes: the nodes.
     """
 
     def __init__(self, domain: int, executor: Callable[..., Any] = EventsExecutor) -> None:
@@ -24,7 +24,7 @@ class NodeExecutor:
 
         Args:
             domain: its id.
-            executor: makes the executor, from the keyword ``context``.
+            executor: factory of the executor, called with the keyword ``context``.
         """
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
@@ -38,7 +38,7 @@ class NodeExecutor:
         try:
             while self.nodes:
                 node = self.nodes.pop()
-                if hasattr(node, 'close'):  # one of ours; others have nothing to finish
+                if hasattr(node, 'close'):  # other nodes have nothing to finish
                     node.close()
                 self.executor.remove_node(node)
                 node.destroy_node()
@@ -47,6 +47,6 @@ class NodeExecutor:
             rclpy.try_shutdown(context=self.context)
 
     def add(self, node: Any) -> None:
-        """Spin a node too."""
+        """Add a node."""
         self.nodes.append(node)
         self.executor.add_node(node)

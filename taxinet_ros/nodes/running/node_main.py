@@ -1,11 +1,12 @@
-"""How a node runs as a process: start, spinning, a line on whom it waits for, clean end.
+"""Run a node as a process: start, spin, report what it waits for, clean shutdown.
 
-Signals are Python's here, not rclpy's: that would shut down the context of every node of a
-graph before any of them could say or hear how the run at hand ends.
+Signals are handled by Python, not rclpy, which would shut down the context before nodes could
+exchange the end of the current run.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +22,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
+from taxinet_ros.nodes.running.domain import domain_number
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
+from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
     exit_handler,
     exit_now,
@@ -35,7 +38,7 @@ _SLICE_S = 1.0
 
 
 def spin_until(executor: Any, done: Future) -> bool:
-    """Spin until ``done`` is, or its context is shut down; then re-raise its exception, if any.
+    """Spin until ``done`` is done or the context is shut down; then re-raise its exception, if any.
 
     Returns:
         Whether it is done.
@@ -46,12 +49,12 @@ def spin_until(executor: Any, done: Future) -> bool:
 
 
 def spin_for(executor: Any, done: Future, time_s: float) -> bool:
-    """Spin until ``done`` is, or for a time [s]; then re-raise its exception, if any.
+    """Spin until ``done`` is done, or for a time [s]; then re-raise its exception, if any.
 
     Returns:
         Whether it is done.
     """
-    # Without a timeout the events executor of rclpy 7.1 turns in circles and runs no callback.
+    # Without a timeout, the events executor of rclpy 7.1 busy-loops and runs no callback.
     if not done.done():
         executor.spin_until_future_complete(done, timeout_sec=time_s)
     if done.done():
@@ -61,27 +64,30 @@ def spin_for(executor: Any, done: Future, time_s: float) -> bool:
 
 _WAITING_LOOK_S = 0.5
 _PATIENCE_S = 2.0
-"""What is over sooner is how a run begins."""
+"""Shorter waits are normal at the start of a run."""
 
 
 class Waiting:
-    """Looks whom a node waits for, and says so once it has lasted, at each change, and at its end.
+    """Reports which nodes a node waits for: once it lasts, at each change, and at its end.
 
-    A node tells by its method ``waits_for``, if it has one: names of other nodes, or none.
+    The node's method ``waits_for``, if any, returns the names of these nodes. Also warns of remaps
+    that separate the node from its counterparts.
     """
 
     def __init__(self, node: Any) -> None:
-        """Look from now on, on the executor of the node."""
+        """Start watching on the node's executor."""
         self._node = node
         self._since_s = 0.0
         self._told: tuple[str, ...] = ()
+        self._parted: list[str] = []
         self._timer = node.create_timer(
             _WAITING_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        ) if hasattr(node, 'waits_for') else None
+        )
 
     def look(self) -> None:
-        """Say what has changed."""
-        names = tuple(sorted(self._node.waits_for()))
+        """Report changes."""
+        self._look_for_remaps()
+        names = tuple(sorted(getattr(self._node, 'waits_for', tuple)()))
         now_s = time.monotonic()
         if not names:
             if self._told:
@@ -94,9 +100,14 @@ class Waiting:
             self._told = names
 
     def end(self) -> None:
-        """Look no more."""
-        if self._timer is not None:
-            self._timer.cancel()
+        """Stop watching."""
+        self._timer.cancel()
+
+    def _look_for_remaps(self) -> None:
+        before, self._parted = self._parted, cut_off(self._node)
+        for line in self._parted:
+            if line not in before:
+                self._node.get_logger().warning(line)
 
     def _say(self, line: str) -> None:
         self._node.get_logger().info(line)
@@ -107,9 +118,12 @@ _BAD_ARGUMENTS = (
     rclpy_implementation.RCLError,
 )
 GRACE_S = 5.0
-"""Longest time [s] that a node which was asked to end goes on, for the run at hand to end."""
+"""Maximum time [s] a node continues after a shutdown request until the current run ends.
+
+Longer on a machine so busy that the node itself has to wait.
+"""
 AT_ONCE_S = 1.0
-"""Longest time [s] that it then takes to leave the graph after a second signal."""
+"""Maximum time [s] to leave the graph after a second signal."""
 _LOOK_S = 0.05
 
 
@@ -118,38 +132,40 @@ def run_node(
 ) -> None:
     """Run one node until Ctrl-C, SIGTERM, a closed terminal or the end of its work, then exit.
 
-    The first signal has a node that serves a run go on until it may leave (its method
-    ``may_leave``, if it has one, is asked again and again), but for :data:`GRACE_S` at most.
-    After the second one it waits for nothing, but says goodbye, so that all others know that it
-    is gone. Exit code: 0 after one signal, 130, 143 or 129 after two.
+    After the first signal, a node that serves a run continues until its method ``may_leave`` (if
+    any, polled) returns True, at most for :data:`GRACE_S`. After the second one it leaves at once,
+    but announces it, so that all others know. Exit code: 0 after one signal, 130, 143 or 129 after
+    two.
 
     Args:
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
             :class:`InfraError`, which exits 4.
-        work: given the node and its executor, spins until the work is done and returns the exit
-            code, after an interrupt too, which is its own to handle; where None the node spins
-            until it is stopped, or until its future ``ended`` is done, if it has one.
-        usage: what the executable says of itself; a command line that holds more than arguments of
-            ROS exits 2 with one line.
+        work: called with the node and its executor; spins until the work is done and returns the
+        exit code, handling interrupts itself. None: spin until stopped, or until the node's future
+        ``ended`` is done, if any.
+        usage: usage text of the executable; a command line with other than ROS arguments exits 2
+            with one line.
     """
     stopped = ExitCode.INTERRUPTED if work else ExitCode.OK
     code: int = stopped
-    handle_signals(exit_handler(stopped))  # Nothing is begun that would have to be ended.
+    handle_signals(exit_handler(stopped))  # Nothing has been started that needs shutdown.
     try:
         if read_arguments(usage, sys.argv):
             sys.exit(ExitCode.OK)
+        # Where it is too high Fast DDS ends the process, with 1; of -1 ROS makes 0.
+        domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
         executor.add_node(node)
-        if work is None:  # else it says what it does
+        if work is None:  # otherwise it reports what it does
             node.get_logger().info(f'up on ROS domain {node.context.get_domain_id()}')
         waiting = Waiting(node)
         try:
             handle_signals(raise_interrupt)
             code = work(node, executor) if work else _serve(node, executor)
         finally:
-            # All is done but leaving, which may be torn.
+            # Only leaving is left, which may be interrupted.
             handle_signals(exit_handler(code))
             waiting.end()
             _leave(node, executor)
@@ -160,12 +176,12 @@ def run_node(
     except (InfraError, RecordError) as error:
         code = complain(str(error), ExitCode.INFRA)
     except ParameterException as error:
-        # Of a parameter that rclpy declares itself, as use_sim_time.
+        # From a parameter declared by rclpy, such as use_sim_time.
         code = complain(' '.join(str(error).split()), ExitCode.USAGE)
     except rclpy.exceptions.InvalidHandle as error:
         code = complain(str(error), ExitCode.INFRA)
     except _BAD_ARGUMENTS as error:
-        # What follows is where in the C code it was noticed.
+        # The rest of the message is the place in the C code.
         code = complain(' '.join(str(error).split(', at /')[0].split()), ExitCode.USAGE)
     handle_signals(exit_handler(code))
     rclpy.try_shutdown()
@@ -173,7 +189,7 @@ def run_node(
 
 
 def _serve(node: Any, executor: Any) -> int:
-    """Spin until the node has ended, or was asked to and may leave."""
+    """Spin until the node has ended, or may leave after a shutdown request."""
     ended, asked, asked_again = getattr(node, 'ended', Future()), Event(), Event()
 
     def at_once() -> bool:
@@ -187,18 +203,18 @@ def _serve(node: Any, executor: Any) -> int:
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
-        deadline_s = time.monotonic() + GRACE_S
-        while not (ended.done() or asked_again.is_set() or may_leave()):
-            spin_for(executor, ended, _LOOK_S)
-            if time.monotonic() > deadline_s:
+        # Looks are counted and no seconds, which a busy machine would take away.
+        for _ in range(round(GRACE_S / _LOOK_S)):
+            if ended.done() or asked_again.is_set() or may_leave():
                 break
+            spin_for(executor, ended, _LOOK_S)
     return ExitCode.INTERRUPTED if asked_again.is_set() else ExitCode.OK
 
 
 def _leave(node: Any, executor: Any) -> None:
-    """Take a node out of the graph in order, so that nobody takes it for one that is still there.
+    """Remove a node from the graph in order, so that others notice.
 
-    The interpreter's end would do it in any order, or not at all.
+    Interpreter shutdown would do it in arbitrary order, or not at all.
     """
     node.close()
     executor.remove_node(node)
@@ -207,6 +223,6 @@ def _leave(node: Any, executor: Any) -> None:
 
 
 def complain(line: str, code: int) -> int:
-    """Print one line on what is wrong; the exit code that goes with it."""
+    """Print a one-line error message; return the exit code."""
     print(f'error: {line}', file=sys.stderr)
     return code

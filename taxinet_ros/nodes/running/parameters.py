@@ -1,6 +1,6 @@
-"""Parameters with a description and a range, and an executable's ``--help`` made of them.
+"""Node parameters with description and range, and the executable's ``--help``.
 
-Parameters that nobody declared, and words that are no arguments of ROS, are refused.
+Undeclared parameters and non-ROS arguments are refused.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.parameter import Parameter as Given
 from rclpy.utilities import remove_ros_args
 
 from taxinet_ros.errors import UsageError
@@ -24,8 +25,8 @@ from taxinet_ros.nodes import interface
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 _QOS = 'qos_overrides.'
 _FIXED = (
-    'the quality of service of these topics cannot be overridden: with another one a step could be '
-    'lost, or waited for in vain (docs/ros.md tells why)'
+    'the quality of service of these topics cannot be overridden, because messages could be lost '
+    '(see docs/ros.md)'
 )
 
 
@@ -35,12 +36,12 @@ class Parameter:
 
     Attributes:
         name: lower_snake_case.
-        default: value where nobody set one; its type is the parameter's. An empty list would have
-            no type, so one empty text stands for none.
+        default: default value, which also sets the type. An empty list would have no type, so one
+        empty string stands for none.
         description: one line with the unit.
-        limits: lowest and highest value, both allowed, of numbers.
-        words: those of which it has to be one, of a text.
-        takes: what else a text has to be, in words.
+        limits: minimum and maximum of a number, both allowed.
+        words: allowed values of a text.
+        takes: description of other allowed texts.
     """
 
     name: str
@@ -52,7 +53,7 @@ class Parameter:
 
     @property
     def allowed(self) -> str:
-        """What it may be, in words."""
+        """Description of allowed values."""
         if self.limits:
             low, high = (round(limit, 6) for limit in self.limits)
             return f'{low}..{high}'
@@ -62,7 +63,7 @@ class Parameter:
 
     @property
     def descriptor(self) -> ParameterDescriptor:
-        """What ``ros2 param describe`` tells of it."""
+        """Descriptor for ``ros2 param describe``."""
         descriptor = ParameterDescriptor(description=self.description, read_only=True)
         if self.limits is None:
             descriptor.additional_constraints = self.allowed
@@ -78,12 +79,17 @@ class Parameter:
 
 
 def declare(node: Node, parameter: Parameter) -> Any:
-    """Declare one read-only parameter and return its value.
+    """Declare one read-only parameter and return its value; a whole number may stand for a double.
 
     Raises:
-        UsageError: the value given is of another type, out of range, or none of its words.
+        UsageError: the value has the wrong type, is out of range or not an allowed word.
     """
     where = f'{node.get_name()}: parameter {parameter.name}'
+    given = node._parameter_overrides.get(parameter.name)
+    if given is not None and isinstance(parameter.default, float) and type(given.value) is int:
+        # rclpy would refuse timeout:=5, and ask for a type in place of 5.0.
+        double = Given(parameter.name, value=float(given.value))
+        node._parameter_overrides[parameter.name] = double
     try:
         value = node.declare_parameter(
             parameter.name, parameter.default, parameter.descriptor
@@ -100,7 +106,7 @@ def declare(node: Node, parameter: Parameter) -> Any:
 def declare_all(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
     """Declare parameters and return their values by name.
 
-    Of a list that holds one empty text by default, for none, empty texts are left out.
+    Empty strings are removed from lists whose default is one empty string.
 
     Raises:
         UsageError: as :func:`declare`.
@@ -113,10 +119,10 @@ def declare_all(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 
 
 def refuse_unknown(node: Node) -> None:
-    """Refuse parameter overrides that the node has not declared; rclpy would ignore them silently.
+    """Refuse overrides of undeclared parameters, which rclpy would ignore silently.
 
     Raises:
-        UsageError: names the parameter, and the nearest known one.
+        UsageError: a parameter is unknown; the message names the nearest known one.
     """
     known = list(node._parameters)
     for name in _given(node):
@@ -131,7 +137,7 @@ def refuse_unknown(node: Node) -> None:
 
 
 def any_given(name: str, besides: Collection[str] = ()) -> bool:
-    """Whether the command line sets parameters, but for some, of a node that is yet to be made."""
+    """Whether the command line sets parameters other than the given ones for a future node."""
     probe = Node(name, start_parameter_services=False, enable_rosout=False)
     try:
         given = {name for name in _given(probe) if not name.startswith(_QOS)}
@@ -141,16 +147,16 @@ def any_given(name: str, besides: Collection[str] = ()) -> bool:
 
 
 def _given(node: Node) -> list[str]:
-    """Names of the parameters that somebody set for a node, those of every node left out."""
+    """Names of the parameters set for a node, except those set for all nodes."""
     return [name for name in node._parameter_overrides if name not in _OF_RCLPY]
 
 
 _WIDTH = 100
 _ENDS = (
-    '0 asked to end, or done',
-    '2 what it was given is wrong (one line says what)',
-    '4 the test bench broke',
-    '130, 143, 129 ended at once by the second Ctrl-C, SIGTERM or closed terminal',
+    '0 ended on request, or done',
+    '2 invalid input (with a one-line message)',
+    '4 infrastructure error',
+    '130, 143, 129 ended at once by a second Ctrl-C, SIGTERM or closed terminal',
 )
 
 
@@ -159,12 +165,12 @@ class Usage:
     """One executable of the package.
 
     Attributes:
-        executable: as ``ros2 run taxinet_ros`` knows it.
-        does: what the node is for, a sentence or two.
-        parameters: all that it declares.
-        publishes, subscribes: names of its topics, relative to its namespace.
-        other: services and actions, in words.
-        ends: further exit codes, in words.
+        executable: name for ``ros2 run taxinet_ros``.
+        does: purpose of the node in one or two sentences.
+        parameters: all declared parameters.
+        publishes, subscribes: topic names, relative to its namespace.
+        other: services and actions, as text.
+        ends: further exit codes, as text.
     """
 
     executable: str
@@ -177,7 +183,7 @@ class Usage:
 
     @property
     def text(self) -> str:
-        """What ``--help`` prints."""
+        """Text of ``--help``."""
         sections = [
             f'usage: ros2 run taxinet_ros {self.executable} [--ros-args [-p NAME:=VALUE] '
             '[-r FROM:=TO] ...]',
@@ -188,7 +194,7 @@ class Usage:
             *_listed('subscribes', self.subscribes),
             *(_listed('and', [self.other]) if self.other else ()),
             '',
-            'parameters, which are read when it starts:' if self.parameters else 'no parameters',
+            'parameters (read at start-up):' if self.parameters else 'no parameters',
             *(line for one in self.parameters for line in _parameter_lines(one)),
             '',
             'exit codes:',
@@ -198,7 +204,7 @@ class Usage:
 
 
 def published_topics(node: str) -> tuple[str, ...]:
-    """Topics of the graph on which a node speaks."""
+    """Topics of the graph published by a node."""
     topics = (
         *interface.TOPICS, interface.OBITUARY, *interface.TRANSFORMS, interface.DIAGNOSTICS,
         *interface.SCENE,
@@ -207,7 +213,7 @@ def published_topics(node: str) -> tuple[str, ...]:
 
 
 def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
-    """Topics of the graph that a node hears, some left out."""
+    """Topics of the graph subscribed by a node, except some."""
     names = interface.PARTICIPANTS
     found = [topic.name for topic in interface.TOPICS if node in topic.listeners(names)]
     told = [interface.OBITUARY.name] if node in interface.OBITUARY.subscribers else []
@@ -215,23 +221,23 @@ def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
 
 
 def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
-    """See that there is nothing on a command line but arguments of ROS.
+    """Check that a command line has only ROS arguments.
 
     Args:
         usage: of the executable.
         arguments: the command line, the program first.
 
     Returns:
-        Whether help was asked for, and has been printed.
+        Whether help was requested and printed.
 
     Raises:
-        UsageError: names the first word that is not known.
+        UsageError: an argument is unknown.
     """
     try:
         words = remove_ros_args(list(arguments))[1:]
     except rclpy_implementation.UnknownROSArgsError as error:
         raise UsageError(
-            f'{usage.executable}: what follows --ros-args has words that ROS does not know: {error}'
+            f'{usage.executable}: unknown ROS arguments after --ros-args: {error}'
         ) from None
     if {'-h', '--help'} & set(words):
         print(usage.text)
@@ -239,8 +245,8 @@ def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
         return True
     if words:
         raise UsageError(
-            f'{usage.executable}: unknown argument {words[0]!r}; parameters are given as '
-            '--ros-args -p NAME:=VALUE; --help lists them'
+            f'{usage.executable}: unknown argument {words[0]!r}; set parameters with --ros-args -p '
+            'NAME:=VALUE; see --help'
         )
     return False
 

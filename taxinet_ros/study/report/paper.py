@@ -64,8 +64,6 @@ LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
 """Ends of the stretches of runway that the paper tells apart."""
 PAPER_LEARNED = (0.05, None, 0.16, 0.79, None)
 """What cross-entropy learned of the generic network's failures, by stretch (section 3.4)."""
-PAPER_ELSEWHERE = 0.01
-"""What it gave to the stretches without a figure of their own, together."""
 CROSSING_M = (1200.0, 1600.0)
 """Starts that bracket the crossing near 1,450 m (Fig. 8)."""
 START_M = (0.0, 400.0)
@@ -201,8 +199,8 @@ def _shadows(results: Results) -> Iterator[Question]:
     pairs = results.experiment_pairs.get('shadows')
     if pairs is None:
         return
-    known = pairs.dropna(subset=['rho_shadows', 'rho_no_shadows']).sort_values('time_of_day')
-    known = known[known['time_of_day'].between(*AFTERNOON_H)]
+    known = pairs.dropna(subset=['rho_shadows', 'rho_no_shadows']).sort_values('time_of_day_h')
+    known = known[known['time_of_day_h'].between(*AFTERNOON_H)]
     rho = known[['rho_shadows', 'rho_no_shadows']].to_numpy(dtype=float)
     if not len(rho):
         return

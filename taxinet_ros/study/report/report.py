@@ -9,7 +9,6 @@ from typing import Any
 
 import pandas as pd
 
-from taxinet_ros import __version__
 from taxinet_ros.analysis.report.parts import Report
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
@@ -35,6 +34,7 @@ from taxinet_ros.study.report.tables import (
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.log import read_records
 from taxinet_ros.study.stages.plan import REPORT, stages
+from taxinet_ros.version import __version__
 
 PAGE_NAME, JSON_NAME = 'case_study.html', 'case_study.json'
 SCHEMA, VERSION = 'taxinet-case-study', 1

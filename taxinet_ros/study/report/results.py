@@ -1,4 +1,4 @@
-"""What the stages of a study have found, read back from their folders."""
+"""Results of the stages of a study, read from their folders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
 from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.perception.weights import weights_path
-from taxinet_ros.core.scenario_fields import PAPER_FIELDS
+from taxinet_ros.core.scenario_fields import PAPER_FIELDS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.sealed_json import read_sealed
@@ -37,7 +37,7 @@ from taxinet_ros.study.stages.plan import (
 SETTLED_RUNS = 400
 """Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
 
-_SCENE = tuple(field.column for field in PAPER_FIELDS)
+_SCENE = tuple(field.key for field in PAPER_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +153,7 @@ class Results:
         """The choice of where to start along the runway, of what was learned."""
         for found in self.searches.values():
             for choice in found[0].choices:
-                if 'distance' in choice.feeds and choice.pieces:
+                if 'distance_m' in choice.feeds and choice.pieces:
                     return choice
         return None
 
@@ -257,7 +257,11 @@ def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, 
 
 
 def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
-    return {name: read_any_table(path) for name, path in paths.items() if path.is_file()}
+    # Tables of before the keys of scenes had units are among those that are shipped.
+    return {
+        name: read_any_table(path).rename(columns=SHORT_FORMS)
+        for name, path in paths.items() if path.is_file()
+    }
 
 
 def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:
@@ -265,8 +269,10 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
     table = read_table(path)
     runs = runs_of(table, path)
     if runs.weighting is not Weighting.DRAWN:
-        raise UsageError(f'{path}: its runs were chosen by a sampler, and a study judges networks '
-                         'on scenes that were drawn at random; evaluate with --sampler random')
+        raise UsageError(
+            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
+            'evaluate with --sampler random'
+        )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []
     some = ids[:: max(1, -(-len(ids) // SETTLED_RUNS))]
@@ -290,8 +296,8 @@ def _pair(first: Network, second: Network) -> Pair:
     for name in _SCENE:
         if not one[name].equals(other[name]):
             raise UsageError(
-                f'{first.runs.path} and {second.runs.path}: have not the same {name}; evaluate '
-                'both networks on one program with one seed'
+                f'{first.runs.path} and {second.runs.path}: differ in {name}; evaluate both '
+                'networks on one program with one seed'
             )
     return Pair(first=first.name, second=second.name, frame=pd.DataFrame({
         'distance_m': one['distance_m'],
@@ -306,7 +312,7 @@ def _json_values(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise UsageError(f'{path}: cannot be read ({error}); do its stage again') from error
+        raise UsageError(f'{path}: cannot be read ({error}); repeat its stage') from error
     return dict(values)
 
 
@@ -317,7 +323,7 @@ def _sealed_values(path: Path) -> dict[str, Any] | None:
     found = read_sealed(path)
     for name in found.files:
         if (table := path.with_name(name)).is_file():
-            found.check_file(table, 'do its stage again')
+            found.check_file(table, 'repeat its stage')
     return found.values
 
 

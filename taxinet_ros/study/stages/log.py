@@ -1,4 +1,4 @@
-"""What became of the stages of a study: ``stages.jsonl``, append-only and flushed to the disk."""
+"""Log of the stages of a study: ``stages.jsonl``, append-only and flushed to disk."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.core.provenance import Provenance, begun_elsewhere, known, provenance
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import JournalOwner, damaged_line, open_journal, read_journal
+from taxinet_ros.version import __version__
 
 LOG_NAME = 'stages.jsonl'
 

@@ -14,12 +14,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.experiment import find_experiment, read_experiment
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.files.sealed_json import file_sha256
+from taxinet_ros.version import __version__
 
 
 class Resume(Enum):

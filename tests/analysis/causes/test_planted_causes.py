@@ -31,7 +31,9 @@ from taxinet_ros.analysis.causes.scan import hoeffding_bound, likelihood_ratio, 
 from taxinet_ros.analysis.runs.campaign import runs_of
 from taxinet_ros.bench.causes import measure
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import sample_scenarios
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 
 SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
 
@@ -137,11 +139,11 @@ def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path)
 
 
 @pytest.mark.parametrize(('runs', 'failing', 'words'), [
-    (12, 2, '12 runs, 2 failures: too few to name causes'),
-    (300, 300, '300 runs, 300 failures: where all runs fail, nothing tells causes apart'),
-    (300, 0, '300 runs, no failure: there are no causes to name'),
-    (100, 98, '100 runs, 98 failures: too few others to tell causes apart'),
-    (1, 1, '1 run, 1 failure: where all runs fail, nothing tells causes apart'),
+    (12, 2, '12 runs, 2 failures: too few to find causes'),
+    (300, 300, '300 runs, 300 failures: all runs fail, so causes cannot be distinguished'),
+    (300, 0, '300 runs, no failure: no causes'),
+    (100, 98, '100 runs, 98 failures: too few other runs to distinguish causes'),
+    (1, 1, '1 run, 1 failure: all runs fail, so causes cannot be distinguished'),
 ])
 def test_given_too_little_to_go_by_then_it_says_so(tmp_path, runs, failing, words):
     causes = causes_of(tmp_path, lambda t: t['index'] < failing, runs=runs)
@@ -349,9 +351,15 @@ PARTS = (
 )
 
 
-def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path):
+@pytest.mark.parametrize('form', ['keys', 'short forms'])
+def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path, form):
     table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
     runs = planted_runs(table, tmp_path)
+    if form == 'short forms':  # the recorded program is of before keys had units
+        text = find_program('s_falsif').read_text(encoding='utf-8')
+        for short, key in SHORT_FORMS.items():
+            text = text.replace(f'param {key} ', f'param {short} ')
+        runs.facts['program_text'] = f'# --- s_falsif.scenic ---\n{text}'
     rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
     cause = Cause(region=Region(parts=PARTS), rank=1, inside=rate, outside=rate, whole=rate,
                   share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
@@ -359,9 +367,9 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
     program.write_text(cause_program(runs, cause))
     for scene in sample_scenarios(program, 5, 6):
         values = scene.to_human()
-        assert values['cross_track'] - 0.27 * values['heading'] >= 1 - 1e-6
+        assert values['cross_track_m'] - 0.27 * values['heading_deg'] >= 1 - 1e-6
         assert values['clouds'] in ('overcast', 'stratus')
-        assert (values['time_of_day'] <= 9) != (values['distance'] >= 1000)
+        assert (values['time_of_day_h'] <= 9) != (values['distance_m'] >= 1000)
     command = confirmation_command(runs, cause, tmp_path)
     assert command.startswith(f'taxinet run {program} --runs 100 --seed 1000003 --perception')
     assert '--controller' not in command

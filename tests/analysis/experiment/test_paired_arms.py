@@ -138,13 +138,13 @@ def row(index: int, rho: float | None, *, shadows: bool, settled: bool = True) -
     scene = Scenario(time_of_day_s=(6 + index) * 3600.0, shadows=shadows)
     if rho is None:
         return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
-                      outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_columns())
+                      outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_human())
     return RunRow(
         run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
         outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
         robustness=exact_intervals({'phi_eventually': rho}),
         left_runway=rho < -10, max_cross_track_m=2.0 - rho,
-        settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_columns(),
+        settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_human(),
     )
 
 
@@ -167,7 +167,7 @@ def test_given_two_arms_then_pairs_are_counted_by_scene():
     assert (one.rho.more, one.rho.less) == (8, 0)
     assert (one.off_runway.first, one.off_runway.second) == (1, 0)
     assert (one.settled.first, one.settled.second, one.settle_time_s.pairs) == (4, 12, 4)
-    assert (WORSE.over, WORSE.alone) == ('time_of_day', True)
+    assert (WORSE.over, WORSE.alone) == ('time_of_day_h', True)
 
 
 def test_given_a_clear_difference_then_it_is_said_and_otherwise_not():
@@ -186,10 +186,10 @@ def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
     some = found([1.0, None, 1.0], [1.0, 1.0])
     (one,) = some.comparisons
     assert (len(one.pairs), one.unpaired) == (1, 2)
-    assert 'Runs of on without verdict, whose scenes are in no pair: 1 INFRA_ERROR (1 died).' in [
+    assert 'Runs of on without verdict, whose scenes are excluded: 1 INFRA_ERROR (1 died).' in [
         *experiment_sentences(some)]
     nothing = found([None], [None])
-    assert 'nothing can be said' in ' '.join(experiment_sentences(nothing))
+    assert 'no conclusion is possible' in ' '.join(experiment_sentences(nothing))
 
 
 def test_given_an_experiment_then_report_json_and_table_hold_it():

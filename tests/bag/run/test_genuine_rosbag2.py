@@ -129,7 +129,7 @@ def test_ros6_given_a_compressed_bag_then_one_line_gives_the_command_and_nothing
         code, out, err = call(capsys, *words, place)
         assert (code, out, len(err.splitlines())) == (2, '', 1)
         # Of a file alone genuine ros2 bag convert does not know that it is compressed.
-        assert f'compressed by {name}; make it plain: ros2 bag convert -i {bag} -o' in err
+        assert f'compressed by {name}; decompress it: ros2 bag convert -i {bag} -o' in err
     assert not list(tmp_path.iterdir())
 
 
@@ -144,7 +144,7 @@ def test_ros6_given_a_compressed_bag_without_its_description_then_the_command_is
     (bag / 'metadata.yaml').unlink()
     code, _, err = call(capsys, 'monitor', bag)
     assert code == 2
-    assert f'compressed by {name}; make it plain: {mend.format(bag=bag)}' in err
+    assert f'compressed by {name}; decompress it: {mend.format(bag=bag)}' in err
 
 
 def test_ros6_given_a_file_that_was_unpacked_beside_itself_then_it_is_read_and_nothing_is_wrong(

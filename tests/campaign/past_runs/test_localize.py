@@ -55,7 +55,7 @@ def row_of(trial: Trial, scene: Scenario, index: int, perception: str) -> RunRow
     return RunRow(
         run_id=trial.run_id, index=index, program='s_falsif', seed=3, perception=perception,
         fingerprint=check_perception(perception), sampler='random', weight=1.0,
-        **scene.to_columns(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
+        **scene.to_human(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
         robustness={SPEC: trial.robustness},
         stopped_early=False, left_runway=trial.left_runway,
         max_cross_track_m=trial.max_cross_track_m, settle_time_s=trial.settle_time_s,
@@ -172,19 +172,19 @@ def test_given_trials_of_another_campaign_or_something_else_then_they_are_not_mi
     failed_campaign(tmp_path / 'other', OFF[:1], gains={'heading_gain': 0.01})
     out = tmp_path / 'out'
     localize(options(tmp_path / 'c', out), lambda done: None, lambda: True)
-    with pytest.raises(UsageError, match='holds trials of another campaign or network'):
+    with pytest.raises(UsageError, match='contains trials of another campaign or network'):
         localize(options(tmp_path / 'other', out), lambda done: None, never)
     (out / TRIALS_NAME).write_text('{"event":"localize"}\n')
     with pytest.raises(UsageError, match=r'trials.jsonl:1: damaged line'):
         localize(options(tmp_path / 'c', out), lambda done: None, never)
-    with pytest.raises(UsageError, match='holds something else'):
+    with pytest.raises(UsageError, match='contains something else'):
         localize(options(tmp_path / 'c', tmp_path / 'other'), lambda done: None, never)
 
 
 def test_given_bad_input_then_one_line_says_what_is_wrong(tmp_path):
     rows = failed_campaign(tmp_path / 'c', OFF[:1])
     bad = [
-        (tmp_path, {}, 'no campaign, for it has no ledger.jsonl'),
+        (tmp_path, {}, 'not a campaign (no ledger.jsonl'),
         (tmp_path / 'c', {'runs': 0}, '--runs 0: needs to be 1 or more'),
         (tmp_path / 'c', {'workers': 0}, '--workers 0: needs to be within 1..64'),
         (tmp_path / 'c', {'words': ['turth']}, '--with turth: unknown'),
@@ -230,5 +230,5 @@ def test_given_a_recorded_campaign_then_rows_rates_and_counterexamples_are_read_
     assert found.bag(rows[0]) is None
     assert found.scenario(rows[0]) == (OFF[0], False)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob('*')} == before
-    with pytest.raises(UsageError, match=r'no campaign, for it has no ledger\.jsonl'):
+    with pytest.raises(UsageError, match=r'not a campaign \(no ledger\.jsonl'):
         open_campaign(tmp_path)

@@ -106,7 +106,7 @@ def test_given_another_campaign_than_was_begun_then_nothing_is_changed_and_both_
         run(book, 0)
     kept = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     refused = [
-        ({'seed': 4}, 'was begun with seed 3, not 4; repeat its options, or name another --out'),
+        ({'seed': 4}, 'was begun with seed 3, not 4; repeat its options, or choose another --out'),
         ({'sampler': 'ce'}, r'campaign\.json: not written by taxinet falsify'),
         ({'shrinks': 'run-0'}, r'campaign\.json: not written by taxinet shrink'),
     ]
@@ -117,7 +117,7 @@ def test_given_another_campaign_than_was_begun_then_nothing_is_changed_and_both_
         ):
             read_same_campaign(tmp_path, facts(options, **changes))
     assert {path: path.read_bytes() for path in kept} == kept
-    with pytest.raises(UsageError, match='exists already'), CampaignBook(options, ()):
+    with pytest.raises(UsageError, match='already exists'), CampaignBook(options, ()):
         pass
 
 

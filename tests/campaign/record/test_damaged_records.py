@@ -51,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign of the real graph, with failed and satisfied runs and their bags."""
     out = tmp_path_factory.mktemp('records') / 'c'
     words = ['falsify', 'nominal', '--runs', str(RUNS), '--workers', '2', '--sampler', 'random',
-             '--seed', '3', '--images', 'none', '--perception', 'truth', '--set', 'duration=1',
+             '--seed', '3', '--images', 'none', '--perception', 'truth', '--set', 'duration_s=1',
              '--spec', 'tight=always(abs(cte) <= 0.4)', '--out', str(out)]
     assert _exit_code(lambda: app(words, standalone_mode=False)) == 1
     assert set(read_table(out)['outcome']) == {'PASS', 'FAIL'}
@@ -122,12 +122,12 @@ def test_f2_given_any_flipped_bit_of_the_ledger_then_no_line_of_it_is_taken_for_
 @pytest.mark.parametrize(('change', 'said'), [
     (lambda lines: lines.pop(3), ':4: damaged line (lines before it are missing)'),
     (lambda lines: lines.pop(0), ':1: damaged line (lines before it are missing)'),
-    (lambda lines: lines.insert(4, lines[3]), ':5: damaged line (it is there twice, first as'),
-    (lambda lines: lines.append(lines[2]), ':10: damaged line (it is there twice, first as'),
+    (lambda lines: lines.insert(4, lines[3]), ':5: damaged line (it occurs twice, first as'),
+    (lambda lines: lines.append(lines[2]), ':10: damaged line (it occurs twice, first as'),
     (lambda lines: lines.__setitem__(slice(3, 5), lines[4:2:-1]), ':4: damaged line (it belongs'),
     (lambda lines: lines.pop(), 'missing at its end'),
-    (lambda lines: lines.__delitem__(slice(5, None)), '4 of the 9 lines that it had are missing'),
-    (lambda lines: lines.__delitem__(slice(0, None)), '9 of the 9 lines that it had are missing'),
+    (lambda lines: lines.__delitem__(slice(5, None)), '4 of its 9 lines are missing'),
+    (lambda lines: lines.__delitem__(slice(0, None)), '9 of its 9 lines are missing'),
 ])
 def test_f2_given_lines_lost_doubled_or_in_another_order_then_that_is_said(
     campaign, taxinet, change, said
@@ -213,7 +213,7 @@ def test_f2_given_a_table_alone_then_it_is_said_to_be_unverified(campaign, capsy
     read_runs(campaign)
     assert capsys.readouterr().err == ''
     assert len(read_runs(tmp_path / 'alone').frame) == RUNS
-    said = 'its tables are unverified, for campaign.json is not there'
+    said = 'its tables are unverified, since campaign.json is not there'
     assert capsys.readouterr().err == f'taxinet: warning: {tmp_path / "alone"}: {said}\n'
 
 
@@ -234,7 +234,7 @@ def test_f2_given_any_flipped_bit_of_a_sealed_index_then_it_is_refused(tmp_path)
     assert not examine(tmp_path).findings
     table.write_bytes(b'qairs')
     (found,) = examine(tmp_path).findings
-    assert found.what == 'is not the file that experiment.json tells of'
+    assert found.what == 'is not the file recorded in experiment.json'
     with pytest.raises(UsageError, match='do it again'):
         read_sealed(path).check_file(table, 'do it again')
 
@@ -248,7 +248,7 @@ def test_doctor_given_another_journal_then_its_damage_is_found_and_mended(tmp_pa
     assert not examine(tmp_path).findings
     path.write_bytes(path.read_bytes().replace(b'"s1"', b'"s9"'))
     (found,) = examine(tmp_path).findings
-    assert (found.where, found.what) == (f'{path}:2', 'its checksum is another')
+    assert (found.where, found.what) == (f'{path}:2', 'its checksum differs')
     (done,) = mend(tmp_path)
     assert done.endswith('lost: line 2')
     assert not examine(tmp_path).findings
@@ -273,11 +273,11 @@ LIES = [
     ('PASS', {'outcome': 'INFRA_ERROR'}, 'INFRA_ERROR with rho'),
     ('PASS', {'rho': {'tight': float('nan')}}, 'a robustness is no number'),
     ('PASS', {'outcome': 'GREAT'}, 'GREAT'),
-    ('PASS', {'run_id': '../../../etc'}, 'no plain name'),
-    ('PASS', {'bag': '../../../etc'}, 'no plain name'),
+    ('PASS', {'run_id': '../../../etc'}, 'not a plain name'),
+    ('PASS', {'bag': '../../../etc'}, 'not a plain name'),
     ('PASS', {'index': -1}, 'index is -1'),
     ('PASS', {'clouds': 'purple'}, 'clouds is'),
-    ('PASS', {'distance': float('inf')}, 'distance is inf'),
+    ('PASS', {'distance_m': float('inf')}, 'distance_m is inf'),
 ]
 
 
@@ -293,11 +293,11 @@ def test_f2_given_a_row_that_cannot_be_then_the_ledgers_line_is_named(
 
 
 @pytest.mark.parametrize(('column', 'value', 'said'), [
-    ('rho_tight', -1.0, 'PASS, and a robustness that is not above 0'),
-    ('outcome', 'FAIL', 'FAIL, and no robustness of 0 or less'),
+    ('rho_tight', -1.0, 'PASS, but a robustness is not above 0'),
+    ('outcome', 'FAIL', 'FAIL, but no robustness is 0 or less'),
     ('outcome', 'INFRA_ERROR', 'a robustness without a verdict'),
     ('outcome', 'GREAT', 'an unknown word for outcome'),
-    ('run_id', '../../../etc', 'its run_id is no plain name'),
+    ('run_id', '../../../etc', 'its run_id is not a plain name'),
     ('index', -1, 'its index is negative'),
     ('distance_m', float('inf'), 'distance_m is not finite'),
     ('clouds', 'purple', 'an unknown word for clouds'),
@@ -341,9 +341,9 @@ def test_f2_given_an_intent_without_result_or_the_other_way_then_the_gate_names_
     events = read_journal(path)
     result = next(event for event in events if event['event'] == 'result')
     for left_out, said in (
-        (result, 'begun, and without a result to this day'),
+        (result, 'started but has no result'),
         (next(event for event in events if event.get('index') == result['row']['index']),
-         'has a result, but nothing says that it was begun'),
+         'has a result but no record of its start'),
     ):
         write_events(path, [event for event in events if event is not left_out])
         (campaign / FACTS_NAME).unlink()
@@ -395,7 +395,7 @@ def test_doctor_given_a_sound_campaign_then_it_says_so_and_mending_changes_no_by
     assert (code, err) == (0, '')
     *notes, last = out.splitlines()
     assert last == f'{campaign}: 1 journals, 1 indices, {RUNS} runs, 2 tables, {RUNS} bags: sound'
-    nothing = 'not checked, nothing vouches for it'
+    nothing = 'not checked, no record to verify against'
     assert notes == [f'note    {campaign / "logs"}: {nothing}: worker-1.log, worker-2.log']
     assert taxinet('doctor', campaign, '--mend')[0] == 0
     assert contents() == before
@@ -528,7 +528,7 @@ def test_doctor_given_two_campaigns_in_one_ledger_then_the_others_lines_are_put_
     before = everything(campaign)
     assert taxinet('doctor', campaign)[0] == 3
     code, out, _ = taxinet('doctor', campaign, '--mend')
-    assert (code, "or are another campaign's" in out) == (3, True)
+    assert (code, 'or belong to another campaign' in out) == (3, True)
     assert read_ledger(path).rows == rows
     assert path.read_bytes().startswith(own)
     assert before <= everything(campaign)
@@ -541,7 +541,7 @@ def test_f2_given_a_campaign_line_of_another_campaign_then_the_line_is_refused(c
     for name, value in (('seed', 9), ('sampler', 'cem'), ('program_sha256', 'f' * 64)):
         rewrite(path, lambda events, changed={**facts, name: value}: events.append(
             {'event': 'campaign', 'campaign': changed}))
-        with pytest.raises(UsageError, match=rf"jsonl:10: .*another campaign's line: its {name}"):
+        with pytest.raises(UsageError, match=rf'jsonl:10: .*line of another campaign: its {name}'):
             read_ledger(path)
         rewrite(path, lambda events: events.pop())
 
@@ -555,7 +555,7 @@ def test_doctor_given_a_lost_first_line_then_what_the_campaign_is_is_put_back(ca
     assert len(read_ledger(path).rows) == RUNS
     write_events(path, [one for one in read_journal(path) if one['event'] != 'campaign'])
     (campaign / FACTS_NAME).unlink()
-    with pytest.raises(UsageError, match='does not say of which campaign') as caught:
+    with pytest.raises(UsageError, match='has runs but no campaign record') as caught:
         read_earlier_runs(campaign, facts)
     assert f'taxinet doctor --mend {campaign}' in str(caught.value)
 
@@ -585,7 +585,7 @@ def test_doctor_given_what_is_no_regular_file_then_it_is_named_and_neither_read_
     assert (code, name in out) == (3, True)
     code, _, err = taxinet('doctor', campaign, '--mend')
     assert (code, err.count('\n')) == (2, 1)
-    assert f'{campaign / name}: is no regular file' in err
+    assert f'{campaign / name}: is not a regular file' in err
     assert everything(campaign) == before
 
 
@@ -613,7 +613,7 @@ def test_doctor_given_a_damaged_line_then_it_is_put_aside_and_its_bag_has_the_ve
     path.write_bytes(b''.join(lines))
     code, out, _ = taxinet('doctor', campaign)
     assert code == 3
-    assert f'BAD     {path}:{number + 1}: its checksum is another' in out
+    assert f'BAD     {path}:{number + 1}: its checksum differs' in out
     assert f'{campaign / lost["run_id"]}: a bag without a result' in out
     assert f'it says {lost["outcome"]} (tight {lost["rho"]["tight"]:+.3f})' in out
     code, out, _ = taxinet('doctor', campaign, '--mend')
@@ -625,7 +625,7 @@ def test_doctor_given_a_damaged_line_then_it_is_put_aside_and_its_bag_has_the_ve
     assert content.unfinished == (lost['index'],)
     assert len(content.rows) == len(read_table(campaign)) == RUNS - 1
     notes = taxinet('gate', campaign, '--min-satisfaction', '0.1')[1]
-    assert f'as it was it is kept as {aside.name}' in notes
+    assert f'the original is kept as {aside.name}' in notes
 
 
 def test_doctor_given_lines_doubled_and_in_another_order_then_all_are_put_right(campaign):
@@ -646,7 +646,7 @@ def test_doctor_given_what_killed_processes_leave_then_it_is_named(campaign, tax
     draft_path(bag / METADATA_FILE).write_text('rosbag2_')
     code, out, _ = taxinet('doctor', campaign)
     assert code == 3
-    assert f'{draft_path(bag / METADATA_FILE)}: left by a process that was killed' in out
+    assert f'{draft_path(bag / METADATA_FILE)}: left by a killed process' in out
     under_way(campaign)
     said = json.loads(taxinet('doctor', campaign, '--json')[1])
     assert not said['sound']
@@ -667,7 +667,7 @@ def test_doctor_given_a_bag_that_is_gone_or_damaged_then_it_is_named(campaign):
 def test_doctor_given_somebody_at_work_then_nothing_is_mended(campaign, taxinet):
     with Ledger(campaign / LEDGER_NAME):
         code, _, err = taxinet('doctor', campaign, '--mend')
-    assert (code, 'somebody is at work on it' in err) == (2, True)
+    assert (code, 'in use by another process' in err) == (2, True)
 
 
 # Bags beside the record ------------------------------------------------------------------------
@@ -711,7 +711,8 @@ def test_f2_given_the_bag_of_the_same_run_of_another_campaign_then_monitor_refus
 
 @pytest.mark.parametrize(('words', 'said'), [
     (['--set', 'clouds=overcast', '--set', 'rain=90', '--spec', 'tight=always(abs(cte) <= 0.401)'],
-     ['its rain is 90.0, the row has 0.0', 'its formula tight is always(abs(cte) <= 0.401), the ']),
+     ['its rain_percent is 90.0, the row has 0.0',
+      'its formula tight is always(abs(cte) <= 0.401), the ']),
     (['--set', 'steering.heading_gain=0.4', '--spec', 'tight=always(abs(cte) <= 0.4)'],
      ['its steering.heading_gain is 0.4, the row has ']),
 ])

@@ -84,9 +84,9 @@ def test_s10_figure_8_runs_with_these_lines(client: Any, tmp_path: Path) -> None
     path.write_text(mended(FIGURE_8))
     assert client.ask(op='compile', program=str(path)) == {}
     scenes = [client.ask(op='scene', index=index)['values'] for index in range(300)]
-    inside = sum(1200 <= scene['distance'] < 1600 for scene in scenes)
+    inside = sum(1200 <= scene['distance_m'] < 1600 for scene in scenes)
     assert inside / 300 == pytest.approx(0.5, abs=5 * 0.5 / 300**0.5)
-    assert max(abs(scene['cross_track']) for scene in scenes) <= 8
+    assert max(abs(scene['cross_track_m']) for scene in scenes) <= 8
 
 
 def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> None:
@@ -99,9 +99,9 @@ def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> 
     assert message.endswith('line 15 "facing Range(-30, 30) deg"')
     text = mended(FIGURE_3)
     for before, after, name in (
-        (r'zulu_time = (.*)', r'time_of_day = (\1) / 3600 - 8', 'zulu_time'),
+        (r'zulu_time = (.*)', r'time_of_day_h = (\1) / 3600 - 8', 'zulu_time'),
         ('cloud_type', 'clouds', 'cloud_type'),
-        ('rain_percent = (.*)', r'rain = 100 * \1', 'rain_percent'),
+        ('rain_percent = (.*)', r'rain_percent = 100 * \1', 'rain_percent'),
     ):
         line, message = said(client, tmp_path, text)
         assert message.startswith(f'param {name}: here it is ')
@@ -116,10 +116,10 @@ def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> 
     path.write_text(text)
     assert client.ask(op='compile', program=str(path)) == {}
     scenes = [client.ask(op='scene', index=index)['values'] for index in range(200)]
-    wet = [scene['rain'] for scene in scenes if scene['rain'] > 0]
+    wet = [scene['rain_percent'] for scene in scenes if scene['rain_percent'] > 0]
     assert len(wet) / 200 == pytest.approx(1 / 3, abs=5 * (2 / 9 / 200) ** 0.5)
     assert min(wet) >= 25
-    hours = [scene['time_of_day'] for scene in scenes]
+    hours = [scene['time_of_day_h'] for scene in scenes]
     assert 6 <= min(hours) < 7
     assert 17 < max(hours) <= 18
 
@@ -180,10 +180,10 @@ def test_s10_the_shipped_programs_are_scenic_3(program: str) -> None:
 
 
 @pytest.mark.parametrize(('name', 'mend'), [
-    ('zulu_time', 'time_of_day, in hours of local time: (seconds of GMT) / 3600 - 8'),
-    ('"sim/time/zulu_time_sec"', 'time_of_day, in hours'),
+    ('zulu_time', 'time_of_day_h, in hours of local time: (seconds of GMT) / 3600 - 8'),
+    ('"sim/time/zulu_time_sec"', 'time_of_day_h, in hours'),
     ('"sim/weather/cloud_type[0]"', 'clouds, a word for each type 0-5: clear, cirrus, scattered'),
-    ('rain_percent', 'rain, in percent: 100 * (fraction)'),
+    ('"sim/weather/rain_percent"', 'rain_percent, in percent: 100 * (fraction)'),
 ])
 def test_s10_a_parameter_of_the_paper_is_answered_with_ours(
     client: Any, tmp_path: Path, name: str, mend: str
@@ -212,6 +212,19 @@ def test_s10_rain_that_looks_like_a_fraction_is_noted(
     for file, line, text in notes:
         assert (file, line) == (str(path), 3)
         assert 'rain is in percent' in text
+
+
+def test_s10_rain_that_varies_as_the_paper_s_fraction_does_is_refused(
+    client: Any, tmp_path: Path
+) -> None:
+    text = MODEL + 'param clouds = "stratus"\nego = new Plane at (0, 4)\nparam rain_percent = {}\n'
+    line, message = said(client, tmp_path, text.format('Range(0.25, 1)'))
+    assert line == 4
+    assert message.startswith('param rain_percent: here it is rain_percent, in percent: 100 *')
+    path = tmp_path / 'mine.scenic'
+    for rain in ('Range(0, 100)', '1', '0', 'Uniform(0, 0)'):
+        path.write_text(text.format(rain))
+        assert client.ask(op='compile', program=str(path)) == {}, rain
 
 
 def test_s10_a_hint_comes_with_file_and_line(tmp_path: Path, monkeypatch: Any) -> None:

@@ -83,7 +83,7 @@ def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
     )
     assert client.ask(op='compile', program=str(path)) == {}
     values = client.ask(op='scene', index=0)['values']
-    assert values.pop('heading') == pytest.approx(-10)
-    assert values == {'cross_track': 0.0, 'distance': 400.0, 'rain': 0.5, 'shadows': False,
-                      'clouds': 'clear', 'duration': 5.0}
-    assert str(values['cross_track']) == '0.0', 'and not -0.0'
+    assert values.pop('heading_deg') == pytest.approx(-10)
+    assert values == {'cross_track_m': 0.0, 'distance_m': 400.0, 'rain_percent': 0.5,
+                      'shadows': False, 'clouds': 'clear', 'duration_s': 5.0}
+    assert str(values['cross_track_m']) == '0.0', 'and not -0.0'

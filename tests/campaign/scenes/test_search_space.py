@@ -24,8 +24,8 @@ from taxinet_ros.errors import UsageError
 WORLD = 'model runway_world\n'
 PLANE = WORLD + 'ego = new Plane at (0, 400)\n'
 Compile = Callable[[str], SearchSpace]
-S_FALSIF = ['time_of_day', 'weather', 'weather[0].clouds', 'weather[1].clouds', 'weather[1].rain',
-            'ego.position.x', 'ego.position.y', 'ego.heading']
+S_FALSIF = ['time_of_day_h', 'weather', 'weather[0].clouds', 'weather[1].clouds',
+            'weather[1].rain_percent', 'ego.position.x', 'ego.position.y', 'ego.heading']
 
 
 @pytest.fixture(scope='module')
@@ -77,8 +77,8 @@ def test_given_a_point_when_a_scene_is_drawn_then_every_choice_is_at_its_quantil
 ) -> None:
     wet = s_falsif.scene(0, (0.25, 0.7, None, 0.99, 0.2, 0.75, 0.7, 0.5))
     assert wet.to_human() == {
-        **wet.to_human(), 'time_of_day': 9, 'clouds': 'stratus', 'rain': 40, 'cross_track': -4,
-        'distance': 1400, 'heading': 0,
+        **wet.to_human(), 'time_of_day_h': 9, 'clouds': 'stratus', 'rain_percent': 40,
+        'cross_track_m': -4, 'distance_m': 1400, 'heading_deg': 0,
     }
     dry = s_falsif.scene(0, (0.25, 0.66, 0.17, None, None, 0.75, 0.7, 0.5))
     assert (dry.clouds, dry.rain_fraction) == ('cirrus', 0)
@@ -125,7 +125,7 @@ def test_given_overrides_when_the_space_is_asked_then_choices_that_no_longer_cou
     overrides = {'clouds': 'overcast', 'rain': '0', 'time_of_day': '7'}
     with SceneSource('s_falsif', seed=3, overrides=overrides) as source:
         assert [dimension.name for dimension in source.space()] == S_FALSIF[5:]
-        assert 'time_of_day (overridden)' in source.search_space().unsearched
+        assert 'time_of_day_h (overridden)' in source.search_space().unsearched
         scene = source.scene(4, (0.75, 0.7, 0.5))
         assert (scene.clouds, scene.distance_m, scene.time_of_day_s) == ('overcast', 1400, 25200)
 
@@ -152,7 +152,7 @@ def test_given_options_of_ranges_when_searched_then_they_are_one_range_from_left
     assert names(space) == ['y']
     (dimension,) = space.dimensions
     assert (dimension.low, dimension.high, dimension.discrete) == (0, 600, False)
-    distances = [at(client, quantile)['distance'] for quantile in (0, 0.125, 0.25, 0.625)]
+    distances = [at(client, quantile)['distance_m'] for quantile in (0, 0.125, 0.25, 0.625)]
     assert distances == pytest.approx([0, 50, 500, 550])
 
 
@@ -165,7 +165,7 @@ def test_given_a_range_used_elsewhere_too_when_searched_then_it_keeps_its_own_di
     )
     assert names(space) == ['rain', 'y', 'y[1]']
     values = at(client, 0.4, 0.2, 0.9)
-    assert values['distance'] == values['rain'] == pytest.approx(40)
+    assert values['distance_m'] == values['rain_percent'] == pytest.approx(40)
 
 
 def test_given_distributions_of_every_kind_when_placed_then_each_is_inverted(
@@ -182,14 +182,14 @@ def test_given_distributions_of_every_kind_when_placed_then_each_is_inverted(
                             'aircraft', 'aircraft.2']
     assert [len(dimension.weights) for dimension in space.dimensions] == [0, 0, 0, 0, 4, 0, 2, 0]
     values = at(client, 0.5, 0.25, 0.9, 0.5, 0.99, 0.5, 0.6, 0.99)
-    assert values['rain'] == pytest.approx(1)
-    assert values['time_of_day'] == pytest.approx(NormalDist(12, 2).inv_cdf(0.9))
+    assert values['rain_percent'] == pytest.approx(1)
+    assert values['time_of_day_h'] == pytest.approx(NormalDist(12, 2).inv_cdf(0.9))
     unit = NormalDist()
     middle = (unit.cdf(-1) + unit.cdf(3)) / 2
     assert values['date'] == pytest.approx(unit.inv_cdf(middle))
-    assert (values['duration'], values['shadows'], values['aircraft']) == (6, 500, 6)
+    assert (values['duration_s'], values['shadows'], values['aircraft']) == (6, 500, 6)
     lowest = at(client, *[0.0] * 8)
-    assert math.isfinite(lowest['time_of_day'])
+    assert math.isfinite(lowest['time_of_day_h'])
     assert lowest['date'] == pytest.approx(-1)
 
 
@@ -222,8 +222,8 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
     first, again = at(client, 0.5, 0.5), at(client, 0.5, 0.5)
     other = client.ask(op='scene', index=1, point=[0.5, 0.5])['values']
     assert first == again
-    assert first['rain'] == other['rain'] == 4.5
-    assert first['distance'] != other['distance']
+    assert first['rain_percent'] == other['rain_percent'] == 4.5
+    assert first['distance_m'] != other['distance_m']
 
 
 def test_given_choices_without_effect_when_searched_then_they_are_no_dimensions(
@@ -259,16 +259,20 @@ def test_given_words_of_verifai_when_searched_then_only_they_are_dimensions(
     assert dimensions[0].prior == (0.75, 0.25)
     assert [dimension.buckets for dimension in dimensions] == [5, 4, 5, 5, 3], 'VerifAI has 5'
     values = at(client, 0.8, 0.5, 0.9, 0.75, 0.25)
-    assert values.pop('time_of_day') == pytest.approx(at(client, *[0.1] * 5)['time_of_day'])
-    assert values == pytest.approx({'clouds': 'overcast', 'rain': 50, 'duration': 3,
-                                    'cross_track': -1, 'distance': 150, 'heading': 0})
+    hour = values.pop('time_of_day_h')
+    assert hour == pytest.approx(at(client, *[0.1] * 5)['time_of_day_h'])
+    assert values == pytest.approx({
+        'clouds': 'overcast', 'rain_percent': 50, 'duration_s': 3, 'cross_track_m': -1,
+        'distance_m': 150, 'heading_deg': 0,
+    })
 
 
 def test_given_weights_of_verifai_when_drawn_without_a_point_then_they_are_the_prior(
     client: Any, compiled: Compile,
 ) -> None:
     compiled(WORLD + 'ego = new Plane at (0, VerifaiRange(0, 900, weights=[2, 1, 1]))\n')
-    distances = [client.ask(op='scene', index=index)['values']['distance'] for index in range(400)]
+    scenes = [client.ask(op='scene', index=index)['values'] for index in range(400)]
+    distances = [scene['distance_m'] for scene in scenes]
     counts, _ = np.histogram(distances, bins=(0, 300, 600, 900))
     assert counts.sum() == 400
     assert chisquare(counts, (200, 100, 100)).pvalue > 1e-4
@@ -289,9 +293,9 @@ def test_given_the_halton_program_when_searched_then_the_time_is_all_there_is(
 ) -> None:
     path = shipped_folder() / 'halton_time_of_day.scenic'
     assert client.ask(op='compile', program=str(path)) == {}
-    assert names(SearchSpace.from_json(client.ask(op='space'))) == ['time_of_day']
+    assert names(SearchSpace.from_json(client.ask(op='space'))) == ['time_of_day_h']
     first, last = at(client, 0.0), at(client, 0.75)
-    assert (first.pop('time_of_day'), last.pop('time_of_day')) == (6, 15)
+    assert (first.pop('time_of_day_h'), last.pop('time_of_day_h')) == (6, 15)
     assert first == last
     assert first['clouds'] == 'clear'
 
@@ -305,7 +309,7 @@ def test_given_the_programs_after_s_falsif_when_placed_then_they_differ_where_th
         assert client.ask(op='compile', program=str(path)) == {}
         scenes[program] = at(client, 0.1, 0.9, 0.3, 0.4, 0.6, 0.7, 0.5, 0.8)
     assert scenes['s_falsif_ce'] == scenes['s_falsif']
-    assert scenes['crossing'] == {**scenes['s_falsif'], 'distance': 1450}
+    assert scenes['crossing'] == {**scenes['s_falsif'], 'distance_m': 1450}
 
 
 def test_given_one_line_that_makes_several_choices_when_named_then_no_two_are_alike(
@@ -327,7 +331,7 @@ def test_s9_given_s_falsif_when_its_space_is_asked_then_idle_branches_are_no_dim
     assert when == {
         'weather[0].clouds': (Branch('weather', (0,)),),
         'weather[1].clouds': (Branch('weather', (1,)),),
-        'weather[1].rain': (Branch('weather', (1,)),),
+        'weather[1].rain_percent': (Branch('weather', (1,)),),
     }
     points = [space.point(point) for point in np.random.default_rng(1).random((50, 8))]
     assert {sum(each is not None for each in point) for point in points} == {6, 7}
@@ -394,9 +398,9 @@ def test_s9_given_a_space_when_shown_then_conditions_and_what_is_not_searched_ar
     s_falsif: SceneSource, compiled: Compile,
 ) -> None:
     assert space_lines(s_falsif.search_space()) == [
-        'searched: time_of_day, weather, ego.position.x, ego.position.y, ego.heading; '
+        'searched: time_of_day_h, weather, ego.position.x, ego.position.y, ego.heading; '
         'where weather is option 1: weather[0].clouds; '
-        'where weather is option 2: weather[1].clouds, weather[1].rain',
+        'where weather is option 2: weather[1].clouds, weather[1].rain_percent',
     ]
     sky = ('clear', 'cirrus', 'rain')
     a = Choice(dimension=Dimension(name='a', weights=(1, 1, 1)), options=sky)
@@ -429,9 +433,9 @@ def test_s7_given_a_region_when_searched_then_its_points_are_at_quantiles_of_its
     assert names(space) == [f'ego.position.{part}' for part in parts]
     assert space.unsearched == ()
     values = at(client, *quantiles)
-    assert (-values['cross_track'], values['distance']) == pytest.approx((x, y), abs=1e-9)
+    assert (-values['cross_track_m'], values['distance_m']) == pytest.approx((x, y), abs=1e-9)
     for corner in itertools.product((0.0, 1 - 2**-53), repeat=len(parts)):
-        assert math.isfinite(at(client, *corner)['distance'])
+        assert math.isfinite(at(client, *corner)['distance_m'])
 
 
 def test_s7_given_a_rectangle_along_the_runway_when_asked_then_its_values_are_known(
@@ -459,6 +463,6 @@ def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and
     sampler = make_sampler('random', space.dimensions, 0, 10)
     points = [sampler.next() for _ in range(5)]
     assert {point for _, point in points} == {()}
-    scenes = {client.ask(op='scene', index=index, point=space.spread(point))['values']['distance']
+    scenes = {client.ask(op='scene', index=index, point=space.spread(point))['values']['distance_m']
               for index, point in points}
     assert len(scenes) == 5

@@ -106,8 +106,8 @@ def shrunk(shrinking: Shrinking) -> dict[str, Any]:
 
 
 NEAREST = {
-    'cross_track': 0.0, 'heading': 0.0, 'clouds': 'broken', 'rain': 31.0, 'time_of_day': 10.0,
-    'distance': 700.0,
+    'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'broken', 'rain_percent': 31.0,
+    'time_of_day_h': 10.0, 'distance_m': 700.0,
 }
 
 
@@ -122,8 +122,9 @@ def test_given_a_failed_run_then_what_matters_is_found_and_every_run_is_on_recor
     assert found.state.end is End.MINIMAL
     matters = {one.key: (one.passes_at, one.matters) for one in found.findings}
     assert matters == {
-        'cross_track': (None, False), 'heading': (None, False), 'time_of_day': (None, False),
-        'clouds': ('scattered', True), 'rain': (30.0, True), 'distance': (710.0, True),
+        'cross_track_m': (None, False), 'heading_deg': (None, False),
+        'time_of_day_h': (None, False), 'clouds': ('scattered', True),
+        'rain_percent': (30.0, True), 'distance_m': (710.0, True),
     }
     assert all(one.rho_passes_at > 0 and one.rho_in_shrunk > 0
                for one in found.findings if one.matters)
@@ -236,18 +237,18 @@ def screen(found: Report) -> list[str]:
 
 def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
     scenario = scenario_from_human({
-        **WET.to_human(), 'heading': -30.0, 'cross_track': -12.3, 'distance': 420.0,
+        **WET.to_human(), 'heading_deg': -30.0, 'cross_track_m': -12.3, 'distance_m': 420.0,
     })
     shrinking = drive(options(campaign(tmp_path / 'c', scenario), tmp_path / 'out'))
     found = make_report(shrinking)
     lines = screen(found)
     assert lines[1].split() == [
         'parameter', 'original', 'nominal', 'shrunk', 'original', 'shrunk', 'verdict']
-    assert lines[2].split()[:5] == ['cross_track', '-12.3', 'm', '0.0', 'm']
+    assert lines[2].split()[:5] == ['cross_track_m', '-12.3', 'm', '0.0', 'm']
     assert lines[6].split() == [
         'clouds', 'stratus', 'clear', 'broken', '+0.30', '+0.30', 'matters']
     assert len(lines) == 8
-    assert 'rain: 31 % fails, 30 % passes (rho +0.01)' in finding_lines(found)
+    assert 'rain_percent: 31 % fails, 30 % passes (rho +0.01)' in finding_lines(found)
     assert '(a clear sky is dry too)' in finding_lines(found)[0]
     assert run_command(shrinking.options, 'a b.scenic') == (
         "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
@@ -265,20 +266,20 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
 
     shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'), either)
     matter = [one.key for one in make_report(shrinking).findings if one.matters]
-    assert matter == ['clouds', 'rain']
+    assert matter == ['clouds', 'rain_percent']
     lines = finding_lines(make_report(shrinking))
-    assert 'rain: the original fails without it too, so it has another cause' in lines
+    assert 'rain_percent: the original fails without it too, so it has another cause' in lines
 
 
 MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     'workers': ({'workers': 9}, '--workers 9: needs to be within 1..8'),
     'runs': ({'runs': 1}, '--runs 1: needs to be 2 or more'),
-    'unknown key': ({'nominal': ['duration=3']}, '--nominal duration: unknown; known: cross_track'),
+    'unknown key': ({'nominal': ['duration=3']}, '--nominal duration_s: unknown; known: '),
     'no key': ({'nominal': ['rain']}, "--nominal 'rain': expected key=value"),
     'impossible': ({'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
     'perception': ({'perception': 'nobody'}, "perception: 'nobody' is unknown"),
     'images': ({'images': 'few'}, '--images few: unknown'),
-    'resume': ({'resume': True, 'out': None}, '--resume: say with --out'),
+    'resume': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
 }
 
 
@@ -295,7 +296,7 @@ def test_given_a_mistake_then_one_line_says_so(tmp_path, case):
 RUNS: dict[str, tuple[dict[str, Any], str]] = {
     'passed': ({'scenario': Scenario()}, 'satisfied phi_eventually with rho +0.30'),
     'broken': ({'outcome': Outcome.INFRA_ERROR}, 'INFRA_ERROR, so it was never judged'),
-    'rejected': ({'outcome': Outcome.REJECTED, 'distance': None}, 'no scene was drawn'),
+    'rejected': ({'outcome': Outcome.REJECTED, 'distance_m': None}, 'no scene was drawn'),
     'other weights': ({'perception_fingerprint': 'ab' * 32},
                       'truth is without weights now, it was abababababab; --perception truth'),
     'lost file': ({'perception': 'gone.onnx'}, 'say with --perception where it is'),
@@ -334,7 +335,7 @@ def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_p
     drive(options(path, out))
     with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         options(path, out)
 
 
@@ -343,7 +344,7 @@ def test_given_a_space_then_its_ends_are_exact_and_its_steps_are_what_people_wou
     top = tuple(one.axis.steps for one in space.moving)
     assert space.scenario(top) == WET, 'to the last bit'
     assert space.scenario((0,) * len(top)) == space.nominal
-    hours = next(one.values for one in space.parameters if one.key == 'time_of_day')
+    hours = next(one.values for one in space.parameters if one.key == 'time_of_day_h')
     assert hours[:3] == (10.0, 10.05, 10.1)
     assert hours[-2:] == (15.45, 15.5)
     clouds = next(one.values for one in space.parameters if one.key == 'clouds')
@@ -357,9 +358,10 @@ def test_given_a_space_then_its_ends_are_exact_and_its_steps_are_what_people_wou
 
 def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path):
     path = tmp_path / 'shrunk.scenic'
-    text = scenario_program(WET, 'From "a" \\ b.', {'rain': 'matters', 'heading': 'matters'})
+    remarks = {'rain_percent': 'matters', 'heading_deg': 'matters'}
+    text = scenario_program(WET, 'From "a" \\ b.', remarks)
     path.write_text(text)
-    assert '# heading matters' in text
+    assert '# heading_deg matters' in text
     (drawn,) = sample_scenarios(path, seed=3, n=1)
     for key, value in WET.to_human().items():
         assert drawn.to_human()[key] == value

@@ -81,7 +81,7 @@ def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that
     shutil.rmtree(experiment / 'far')
     done = taxinet('doctor', experiment)
     assert done.returncode == 0, done.stdout
-    assert 'an experiment that is not finished, without far; --resume goes on' in done.stdout
+    assert 'an unfinished experiment, without far; continue with --resume' in done.stdout
 
 
 @pytest.mark.parametrize(('change', 'says'), [
@@ -89,14 +89,14 @@ def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'experiment.json').unlink(),
-     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
     (lambda experiment: (experiment / 'experiment.json').write_text('{}'),
-     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
     (all_but_the_arms,
-     'experiment.json: does not vouch for the experiment, and near, far have had their runs'),
+     'experiment.json: has no record of the experiment, although near, far have had their runs'),
     (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
      'near: is not there, an arm of the experiment of far'),
-    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track is 0.0, the row has 4.0'),
+    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
     (hide_the_arm, 'far/runs.csv: '),
 ])
 def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(
@@ -140,13 +140,13 @@ def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_
 def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder):
     (folder / 'bad.yaml').write_text(EXPERIMENT.replace('runs: 4', 'runs: four'))
     for words, says in (
-        (('experiment', 'mine.yaml', '--out', 'e'), 'exists already'),
+        (('experiment', 'mine.yaml', '--out', 'e'), 'already exists'),
         (('experiment', 'bad.yaml'), 'bad.yaml: runs: expected a whole number, 1 or more'),
-        (('experiment', 'mine.yaml', '--resume'), '--resume: say with --out which'),
+        (('experiment', 'mine.yaml', '--resume'), '--resume: name the experiment to continue with'),
         (('localize', 'e'), 'no campaign'),
         (('gate', 'c', '--min-satisfaction', '86'), 'a share'),
         (('gate', 'c', '--min-satisfaction', '0.5', '--inconclusive', 'maybe'), 'unknown; known'),
-        (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'there is no folder'),
+        (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'no such folder'),
     ):
         done = taxinet(*words, cwd=folder)
         assert done.returncode == 2, words
@@ -165,7 +165,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
         stdout, stderr = process.communicate()
     assert stderr == ''
     assert process.returncode in (0, 130)
-    assert ('the same command goes on' in stdout) is (process.returncode == 130)
+    assert ('run it again to continue' in stdout) is (process.returncode == 130)
     done = taxinet('localize', 'c', '--with', 'truth', '--out', 'l', '--json', cwd=folder)
     assert done.returncode == 0, done.stderr
     values = json.loads(done.stdout)
@@ -182,7 +182,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     trials.write_bytes(b''.join(whole.splitlines(keepends=True)[:-1]))
     done = taxinet('doctor', 'l', cwd=folder)
     trials.write_bytes(whole)
-    assert (done.returncode, '1 of the 5 lines that it had are missing' in done.stdout) == (3, True)
+    assert (done.returncode, '1 of its 5 lines are missing' in done.stdout) == (3, True)
 
 
 def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder):

@@ -255,7 +255,7 @@ def test_given_bounds_that_a_run_keeps_or_breaks_then_that_shows(whole, capsys):
     code, out, _ = call(capsys, whole, '--spec', spec, '--rate', 'cte=0.001')
     assert code == 0
     assert told(out, whole)[1] == (
-        f'{whole.name}  wide  a bound or rate broken at 0.1 s counts no more'
+        f'{whole.name}  wide  assumption violated at 0.1 s'
     )
 
 
@@ -329,10 +329,10 @@ def test_given_no_ros_then_bags_are_judged_all_the_same(whole):
     (['{here}'], 'holds no bag'),
     (['{here}/notes.txt'], 'not an MCAP file'),
     (['{campaign}', '--spec', 'G cte <'], 'column 8: expected a signal'),
-    (['{campaign}', '--plot', '{here}/a.png'], 'there are [45] bags; name a folder'),
+    (['{campaign}', '--plot', '{here}/a.png'], '[45] bags given; name a folder'),
     (['{campaign}', '--plot', '{here}/a.pdf'], 'write NAME.png'),
-    (['{campaign}', '--add'], '--add: say with --spec'),
-    (['{whole}', '--spec', 'phi_always', '--add'], 'no such file, so that is no campaign'),
+    (['{campaign}', '--add'], '--add: name the requirement to add with --spec'),
+    (['{whole}', '--spec', 'phi_always', '--add'], 'no such file; not a campaign'),
     (['{campaign}', '--workers', '0'], '--workers'),
 ])
 def test_given_bad_input_then_one_line_says_what_and_the_code_is_two(

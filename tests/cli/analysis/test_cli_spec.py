@@ -47,7 +47,7 @@ def test_people2_given_the_controllers_gains_and_a_length_then_they_count(capsys
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['far=always[35:40](cte < 1)'], 'spec far: always[35:40] begins 35 s into the run, which'),
     (['abs(he) <= 10 m'], 'column 12: expected an angle'),
-    (['phi_always', '--set', 'rain=3'], '--set rain: only gains of the controller matter here'),
+    (['phi_always', '--set', 'rain=3'], '--set rain_percent: only controller gains apply here'),
     (['phi_always', '--duration', '0'], 'duration_s is 0, outside 0.1..600 s'),
 ])
 def test_people2_given_what_cannot_be_judged_then_one_line_says_why(

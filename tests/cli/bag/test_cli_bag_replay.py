@@ -41,7 +41,7 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
     assert read_info(again).counts.get(IMAGE) is None
     code, out, _ = taxinet('bag', 'doctor', '--images', tmp_path / 'new')
     assert code == 0
-    assert '11 of 11 equal those rendered anew, bit for bit' in out
+    assert '11 of 11 equal re-rendered ones, bit for bit' in out
     code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
     assert (code, out.split(':')[0]) == (0, 'nothing to do')
     assert taxinet('bag', 'render', again, '--out', tmp_path / 'new')[0] == 2
@@ -50,10 +50,10 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
 def test_given_a_recorded_run_when_run_again_then_it_is_the_same_to_the_byte(again, taxinet):
     code, out, _ = taxinet('run', '--from', again, '--out', 'new')
     assert code == 0
-    assert 'once more short, perception truth -> new' in out
+    assert 'rerun of short, perception truth -> new' in out
     assert 'the same: ' in out
     code, out, _ = taxinet('bag', 'compare', again, 'new/short')
-    assert (code, out.splitlines()[-1]) == (0, 'the files are the same byte for byte')
+    assert (code, out.splitlines()[-1]) == (0, 'the files are byte-identical')
 
 
 def test_given_another_perception_when_run_again_then_the_first_step_is_told(again, taxinet):
@@ -93,7 +93,7 @@ def test_given_a_run_when_replayed_into_another_network_then_table_and_picture(a
 def test_given_the_same_node_when_replayed_into_then_the_same_to_the_bit(node, again, taxinet):
     code, out, _ = taxinet('bag', 'replay', again, '--into', node, '--out', 'new')
     assert code == 0
-    assert 'the same to the bit' in out
+    assert 'bit-identical' in out
     assert os.path.getsize('new/replay.png') > 10_000
 
 
@@ -104,7 +104,7 @@ def test_given_a_golden_bag_that_comes_out_otherwise_then_update_records_it_anew
     shutil.copytree(again, golden / 'short')
     assert taxinet('run', '--from', again, '--perception', 'original', '--out', 'new')[0] == 1
     code, out, _ = taxinet('bag', 'golden', golden, '--update')
-    assert (code, out.splitlines()[-1]) == (0, '0 of 1 golden bags recorded anew')
+    assert (code, out.splitlines()[-1]) == (0, '0 of 1 golden bags re-recorded')
     before = {path.name: path.read_bytes() for path in (golden / 'short').iterdir()}
     assert taxinet('bag', 'golden', golden)[0] == 0
 
@@ -117,7 +117,7 @@ def test_given_a_golden_bag_that_comes_out_otherwise_then_update_records_it_anew
     code, out, _ = taxinet('bag', 'golden', golden, '--update')
     assert code == 0
     assert '/taxi_command  1 of 11 differ' in out
-    assert out.splitlines()[-1] == '1 of 1 golden bags recorded anew'
+    assert out.splitlines()[-1] == '1 of 1 golden bags re-recorded'
     assert {path.name: path.read_bytes() for path in (golden / 'short').iterdir()} == before
 
 
@@ -146,15 +146,15 @@ BAD = {
         ('bag', 'replay', TRUTH, '--into', 'steering_controller', '--tolerance-he', '1'),
         '--into steering_controller: takes neither',
     ),
-    'a file for a folder': (('bag', 'replay', TRUTH, '--out', __file__), 'exists already'),
+    'a file for a folder': (('bag', 'replay', TRUTH, '--out', __file__), 'already exists'),
     'nothing to compare with': (('bag', 'compare', TRUTH, 'nowhere'), 'nowhere: no such bag'),
     'unknown topic': (('bag', 'compare', TRUTH, TRUTH, '--skip', 'x'), '--skip x: neither bag'),
     'no bag to render': (('bag', 'render', 'nowhere'), 'nowhere: no such bag'),
     'no golden bags': (('bag', 'golden', 'nowhere'), 'nowhere: holds no bags'),
     'neither scene nor bag': (('run',), 'run: name a SCENARIO, or a recorded run with --from'),
-    'scene and bag': (('run', 'nominal', '--from', TRUTH), '--from: the bag already says SCENARIO'),
-    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), 'the bag already says --seed'),
-    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), 'already says --set'),
+    'scene and bag': (('run', 'nominal', '--from', TRUTH), 'SCENARIO is taken from the bag'),
+    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), '--seed is taken from the bag'),
+    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), '--set is taken from the bag'),
     'bag and images': (('run', '--from', TRUTH, '--images', 'few'), '--images few: unknown'),
     'no bag to run': (('run', '--from', 'nowhere'), 'nowhere: no such bag'),
 }

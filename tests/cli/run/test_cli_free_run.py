@@ -57,7 +57,7 @@ def test_r5_given_runs_of_both_kinds_in_one_table_then_no_rate_is_made_of_them(f
     assert read_runs(folder).label == f'truth, {WORDS}'
     table = read_table(folder)
     table.loc[0, 'timing'] = ''
-    with pytest.raises(UsageError, match='mixes runs with answers that take effect at once and '
+    with pytest.raises(UsageError, match='mixes runs with immediate answers and '
                                          'with free real_time_factor=10'):
         runs_of(table, folder)
 
@@ -72,21 +72,21 @@ def test_r5_given_bags_of_free_and_other_runs_then_monitor_marks_them_and_counts
     assert [line.endswith(f'  {WORDS}') for line in lines if '  near  ' in line] == [
         True, True, False]
     assert f'near ({WORDS}): 2 VIOLATED of 2 bags' in done.stdout
-    (other,) = [line for line in lines if line.startswith('near (answers that take effect at once')]
+    (other,) = [line for line in lines if line.startswith('near (immediate answers')]
     assert ' of 1 bags' in other
     told = json.loads(taxinet(*words, '--json', cwd=folder).stdout)
     assert [bag['timing'] for bag in told['bags']] == [WORDS, WORDS, '']
 
 
 def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(folder, tmp_path):
-    with pytest.raises(UsageError, match=r'^--free: not in a search, which goes by verdicts that'):
+    with pytest.raises(UsageError, match=r'^--free: not in a search, which needs reproducible'):
         falsify(None, 'nominal', free=True)
-    with pytest.raises(UsageError, match='free runs: free runs depend on how fast machine and'):
+    with pytest.raises(UsageError, match='free runs: free runs depend on the speed of'):
         make_localize_options(folder, runs=None, words=(), workers=1, out=tmp_path / 'never',
                               perception=None)
     answer = RunResult(outcome=Outcome.PASS, robustness=exact_intervals({'near': 1.0}),
                        timing=WORDS, perception='truth')
-    with pytest.raises(UsageError, match=r'^the graph lets runs go free, and a search goes by'):
+    with pytest.raises(UsageError, match=r'^the graph is free-running, but a search needs'):
         facts_of_graph(folder, {'perception': '', 'perception_sha256': '', 'timing': ''}, answer)
 
 

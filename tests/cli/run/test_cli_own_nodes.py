@@ -187,13 +187,13 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
     (('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller'),
      "own controller is 'python' of sha256"),
     (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not one of ours"),
-    (('evaluate', 'nominal', '--perception', 'external'), 'is a node in a graph'),
+    (('evaluate', 'nominal', '--perception', 'external'), 'is a node of a graph'),
     (('run', 'nominal', '--perception', 'truth', '--perception-cmd', 'x'),
      '--perception: not with --perception-cmd'),
     (('run', 'nominal', '--perception-cmd', 'no_such_program'),
      'perception: no_such_program: no such program'),
     (('run', 'nominal', '--controller', 'mine.py:steer', '--set', 'steering.heading_gain=1'),
-     '--set steering.heading_gain: a gain of the steering law'),
+     '--set steering.heading_gain: gains apply only'),
 ])
 def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
     folder, words, says,
@@ -207,7 +207,7 @@ def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(
     words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
     done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
     assert done.returncode == 0, done.stderr
-    assert 'the same to the bit' in done.stdout
+    assert 'bit-identical' in done.stdout
 
 
 def test_given_failures_of_a_file_when_localized_then_it_steers_the_trials(folder):
@@ -216,7 +216,7 @@ def test_given_failures_of_a_file_when_localized_then_it_steers_the_trials(folde
     assert taxinet('run', 'nominal', *words, *SHORT, '--out', 'f', cwd=folder).returncode == 1
     done = taxinet('localize', 'f', '--out', 'l', '--workers', '1', cwd=folder)
     assert done.returncode == 0, done.stderr
-    assert 'did not come out as recorded' not in done.stdout
+    assert 'were not reproduced' not in done.stdout
     (folder / 'mine.py').write_text(MINE + '\n')
     done = taxinet('localize', 'f', '--out', 'l2', cwd=folder)
     (folder / 'mine.py').write_text(MINE)
@@ -422,10 +422,10 @@ def test_given_a_node_that_somebody_starts_when_checked_then_it_is_found_and_lef
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    ((), 'check-node: name a COMMAND, or say --external'),
+    ((), 'check-node: name a COMMAND, or give --external'),
     (('no_such_program',), 'check-node: no_such_program: no such program'),
     (('true', '--role', 'pilot'), '--role pilot: unknown; known: perception, controller'),
-    (('mine.py:steer',), '--role: mine.py:steer is a function; say perception or controller'),
+    (('mine.py:steer',), '--role: mine.py:steer is a function; give perception or controller'),
     (('mine.py:nothing', '--role', 'controller'), 'no nothing in it'),
     (("ros2 'run",), 'No closing quotation'),
 ])

@@ -131,7 +131,7 @@ def test_given_a_folder_with_something_in_it_then_it_is_left_alone(tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
     done = taxinet('run', 'nominal', '--out', str(tmp_path))
     assert done.returncode == 2
-    assert 'exists already' in done.stderr
+    assert 'already exists' in done.stderr
     assert [file.name for file in tmp_path.iterdir()] == ['notes.txt']
 
 

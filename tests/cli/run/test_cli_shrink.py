@@ -41,13 +41,13 @@ def test_given_a_failed_run_when_shrunk_then_the_screen_says_what_matters(folder
     lines = (folder / 'stdout').read_text().splitlines()
     assert lines[0].startswith('shrinking nominal-s0-00000 (near, rho -0.')
     table = {line.split()[0]: line.split() for line in lines if line.split()}
-    assert table['cross_track'][1:7] == ['+2.5', 'm', '0.0', 'm', '+2.1', 'm']
-    assert table['cross_track'][-1] == 'matters'
-    for key in ('clouds', 'rain'):
+    assert table['cross_track_m'][1:7] == ['+2.5', 'm', '0.0', 'm', '+2.1', 'm']
+    assert table['cross_track_m'][-1] == 'matters'
+    for key in ('clouds', 'rain_percent'):
         assert table[key][-3:] == ['does', 'not', 'matter']
-    for key in ('heading', 'distance', 'time_of_day'):
+    for key in ('heading_deg', 'distance_m', 'time_of_day_h'):
         assert table[key][-2:] == ['nominal', 'already']
-    assert any(line.startswith('cross_track: +2.1 m fails, +2.0 m passes') for line in lines)
+    assert any(line.startswith('cross_track_m: +2.1 m fails, +2.0 m passes') for line in lines)
     assert lines[-2] == 'written: s/shrunk.scenic, shrink.json, shrink.png'
 
 
@@ -59,7 +59,7 @@ def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(fo
     assert all(read_info(out / bag).complete for bag in table['bag'])
     assert found['end'] == 'minimal'
     assert found['original']['rho'] == read_table(folder / 'c')['rho'][0], 'the same to the bit'
-    assert {key for key, one in found['parameters'].items() if one['matters']} == {'cross_track'}
+    assert {key for key, one in found['parameters'].items() if one['matters']} == {'cross_track_m'}
     assert (out / 'shrink.png').read_bytes().startswith(b'\x89PNG')
 
 

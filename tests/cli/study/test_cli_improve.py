@@ -54,9 +54,9 @@ def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(t
     (('--start', 'none.safetensors'), 'weights: none.safetensors: no such file'),
     (('--budget', '12', '--rounds', '9'), 'improve: --budget 12 leaves 0 runs'),
     (('--add', 'crossing'), "--add 'crossing': not PROGRAM=COUNT"),
-    (('--resume',), '--resume: say with --out which folder'),
+    (('--resume',), '--resume: name the folder to continue with --out'),
     (('--resume', '--out', 'none'), 'none/improve.json: No such file'),
-    (('--out', 'here'), '--out here: exists already'),
+    (('--out', 'here'), '--out here: already exists'),
 ])
 def test_given_bad_input_then_one_line_and_exit_code_2(words, reason, taxinet, tmp_path):
     (tmp_path / 'here').mkdir()

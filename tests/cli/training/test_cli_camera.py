@@ -131,22 +131,22 @@ def test_given_json_when_compared_then_stdout_is_one_object_and_stderr_names_the
 
 
 BAD = {
-    'truth': (['compare', 'DRIVE', '--perception', 'truth'], 'does not look at pictures'),
+    'truth': (['compare', 'DRIVE', '--perception', 'truth'], 'uses no camera image'),
     'unknown perception': (['compare', 'DRIVE', '--perception', 'tru'], 'known: truth, taxinet'),
     'no folder': (['compare', 'nowhere'], 'nowhere: no such folder'),
     'no labels': (['compare', '.'], 'labels.csv: no such file'),
-    'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], '--set heading: the labels'),
+    'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], 'heading_deg: given by the'),
     'bad light': (['compare', 'DRIVE', '--set', 'clouds=fog'], "clouds is 'fog'"),
     'off our runway': (['compare', 'DRIVE', '--distance-offset', '9000'], '--distance-offset'),
     'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'number of metres'),
     'no key': (['frame', '--set', 'clouds'], 'expected key=value'),
     'unknown key': (['frame', '--set', 'cloud=clear'], "unknown key 'cloud'"),
-    'no PNG': (['frame', '--out', 'f.jpg'], 'name it f.png'),
-    'no parent': (['frame', '--out', 'no/where.png'], 'there is no folder no'),
+    'no PNG': (['frame', '--out', 'f.jpg'], 'use f.png'),
+    'no parent': (['frame', '--out', 'no/where.png'], 'no such folder: no'),
     'not writable': (['frame', '--out', '/proc/f.png'], 'cannot be written'),
     'hours twice': (['sheet', '--set', 'time_of_day=9'], 'use --hours 9'),
-    'hours no numbers': (['sheet', '--hours', 'noon'], "--hours 'noon': expected numbers"),
-    'impossible hour': (['sheet', '--hours', '25'], 'outside 0..86400'),
+    'hours no numbers': (['sheet', '--hours', 'noon'], "--hours 'noon': expected comma-"),
+    'impossible hour': (['sheet', '--hours', '25'], 'outside 0..24 h'),
     'unknown sky': (['sheet', '--clouds', 'fog'], "clouds is 'fog'"),
     'rain from a clear sky': (['sheet', '--clouds', 'clear', '--rain', '9'], 'rain needs clouds'),
     'unknown command': (['film'], 'film'),
@@ -190,8 +190,8 @@ def test_s_shadow_given_hours_then_a_line_each_tells_how_dark_it_is(taxinet):
     assert afternoon.split()[0] == '15:00'
     assert [float(word) for word in afternoon.split()[4:7]] == pytest.approx([0.24] * 3, abs=0.01)
     for words, complaint in (
-        (('--hours', ''), "--hours '': expected numbers"),
-        (('--set', 'time_of_day=3'), '--set time_of_day: varies over the table; use --hours'),
+        (('--hours', ''), "--hours '': expected comma-separated numbers"),
+        (('--set', 'time_of_day=3'), '--set time_of_day_h: varies over the table; use --hours'),
     ):
         code, out, err = taxinet('shadow', *words)
         assert (code, out) == (2, '')

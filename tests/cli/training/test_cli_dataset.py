@@ -68,7 +68,7 @@ def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(
         running.send_signal(signal.SIGINT)
         _, errors = running.communicate()
     assert running.returncode == 130
-    assert errors == f'interrupted; what is in {out} stays, continue with --resume\n'
+    assert errors == f'interrupted; images in {out} are kept, continue with --resume\n'
     images = [path for path in (out / 'images').iterdir() if not path.name.startswith('.')]
     assert 3 <= len(images) < 2000
     assert all(path.read_bytes().endswith(b'IEND\xaeB`\x82') for path in images)
@@ -98,7 +98,7 @@ BAD = {
     ),
     'measuring nothing': (['evaluate'], 'either a program or --data'),
     'measuring the truth': (
-        ['evaluate', 'nominal', '--perception', 'truth'], 'does not look at images',
+        ['evaluate', 'nominal', '--perception', 'truth'], 'uses no camera image',
     ),
 }
 

@@ -60,15 +60,15 @@ NAMED = linear(shape=('side', 1, 4, 6)).SerializeToString()
 BROKEN = [
     (b'', 'net.onnx: is empty; copy it again'),
     (b'version https://git-lfs.github.com/spec/v1', 'git lfs pull'),
-    (b'\0' * 200, 'net.onnx: is no model that onnxruntime '),
-    (b'PK\3\4 a torch file', 'net.onnx: is no model that onnxruntime '),
-    (b'ORTM' + b'\0' * 100, 'net.onnx: is no model that onnxruntime '),
-    (b'// Neural Network File Format', 'net.onnx: is no model that onnxruntime '),
-    (WHOLE[:-7], 'net.onnx: is no model that onnxruntime '),
-    (WHOLE[: len(WHOLE) // 2], 'net.onnx: is no model that onnxruntime '),
-    (NAMED.replace(b'side', b'\xfe\xff\xff\xff'), 'net.onnx: is no model that onnxruntime '),
+    (b'\0' * 200, 'net.onnx: is not a model that onnxruntime '),
+    (b'PK\3\4 a torch file', 'net.onnx: is not a model that onnxruntime '),
+    (b'ORTM' + b'\0' * 100, 'net.onnx: is not a model that onnxruntime '),
+    (b'// Neural Network File Format', 'net.onnx: is not a model that onnxruntime '),
+    (WHOLE[:-7], 'net.onnx: is not a model that onnxruntime '),
+    (WHOLE[: len(WHOLE) // 2], 'net.onnx: is not a model that onnxruntime '),
+    (NAMED.replace(b'side', b'\xfe\xff\xff\xff'), 'net.onnx: is not a model that onnxruntime '),
     (WHOLE.replace(b'weights', b'\xff\xff\xff\xff\xff\xff\xff', 1), 'net.onnx: is no model that '),
-    (WHOLE + b'rest', 'net.onnx: is no model that onnxruntime '),
+    (WHOLE + b'rest', 'net.onnx: is not a model that onnxruntime '),
 ]
 
 
@@ -101,7 +101,7 @@ def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(
     file.unlink()
     assert complaint(path).startswith(f'net{suffix}: no such file')
     file.mkdir()
-    assert complaint(path) == f'net{suffix}: is no file; name the file itself'
+    assert complaint(path) == f'net{suffix}: is not a file; name the file itself'
 
 
 def test_given_no_description_when_checked_then_the_manual_is_named(tmp_path: Path) -> None:
@@ -145,8 +145,8 @@ DISAGREEING: list[tuple[onnx.ModelProto, dict[str, Any], str]] = [
     (linear(), {'input.layout': 'flat'}, "say (1, 24), but the model's input 'picture' is (?,"),
     (linear(), {'input.colour': 'rgb'}, "say (1, 3, 4, 6), but the model's input 'picture' is (?"),
     (linear(), {'input.height': 5}, "say (1, 1, 5, 6), but the model's input 'picture' is (?,"),
-    (linear(shape=(8, 1, 4, 6)), {}, "but the model's input 'picture' is (8, 1, 4, 6); mend the"),
-    (linear((1, 2, 3)), {}, 'outputs has 2 entries, but the model gives 3 numbers; mend the'),
+    (linear(shape=(8, 1, 4, 6)), {}, "but the model's input 'picture' is (8, 1, 4, 6); correct"),
+    (linear((1, 2, 3)), {}, 'outputs has 2 entries, but the model gives 3 numbers; correct the'),
     (model(IDENTITY), {}, 'net.yaml: outputs has 2 entries, but the model gives 24 numbers'),
     (linear(shape=(None,) * 4), {'input.height': 5}, 'net.onnx: fails on a grey frame ('),
     (linear((math.nan, 0)), {}, 'net.onnx: answers a grey frame with numbers that are not finite'),
@@ -234,7 +234,7 @@ def test_f8_given_a_network_that_rolls_dice_for_some_frames_then_the_layer_is_na
     path = save(tmp_path, DICE[name])
     OnnxNetwork(NetworkFiles.read(path))  # the runtime takes it
     assert complaint(path) == (
-        f'net.onnx: has a layer that rolls dice, {name.split()[0]}; export it for inference, '
+        f'net.onnx: has a random layer, {name.split()[0]}; export it for inference, '
         'without random layers')
 
 
@@ -300,7 +300,7 @@ MULTIPLIED = constant(LARGE, *(Node('MatMul', [f'm{i}'] * 2, [f'm{i + 1}']) for 
 
 
 @pytest.mark.parametrize(('network', 'fragment'), [
-    (constant(HUGE), 'net.onnx: needs more memory than a network may have, 2 GiB'),
+    (constant(HUGE), 'net.onnx: needs more memory than allowed for a network, 2 GiB'),
     (MULTIPLIED, 'net.onnx: needs more than 2 s of processor time to be opened'),
     (looped(), 'net.onnx: needs more than 2 s of processor time to be opened'),
 ], ids=['constants', 'products', 'loop'])
@@ -321,7 +321,7 @@ def test_f8_given_a_network_without_measure_when_chosen_then_it_takes_nothing_he
 
 @pytest.mark.parametrize(('number', 'error', 'words'), [
     (signal.SIGKILL, InfraError, 'killed by SIGKILL'),
-    (signal.SIGSEGV, UsageError, 'breaks the process that tries it (killed by SIGSEGV)'),
+    (signal.SIGSEGV, UsageError, 'crashes its trial process (killed by SIGSEGV)'),
     (signal.SIGXCPU, UsageError, 'needs more than 30 s of processor time'),
 ])
 def test_f8_given_a_trial_that_is_killed_then_it_is_told_whose_fault_that_is(
@@ -342,7 +342,7 @@ def test_f8_given_a_file_that_changes_while_it_is_tried_then_it_is_refused(
     old = NetworkFiles.read(path)
     save(tmp_path, linear((0.5, 0.5)))
     monkeypatch.setattr(NetworkFiles, 'read', lambda path: old)
-    assert told(path).startswith('net.onnx: was changed while it was looked at')
+    assert told(path).startswith('net.onnx: was changed during the check')
 
 
 def test_f8_given_a_network_that_was_tried_when_made_again_then_no_other_process_is_started(

@@ -145,7 +145,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ('outputs.0.positive', 'east', "outputs[0].positive: expected one of left, right, got 'east'"),
     ('outputs.0.scale', 0, 'outputs[0].scale: makes the network say nothing'),
     ('outputs.0.scale', math.inf, 'outputs[0].scale: expected a number, -1e+06 to 1e+06, got inf'),
-    ('outputs.0.quantity', 'ignore', 'outputs[0].unit: says nothing about an ignored number'),
+    ('outputs.0.quantity', 'ignore', 'outputs[0].unit: has no meaning for an ignored'),
     ('outputs.1', CTE, 'outputs: has 2 entries with quantity cte; the steering needs one'),
     ('outputs', [CTE], 'outputs: has 0 entries with quantity heading_error'),
 ]
@@ -164,7 +164,7 @@ def test_given_a_colour_picture_when_its_numbers_do_not_fit_then_it_is_refused()
     assert 'scaling.mean: expected a list of 3 numbers, -1e+06 to 1e+06, got [0.5]' in said
     said = complaint(yaml.safe_dump(described({
         'input.colour': 'rgb', 'input.layout': 'flat'})).encode())
-    assert said == 'input.layout: is flat, which is for grey pictures; write nchw or nhwc'
+    assert said == 'input.layout: is flat, which is only for grey images; write nchw or nhwc'
 
 
 def test_given_blocks_when_the_resized_frame_were_huge_then_it_is_refused() -> None:

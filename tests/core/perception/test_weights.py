@@ -92,15 +92,15 @@ HUGE_HEADER = b'\xff' * 8 + b'{}'
 CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     'missing': (lambda path: path.unlink(), 'no such file'),
     'a folder': (lambda path: (path.unlink(), path.mkdir()), 'no such file'),
-    'empty': (lambda path: rewrite(path, b''), 'no whole safetensors file'),
-    'truncated': (truncate, 'no whole safetensors file'),
-    'header of 2^64 bytes': (lambda path: rewrite(path, HUGE_HEADER), 'no whole safetensors'),
+    'empty': (lambda path: rewrite(path, b''), 'not a complete safetensors file'),
+    'truncated': (truncate, 'not a complete safetensors file'),
+    'header of 2^64 bytes': (lambda path: rewrite(path, HUGE_HEADER), 'not a complete safetensors'),
     'bit flipped': (flip_a_bit, 'SHA-256'),
     'wrong checksum': (entries(weights_sha256='0' * 64), 'SHA-256'),
     'Git LFS pointer': (lambda path: rewrite(path, LFS), 'git lfs pull'),
     'pickle': (lambda path: rewrite(path, pickle.dumps({'a': 1})), 'pickle'),
     'zip of pickles': (lambda path: rewrite(path, b'PK\x03\x04' + bytes(90)), 'pickle'),
-    'text': (lambda path: rewrite(path, b'hello world, no weights'), 'no whole safetensors'),
+    'text': (lambda path: rewrite(path, b'hello world, no weights'), 'not a complete safetensors'),
     'wrong shape': (change(**{'conv0.bias': np.zeros(17, np.float32)}), 'conv0.bias is float32'),
     'wrong type': (change(**{'conv0.bias': np.zeros(16)}), 'conv0.bias is float64'),
     'array missing': (change(**{'output.bias': None}), 'output.bias is missing'),
@@ -161,7 +161,7 @@ def test_given_a_file_far_too_large_when_loaded_then_it_is_not_even_read(tmp_pat
     path = save_sample(tmp_path)
     with path.open('ab') as file:
         file.truncate(1 << 40)  # sparse: it takes no room on the disk
-    with pytest.raises(UsageError, match='too many for a TaxiNet'):
+    with pytest.raises(UsageError, match='too large for a TaxiNet'):
         load_model(path)
 
 

@@ -48,7 +48,7 @@ def test_given_a_signal_while_the_program_is_compiled_then_nothing_is_left_behin
         pids = [*children(campaign.pid, '')]
         campaign.send_signal(number)
         result = ended(campaign)
-    assert result == (code, '', '')
+    assert result == (code, '', 'taxinet: interrupted\n')
     wait_for(lambda: all(map(gone, pids)))
     assert list(tmp_path.iterdir()) == []
 
@@ -94,7 +94,7 @@ def test_given_signal_after_signal_then_nothing_is_waited_for_and_nothing_is_lef
         campaign.send_signal(signal.SIGINT)
         campaign.send_signal(signal.SIGTERM)
         result = ended(campaign)
-    assert (result[0], result[2]) == (143, '')
+    assert (result[0], result[2]) == (143, 'taxinet: interrupted\n')
     wait_for(lambda: all(map(gone, pids)))
     steps = steps_in(tmp_path / BAG)
     assert len(steps) > 3

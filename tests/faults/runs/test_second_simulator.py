@@ -79,7 +79,7 @@ def test_f5_given_an_answer_without_an_outcome_then_it_is_an_error_of_the_bench(
     assert (result.outcome, result.kind, result.who) == (
         Outcome.INFRA_ERROR, 'protocol', 'simulator'
     )
-    assert result.detail == "answered '', which is no outcome"
+    assert result.detail == "answered '', which is not an outcome"
 
 
 pytestmark = pytest.mark.ros
@@ -116,7 +116,7 @@ def test_given_a_clock_that_runs_backwards_then_not_a_byte_changes(tmp_path):
 def test_given_a_clock_of_other_steps_then_the_bag_is_not_declared_sound(tmp_path):
     result, _ = disturbed_run(tmp_path, lambda step: step * PERIOD_NS + 12_345)
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
-    assert 'which is no control step; does a second simulator publish?' in result.detail
+    assert 'which is not a control step; is there a second simulator?' in result.detail
     assert result.rho == {}
     steps = steps_in(tmp_path / 'run')
     assert steps == list(range(len(steps)))

@@ -140,8 +140,8 @@ def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_pa
         ({'lockstep': 'no'}, 'lockstep:=no: expected true or false'),
         ({'resume': 'perhaps'}, 'resume:=perhaps: expected true or false'),
         ({'perception': 'gone.py:look'}, 'gone.py: No such file'),
-        ({'perception': 'truth', 'perception_cmd': 'mine'}, 'give one of the two'),
-        ({'scenario': 'nominal', 'program': 'crossing'}, 'give one of the two'),
+        ({'perception': 'truth', 'perception_cmd': 'mine'}, 'give only one'),
+        ({'scenario': 'nominal', 'program': 'crossing'}, 'give only one'),
         ({'controller_cmd': 'no-such-program-anywhere'}, 'no such program'),
         ({'controller': 'cmd:'}, 'names no program'),
         ({'perception': 'external', 'namespace': '3x', 'controller': 'cmd:env x'}, 'namespace:=3x'),
@@ -169,7 +169,7 @@ def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignor
     check_names(['perception:=truth', 'launch-prefix:=nice'])
     with pytest.raises(UsageError, match=r'perceptoin:=truth.*did you mean perception\?'):
         check_names(['runs:=3', 'perceptoin:=truth'])
-    with pytest.raises(UsageError, match=r'weights:=a\.onnx: say perception:=a\.onnx'):
+    with pytest.raises(UsageError, match=r'weights:=a\.onnx: renamed; use perception:=a\.onnx'):
         check_names(['weights:=a.onnx'])
 
 
@@ -179,7 +179,7 @@ def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignor
     ('scenario:=s_falsif', 'program:=crossing'),
 ])
 def test_r13_given_two_words_for_one_thing_then_a_default_that_was_typed_counts_too(one, other):
-    with pytest.raises(UsageError, match='give one of the two') as raised:
+    with pytest.raises(UsageError, match='give only one') as raised:
         check_names([one, other])
     assert one in str(raised.value)
     assert other in str(raised.value)

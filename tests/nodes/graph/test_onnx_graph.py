@@ -98,5 +98,5 @@ def test_f8_given_a_network_that_asks_for_gigabytes_when_used_then_one_line_and_
     )
     assert done.returncode == 2, done.stderr
     (line,) = done.stderr.splitlines()
-    assert 'net.onnx: needs more memory than a network may have, 2 GiB; make it smaller' in line
+    assert 'net.onnx: needs more memory than allowed for a network, 2 GiB; make it smaller' in line
     assert {path.name for path in tmp_path.iterdir()} == before

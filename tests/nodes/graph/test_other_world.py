@@ -32,7 +32,7 @@ def test_given_a_world_of_a_package_when_a_graph_runs_in_it_then_its_bag_tells_a
         installed.syspath_prepend(str(site))
         lay_down(site, 'light-world', CODE, worlds='light = LIGHT')
         options = GraphOptions(
-            perception='truth', out=tmp_path, images='none', timeouts={'world': 'light'},
+            perception='truth', out=tmp_path, images='none', world='light',
         )
         results: list[RunResult] = []
         with composed_graph(options) as graph:
@@ -54,4 +54,4 @@ def test_given_a_world_of_a_package_when_a_graph_runs_in_it_then_its_bag_tells_a
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    assert 'took place in world light' in capfd.readouterr().err
+    assert "world: 'light' is unknown" in capfd.readouterr().err

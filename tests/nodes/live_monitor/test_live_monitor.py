@@ -167,7 +167,7 @@ def test_given_nan_then_there_is_no_verdict_until_the_service_begins_anew(robot)
 
     robot.until(lambda: restart.service_is_ready() and imu.get_subscription_count())
     answer = begin_anew()
-    assert (answer.success, answer.message) == (False, 'nothing to end: no sample yet')
+    assert (answer.success, answer.message) == (False, 'nothing to restart: no sample yet')
     say(5, 0.0)
     say(5.1, math.nan)
     say(5.2, 0.75)
@@ -214,7 +214,7 @@ def test_given_repeat_and_no_header_then_stretches_follow_one_another_by_the_clo
          "'position'"),
         ('cte=/robot/odom:child_frame_id', 'child_frame_id is a string, no number'),
         ('cte=/robot/odom:pose.covariance[36]', 'there are 36 elements'),
-        ('cte=/both:data', 'topic /both is published with 2 types: std_msgs/msg/Float64, '
+        ('cte=/both:data', 'topic /both has publishers of 2 types: std_msgs/msg/Float64, '
          'std_msgs/msg/String'),
     ],
 )
@@ -238,8 +238,8 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
 @pytest.mark.parametrize(
     ('parameters', 'words'),
     [
-        ({'signals': ODOM}, 'specs: give one at least'),
-        ({'specs': [NEAR]}, 'signals: give one at least'),
+        ({'signals': ODOM}, 'specs: at least one is required'),
+        ({'specs': [NEAR]}, 'signals: at least one is required'),
         ({'signals': ['cte']}, "signals: 'cte': expected NAME=/topic:field"),
         ({'signals': ['cte=/a b:x']}, 'expected NAME=/topic:field'),
         ({'signals': ['cte=/a-b:x'], 'specs': [NEAR]}, "'cte=/a-b:x'"),
@@ -250,9 +250,9 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
             'parameter specs: spec far: always[9:12] begins 9 s into the run, which lasts 5 s',
         ),
         ({'signals': ['cte[m]=/a:x'], 'specs': ['a=cte < 1 deg']}, 'expected a length'),
-        ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is there twice'),
+        ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is given twice'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'y'}, 'known: cte, speed'),
-        ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'one of both'),
+        ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'only one'),
         ({'signals': ODOM, 'specs': [NEAR], 'repeat': True}, 'needs a horizon'),
         ({'signals': ODOM, 'specs': [NEAR], 'bounds': ['he=0:1']}, "bounds: 'he=0:1': unknown"),
         ({'signals': ODOM, 'specs': [NEAR], 'rates': ['speed=-1']}, "rates: 'speed=-1': expected"),

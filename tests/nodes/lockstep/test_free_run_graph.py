@@ -141,10 +141,10 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
 def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slow, tmp_path):
     _, bag = slow
     assert find_run(bag).timing.free
-    with pytest.raises(UsageError, match='a free run: free runs depend on how fast'):
+    with pytest.raises(UsageError, match='a free run: free runs depend on the speed'):
         make_shrink_options(bag, perception='truth', specs=('phi_always',), nominal=(), runs=100,
                             workers=1, out=tmp_path / 'never', resume=False, images='none')
-    with pytest.raises(UsageError, match='a free run: frames without an answer'):
+    with pytest.raises(UsageError, match='a free run, whose unanswered frames'):
         run_replay(ReplayOptions(
             recording=open_recording(bag), target='perception', perception='truth', controller=None,
             tolerance_cte_m=0.0, tolerance_he_deg=0.0, out=tmp_path / 'r'))
@@ -189,5 +189,5 @@ def test_r5_given_a_free_graph_then_a_rule_to_stop_is_refused(tmp_path):
     result = run(composed_graph(options(tmp_path, 'truth', '1')), asked)
     assert (result.outcome, result.detail) == (
         Outcome.REJECTED,
-        'stop_on violated: not in a free run, where nobody waits for the monitor',
+        'stop_on violated: not in a free run, which does not wait for the monitor',
     )

@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 
 from taxinet_ros.bag.cdr.image import frame_of_cdr, image_cdr
 from taxinet_ros.bag.run import message_values
+from taxinet_ros.bag.run.messages import camera_info_cdr
 from taxinet_ros.core.camera.camera import Camera, intrinsics, pose, project
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
@@ -35,7 +36,8 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
     scenario = Scenario(
         cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast',
         rain_fraction=0.4, time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
-        aircraft='c172p', duration_s=12.0,
+        aircraft='c172p', wind_speed_mps=2.0, wind_direction_rad=1.5, gust_mps=0.5, gust_seed=3.0,
+        runway_state='icy', slope_fraction=-0.01, speed_mps=4.0, duration_s=12.0,
     )
     default = Scenario()
     for field in dataclasses.fields(Scenario):
@@ -128,7 +130,7 @@ STATE = AircraftState(
 
 
 def test_given_the_message_then_size_and_matrices_are_the_cameras_and_it_is_rectified():
-    message = convert.camera_info_message()
+    message = deserialize_message(camera_info_cdr(0), CameraInfo)
     assert (message.height, message.width, 3) == Camera(Scenario()).render(STATE, 0).shape
     np.testing.assert_array_equal(np.reshape(message.k, (3, 3)), intrinsics())
     np.testing.assert_array_equal(np.reshape(message.r, (3, 3)), np.eye(3))
@@ -138,7 +140,7 @@ def test_given_the_message_then_size_and_matrices_are_the_cameras_and_it_is_rect
 
 
 def test_given_points_in_the_optical_frame_when_p_is_applied_then_the_pixels_are_the_pictures():
-    projection = np.reshape(convert.camera_info_message().p, (3, 4))
+    projection = np.reshape(deserialize_message(camera_info_cdr(0), CameraInfo).p, (3, 4))
     points = np.array([(x, y, z) for x in (505.0, 530.0) for y in (-12.0, 4.0) for z in (0.0, 1.0)])
     _, to_optical, place = pose(STATE)
     optical = np.column_stack([(points - place) @ to_optical.T, np.ones(len(points))])

@@ -12,19 +12,12 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo
 from taxinet_msgs import msg as taxinet
 
 from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.run.message_values import command_of, error_of
-from taxinet_ros.bag.topics import describe_topic
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.mtl import Reading, Spec, Verdict
-from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion
-from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.messages import convert
-from taxinet_ros.nodes.messages.step import (
-    StepCollector,
+from taxinet_ros.bag.run.messages import (
     camera_info_cdr,
     clock_cdr,
     command_cdr,
@@ -33,6 +26,14 @@ from taxinet_ros.nodes.messages.step import (
     progress_cdr,
     robustness_cdr,
 )
+from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import Reading, Spec, Verdict
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.messages import convert
+from taxinet_ros.nodes.messages.step import StepCollector
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -68,7 +69,7 @@ def serialised(topic, message) -> bytes:
 def test_given_a_time_then_clock_and_camera_info_say_it(stamp_ns):
     clock = Clock(clock=convert.time_of(stamp_ns))
     assert clock_cdr(stamp_ns) == serialised(interface.CLOCK, clock)
-    info = convert.camera_info_message()
+    info = deserialize_message(camera_info_cdr(0), CameraInfo)
     info.header.stamp = convert.time_of(stamp_ns)
     assert info.header.frame_id == 'camera_optical'
     assert camera_info_cdr(stamp_ns) == serialised(interface.CAMERA_INFO, info)

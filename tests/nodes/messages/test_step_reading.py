@@ -13,16 +13,13 @@ from std_msgs.msg import Header
 from taxinet_msgs.msg import NodeStatus, TrackingError
 
 from taxinet_ros.bag.errors import BagCorrupt
+from taxinet_ros.bag.run.messages import command_cdr, error_cdr, odometry_cdr, progress_cdr
 from taxinet_ros.core import types
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.step import (
     Motion,
     StepMessage,
-    command_cdr,
-    error_cdr,
-    odometry_cdr,
-    progress_cdr,
     step_reader,
 )
 

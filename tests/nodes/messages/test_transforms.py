@@ -23,7 +23,9 @@ from taxinet_ros.bag.cdr.image import frame_of_cdr
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.run_bag import bag_topics
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import message_definition, type_hash
 from taxinet_ros.core.camera import camera
@@ -31,8 +33,6 @@ from taxinet_ros.core.place import runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.messages.step import odometry_cdr
-from taxinet_ros.nodes.recorder import bag_topics
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.simulator import Simulator
 

@@ -20,6 +20,7 @@ from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from taxinet_msgs.msg import NodeStatus
 
+from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.cli.run.check_node import run_check
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -27,7 +28,6 @@ from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.messages.step import observation_messages
 from taxinet_ros.nodes.node_check.clauses import CLAUSES, Finding, Status, judge
 from taxinet_ros.nodes.node_check.driver import CheckOptions, check_node, command_starter
 from taxinet_ros.nodes.node_check.record import ROLES, SIDES, Answer, End, Question, Record, Run
@@ -121,8 +121,8 @@ def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
 def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
     found = by_clause(checks[ODD].result()[0])
     assert 'not reproducible' in found['reproducible'].came
-    assert 'without a seed' in found['forgets'].came
-    assert 'runs take longer' in found['time'].came
+    assert 'unseeded' in found['forgets'].came
+    assert 'slower than real time' in found['time'].came
     assert 'AWAY' in found['sign'].came
     assert 'radians?' in found['limits'].came
 
@@ -143,8 +143,8 @@ def judged(role: str, answer: Callable[[TrackingError], TrackingError | TaxiComm
 
 @pytest.mark.parametrize(('cte', 'he', 'says'), [
     (1.0, 1.0, 'CTE 0.00 m, HE 0.00 deg'),
-    (-1.0, 1.0, 'CTE looks as if its sign were swapped'),
-    (1.0, -0.5, 'HE looks as if its sign were swapped'),
+    (-1.0, 1.0, 'CTE seems to have the wrong sign'),
+    (1.0, -0.5, 'HE seems to have the wrong sign'),
     (1.0, 180 / math.pi, 'HE looks like degrees'),
     (0.0, 1.0, 'CTE is always the same'),
 ])
@@ -159,7 +159,7 @@ def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
 
 @pytest.mark.parametrize(('gain', 'says'), [
     (-0.05, '3 m left of the line: -8.6 deg; towards the line'),
-    (0.05, '3 m left of the line: 8.6 deg; steers AWAY from the line'),
+    (0.05, '3 m left of the line: 8.6 deg; steers AWAY from the centreline'),
     (0.0, 'it does not steer'),
 ])
 def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
@@ -193,9 +193,9 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
 
 
 @pytest.mark.parametrize(('publishes', 'more', 'says'), [
-    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s asked for'),
-    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic asked for'),
-    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s asked for'),
+    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s requested'),
+    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic requested'),
+    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s requested'),
     (True, {'lifespan': Duration(nanoseconds=1)}, 'lifespan 1e-09 s offered'),
     (True, {'deadline': Duration(seconds=1)}, ''),
     (True, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, ''),
@@ -211,10 +211,10 @@ def test_given_quality_of_service_in_time_then_what_cannot_match_is_named(publis
 
 
 @pytest.mark.parametrize(('more', 'says'), [
-    ({'log': Path('no_such_folder/x.log')}, 'there is no folder no_such_folder'),
+    ({'log': Path('no_such_folder/x.log')}, 'no such folder: no_such_folder'),
     ({'log': Path('/')}, 'is a folder'),
     ({'patience_s': math.nan}, '--patience nan: not a number'),
-    ({'command': str(HERE / 'wrong_node.py')}, "for a node say 'python3 "),
+    ({'command': str(HERE / 'wrong_node.py')}, "give 'python3 "),
 ])
 def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(more, says):
     words = {
@@ -299,7 +299,7 @@ def test_given_a_node_without_ready_after_a_strange_image_then_it_fails():
 def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
     findings = judge(Record(role=ROLES['perception']))
     assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
-    assert {one.came for one in findings[1:]} == {'mend starts first'}
+    assert {one.came for one in findings[1:]} == {'fix starts first'}
 
 
 def test_given_the_docs_then_they_have_each_clause_with_these_words():
@@ -323,9 +323,10 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
     pixels = np.zeros((200, 360, 3), np.uint8)
     now = Observation(seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, state=state, image=pixels)
     steps = {}
+    types = {topic.name: topic.type for topic in interface.TOPICS}
     for topic, cdr in observation_messages(now, 'r'):
-        message = deserialize_message(cdr, topic.type)
-        stamp = message.clock if topic is interface.CLOCK else message.header.stamp
+        message = deserialize_message(cdr, types[topic.name])
+        stamp = message.clock if topic.name == interface.CLOCK.name else message.header.stamp
         steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
     assert steps == {
         topic.name: seq for topic in interface.TOPICS

@@ -18,7 +18,7 @@ from taxinet_ros.study.stages.plan import NETWORKS
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 CHOICE = Choice(
     dimension=Dimension(name='ego.position.y', low=0, high=2000, buckets=10),
-    feeds=frozenset({'distance'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
+    feeds=frozenset({'distance_m'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
 )
 
 ALL = slice(None)
@@ -89,7 +89,7 @@ def shadow_pairs(
     """Some of the pairs of the experiment, evenly over the day from 6 to 18 h."""
     hours = np.linspace(6.01, 17.99, len(without))
     return {'shadows': pd.DataFrame({
-        'time_of_day': hours[some], 'rho_shadows': with_shadow[some],
+        'time_of_day_h': hours[some], 'rho_shadows': with_shadow[some],
         'rho_no_shadows': without[some],
     })}
 

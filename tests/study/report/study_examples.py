@@ -83,7 +83,7 @@ def _learned(folder: Path, less: float, seed: int) -> None:
     probabilities[7] -= less
     choice = Choice(
         dimension=Dimension(name='ego.position.y', low=0, high=2000, buckets=10),
-        feeds=frozenset({'distance'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
+        feeds=frozenset({'distance_m'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
     )
     amounts = tuple(10.0 if number == 7 else 2.0 for number in range(10))
     result = LearnedResult(
@@ -114,7 +114,8 @@ def _experiment(folder: Path) -> None:
     }))
     hours = np.arange(6, 18, 0.2)
     pd.DataFrame({
-        'time_of_day': hours, 'rho_shadows': 0.5, 'rho_no_shadows': np.where(hours < 12, 0.5, 0.7),
+        'time_of_day_h': hours, 'rho_shadows': 0.5,
+        'rho_no_shadows': np.where(hours < 12, 0.5, 0.7),
     }).to_parquet(folder / 'pairs.parquet', index=False)
 
 
@@ -125,5 +126,5 @@ def _row(index: int, arm: str) -> RunRow:
         run_id=f'r-{index}', index=index, program='halton_time_of_day', seed=0,
         perception='original', outcome=Outcome.PASS,
         robustness=exact_intervals({'phi_eventually': rho}),
-        left_runway=False, max_cross_track_m=1.0, settle_time_s=3.0, **scene.to_columns(),
+        left_runway=False, max_cross_track_m=1.0, settle_time_s=3.0, **scene.to_human(),
     )

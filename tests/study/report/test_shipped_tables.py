@@ -78,7 +78,7 @@ def test_paper_given_tables_then_the_command_reports_them_and_refuses_what_would
     printed = capsys.readouterr().out
     assert 'late_morning: Not as in the paper (p ' in printed
     assert (tmp_path / 'new' / 'report' / 'case_study.json').is_file()
-    with pytest.raises(UsageError, match='--out new: exists already'):
+    with pytest.raises(UsageError, match='--out new: already exists'):
         run_case_study(CaseStudyOptions(tables=ROOT / 'bags', out=Path('new')))
     with pytest.raises(UsageError, match=r'--tables .*: runs nothing; leave --resume out'):
         run_case_study(CaseStudyOptions(tables=ROOT / 'bags', resume=True))

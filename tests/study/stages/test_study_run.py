@@ -303,11 +303,11 @@ def test_doctor_given_what_a_stage_has_made_then_it_is_looked_for(tmp_path: Path
     assert examine(tmp_path).findings == []
     made.write_bytes(b'2')
     assert [(one.where, one.what) for one in examine(tmp_path).findings] == [
-        (str(made), 'is not the file that stage one has made')
+        (str(made), 'is not the file made by stage one')
     ]
     made.unlink()
     assert [one.what for one in examine(tmp_path).findings] == [
-        'is not there, and stage one has made it'
+        'is missing, but was made by stage one'
     ]
     with StageLog(tmp_path) as log:  # one that is begun anew makes it anew
         log.write('begin', 'one', identity='b', runs=1, resumed=False)

@@ -65,7 +65,7 @@ def test_given_scenes_when_written_then_images_and_labels_are_theirs_and_checksu
     ]  # fmt: skip
     table = pd.read_parquet(out / 'labels.parquet')
     assert list(table.columns) == [
-        'image', 'cte_m', 'heading_error_deg', 'distance_m', *HUMAN_KEYS, 'sha256',
+        'image', 'cte_m', 'heading_error_deg', *HUMAN_KEYS, 'sha256',
     ]  # fmt: skip
     assert list(table['image']) == [f'images/00000{i}.png' for i in range(6)]
     assert len(list((out / 'images').iterdir())) == 6
@@ -162,7 +162,7 @@ def test_given_a_strange_file_among_the_images_when_resumed_then_it_is_refused_a
     with pytest.raises(KeyboardInterrupt):
         write_dataset(options(out), interrupt_after(4))
     (out / 'images' / name).write_text('mine')
-    with pytest.raises(UsageError, match=f'{name}: is not what') as caught:
+    with pytest.raises(UsageError, match=f'{name}: differs from what') as caught:
         write_dataset(options(out, resume=True))
     assert '\n' not in str(caught.value)
     assert (out / 'images' / name).read_text() == 'mine'
@@ -171,7 +171,7 @@ def test_given_a_strange_file_among_the_images_when_resumed_then_it_is_refused_a
 @pytest.mark.parametrize(
     ('change', 'reason'),
     [
-        ({'resume': False}, 'say --resume'),
+        ({'resume': False}, 'use --resume'),
         ({'seed': 5}, 'begun with seed 4, not 5'),
         ({'count': 7}, 'begun with count 6, not 7'),
         ({'varied': True}, 'begun with varied False, not True'),
@@ -196,7 +196,7 @@ def test_given_a_folder_with_other_things_when_made_then_it_is_refused_and_kept(
     tmp_path: Path,
 ) -> None:
     (tmp_path / 'notes.txt').write_text('mine')
-    with pytest.raises(UsageError, match='not empty; name another'):
+    with pytest.raises(UsageError, match='not empty; choose another'):
         write_dataset(options(tmp_path))
     with pytest.raises(UsageError, match='nothing was begun'):
         write_dataset(options(tmp_path, resume=True))
@@ -308,7 +308,7 @@ def test_f2_given_any_damage_to_a_dataset_then_it_is_refused_and_the_doctor_name
         (out / name).write_bytes(data)
     facts = (out / 'dataset.json').rename(tmp_path / 'dataset.json')
     assert [one.what for one in examine(out).findings] == [
-        'nothing vouches for it: dataset.json is not there'
+        'cannot be verified: dataset.json is not there'
     ]
     facts.rename(out / 'dataset.json')
     request = out / 'request.json'

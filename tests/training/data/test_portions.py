@@ -45,7 +45,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
                 fingerprint=told.nodes['perception'].fingerprint,
                 outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
                 steps=told.steps,
-                **recorded.scenario.to_columns(),
+                **recorded.scenario.to_human(),
             ))
     if bags:
         shutil.copytree(GOLDEN, folder / GOLDEN.name)

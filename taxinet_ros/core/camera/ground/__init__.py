@@ -1,1 +1,1 @@
-"""The ground as the camera sees it: textures, styles and projection."""
+"""Ground rendering: textures, styles and projection."""

@@ -1,4 +1,4 @@
-"""The ground as textures: the whole runway strip as one ripmap, and a tile of fine grain.
+"""Ground textures: the whole runway strip as one ripmap, and a tile of fine grain.
 
 The strip spans x = -100..3,176.8 m in rows of 0.4 m. Its columns follow a bent ruler: 0.12 m each
 within 19.2 m of the centreline, 0.9 m beyond, out to 163 m. So the paint is sharp, the atlas is
@@ -35,7 +35,7 @@ HALF_SPAN_M = FINE_HALF_M + _SIDE_COLUMNS * COARSE_M
 
 GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
-"""Grain code that leaves the ground as it is: the product is scaled by its inverse."""
+"""Neutral grain code: the product is scaled by its inverse."""
 
 
 @cache
@@ -46,7 +46,7 @@ def ground_atlas() -> NDArray[np.uint8]:
 
 @cache
 def uncrossed_atlas() -> NDArray[np.uint8]:
-    """The same without the crossing runway, made where a scene asks for it."""
+    """The atlas without the crossing runway, made on first use."""
     return make_ground_atlas(dataclasses.replace(STANDARD, crossing=False))
 
 
@@ -136,7 +136,7 @@ def grain_atlas() -> NDArray[np.uint8]:
 
 
 def _tile_noise(seed: int, blur_texels: float) -> Floats:
-    """Smooth noise of deviation 1 that joins itself at the tile's borders."""
+    """Smooth noise of deviation 1, periodic at the tile's borders."""
     noise = np.random.default_rng(seed).standard_normal((GRAIN_TEXELS,) * 2, dtype=np.float32)
     pad = 32
     wide = np.pad(noise, pad, mode='wrap')

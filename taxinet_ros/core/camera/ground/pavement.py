@@ -1,6 +1,6 @@
-"""The runway's surface as a picture: asphalt, joints, worn paint, tyre rubber, the crossing.
+"""Texture of the runway surface: asphalt, joints, worn paint, tyre rubber, the crossing.
 
-A style holds the shades, the wear and the pattern of chance of its textures.
+A style holds shades, wear and random seed of its textures.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ _OPTIONAL = ('threshold', 'designation', 'aiming', 'touchdown', 'centreline')
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroundStyle:
-    """The look of the ground.
+    """Appearance of the ground.
 
     Attributes:
-        seed: of everything that chance has laid down: mottle, cracks, streaks, wear.
+        seed: seed of all random patterns: mottle, cracks, streaks, wear.
         asphalt, rubber, paint: display codes 0..255 in bright daylight.
         asphalt_tint, near_tint, far_tint: RGB factors of clean asphalt, and display codes of the
             bare ground beside the runway and of the grass farther out.
         mottle: strength of the asphalt's mottle, joints and cracks, 1 = as at KMWH.
-        rubber_amount: how much tyre rubber lies about, 1 = as at KMWH.
-        rubber_shift_m: how far left of the centreline most of it lies [m].
-        wear: how much of the paint is gone, 1 = as at KMWH.
+        rubber_amount: amount of tyre rubber, 1 = as at KMWH.
+        rubber_shift_m: lateral offset of its maximum, left of the centreline positive [m].
+        wear: wear of the paint, 1 = as at KMWH.
         edge_wear: the same for the edge stripes, 0 = fresh.
         dash_scale, dash_shift_m: factor on lengths along the runway, and shift [m], of all paint
             but the edge stripes.
         without: kinds of marking (see :class:`~taxinet_ros.core.place.runway.Marking`) left out.
-        crossing: whether the crossing runway is there and interrupts pavement and paint.
+        crossing: whether the crossing runway exists and interrupts pavement and paint.
     """
 
     seed: int = 0
@@ -57,13 +57,13 @@ class GroundStyle:
     crossing: bool = True
 
 STANDARD = GroundStyle()
-"""KMWH 04 as the camera shows it in every test."""
+"""KMWH 04, the standard style."""
 
 
 def varied_style(rng: np.random.Generator) -> GroundStyle:
-    """A look drawn at random, wide enough that real pictures should lie within (Tobin et al. 2017).
+    """Random style, wide enough to contain real images (domain randomization, Tobin et al. 2017).
 
-    Asphalt is kept apart from the ground beside it and from the paint, as on any runway in use.
+    Asphalt stays distinguishable from the ground beside it and from the paint.
     """
     asphalt = rng.uniform(85, 160)
     near = rng.uniform(100, 185)
@@ -94,7 +94,7 @@ def _tint(values: np.ndarray) -> Tint:
 
 
 _CROSSING_SHADE = 13.0
-"""How much darker than ours the crossing runway's asphalt is, in display codes."""
+"""Darkening of the crossing runway's asphalt, in display codes."""
 _CROSSING_PAINT_SHADE = 8.0
 _CRACK = np.array([[0.5], [1.0], [0.5]], np.float32)
 _PAINT_TINT = np.array([1.01, 1.0, 0.96], np.float32)
@@ -200,7 +200,7 @@ def _lay_paint(value: Floats, grid: Grid, style: GroundStyle) -> Floats:
 
 
 def _markings(style: GroundStyle) -> list[runway.Marking]:
-    """The paint that a style leaves there, stretched and shifted along the runway by it."""
+    """The markings kept by a style, stretched and shifted along the runway."""
 
     def moved(marking: runway.Marking) -> runway.Marking:
         if marking.kind == 'edge':
@@ -213,7 +213,7 @@ def _markings(style: GroundStyle) -> list[runway.Marking]:
 
 
 def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
-    """Share of every texel that a polygon covers: rows, columns and the share (0..1) there."""
+    """Coverage of texels by a polygon: rows, columns and the share (0..1)."""
     points = np.array([(grid.column(y), grid.row(x)) for x, y in polygon])
     first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
     last = np.minimum(np.ceil(points.max(axis=0)).astype(int), (grid.columns, grid.rows))
@@ -221,7 +221,7 @@ def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]
         return slice(0, 0), slice(0, 0), np.zeros((0, 0), np.float32)
     columns, rows = slice(first[0], last[0]), slice(first[1], last[1])
     fine = np.zeros(((last[1] - first[1]) * 4, (last[0] - first[0]) * 4), np.uint8)
-    # Pixel centres are whole numbers to fillPoly and it fills up to and with its edge.
+    # fillPoly has integer pixel centres and includes the polygon's edge.
     corners = np.rint(((points - first) * 4 - 0.5) * 16).astype(np.int32)
     cv2.fillPoly(fine, [corners], (255,), lineType=cv2.LINE_8, shift=4)
     size = (last[0] - first[0], last[1] - first[1])
@@ -247,9 +247,9 @@ def _lay_rubber(value: Floats, painted: Floats, grid: Grid, style: GroundStyle) 
     patchy = smooth_noise(style.seed + 32, grid.shape, (3.0 / grid.dx_m, 0.4 / grid.dy_m))
     patchy += smooth_noise(style.seed + 33, grid.shape, (14.0 / grid.dx_m, 0.5 / grid.dy_m))
     density *= np.clip(1 + 0.2 * patchy, 0.45, 1.6)
-    # Paint is smoother than asphalt and is washed, so less rubber stays on it.
+    # Paint is smoother than asphalt and washed by rain, so less rubber stays on it.
     density *= 1 - 0.5 * painted
-    # What shows through: 1 / e^density, by its series; exp itself differs between processors.
+    # Transmission exp(-density) by its series, since exp differs between processors.
     through = 1 / (1 + density * (1 + density * (1 / 2 + density * (1 / 6 + density / 24))))
     value -= np.float32(style.rubber)
     value *= through
@@ -287,7 +287,7 @@ def _streak(
 
 
 def _smear(density: Floats, grid: Grid, style: GroundStyle) -> None:
-    """The grey carpet under the streaks of both touchdown zones, and the faint centre trail."""
+    """Uniform rubber layer under the streaks of both touchdown zones, and faint centre trail."""
     x, y = grid.centres(slice(0, grid.rows))
     y = y - np.float32(style.rubber_shift_m)
     near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.LENGTH_M - x, 40, 780)
@@ -304,7 +304,7 @@ def _carpet(x: Floats, start: float, end: float) -> Floats:
 
 
 def _lay_crossing(value: Floats, grid: Grid, style: GroundStyle) -> None:
-    """The crossing runway with its own paint and rubber, over everything of ours."""
+    """Draw the crossing runway with its paint and rubber over the main runway."""
     reach = runway.CROSSING_CLEAR_HALF_M + 8
     slant = max(abs(grid.y0_m), abs(grid.y0_m + grid.columns * grid.dy_m)) / math.tan(
         abs(runway.CROSSING_YAW_RAD)

@@ -1,4 +1,4 @@
-"""The ground seen through a pinhole: inverse mapping of a picture into the ground's ripmaps."""
+"""Ground through a pinhole camera: inverse mapping of an image into the ground's ripmaps."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ Vectors = NDArray[np.float64]
 _SHARPNESS = 0.8
 _GRAIN_REACH_M = 26.0
 _FINER_CODES = 1.5
-"""The grain times the gain leaves codes unused; stretched to them it rounds less."""
+"""Grain times gain leaves codes unused; stretching to the full range reduces rounding."""
 
 _LEAST_FALL = GROUND_END_TAN / 2
 
 _BEND = COARSE_M / FINE_M - 1
 _BESIDE_BEND = 1e-3
 
-# Texels are counted from the far end of the ripmaps, so that a multiplication changes the level.
-# Columns are the coarse ruler's, which the bend once more makes the fine one's.
+# Texels are counted from the far end of the ripmaps, so that changing the level is a
+# multiplication. Columns are the coarse ruler's, which the bend once more makes the fine one's.
 _ROW_END, _COLUMN_END = 2 * ROWS, 2 * COLUMNS
 _ROW_START = -START_X_M / ROW_M - _ROW_END
 _MIDDLE = (COLUMNS / 2 - _COLUMN_END) / (1 + _BEND)
@@ -54,7 +54,7 @@ _FINER = tuple(
 
 
 def _ruler() -> pixels.Ruler:
-    """What of the way from a pixel to its texels depends neither on the pose nor on the light."""
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light."""
     tile = GRAIN_TEXELS
     grain_along, grain_across = (
         (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
@@ -77,7 +77,7 @@ def _ruler() -> pixels.Ruler:
 
 
 class GroundView:
-    """Renders the unlit ground; owns the buffer that makes a frame free of allocations."""
+    """Renders the unlit ground; owns the buffers, so that frames need no allocations."""
 
     def __init__(
         self,
@@ -92,10 +92,10 @@ class GroundView:
         Args:
             atlas: ripmap of the ground's colours.
             grain: ripmap of the factor on them.
-            gain: factor on red, green and blue, at most 1; it rides on the grain for free.
-            hidden: columns at the left of each row of the pictures, (height,), that something else
-                will cover; what is there means nothing.
-            width: of the pictures [px].
+            gain: factor on red, green and blue, at most 1; merged into the grain at no cost.
+            hidden: columns at the left of each row of the pictures, (height,), that will be
+            covered; their content is undefined.
+            width: width of the images [px].
         """
         height = len(hidden)
         stretched = _FINER_CODES * gain
@@ -113,7 +113,7 @@ class GroundView:
         )
 
     def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
-        """Colours of the ground times the gain, (height, width, 3) uint8; a buffer, used again.
+        """Colours of the ground times the gain, (height, width, 3) uint8; a reused buffer.
 
         Args:
             rays: homogenous pixel to a direction in ``map``, (3, 3).
@@ -127,10 +127,10 @@ class GroundView:
 
 @cache
 def _dither(height: int, width: int) -> Floats:
-    """Factor of half an octave up and down, well mixed over the picture.
+    """Dither factor of half an octave up and down over the image.
 
-    It dissolves the borders between a ripmap's levels, where blending two would double the work.
-    Roberts' R2 sequence spreads it evenly; it is fixed to the picture.
+    It hides the borders between ripmap levels at half the cost of blending. Roberts' R2 sequence
+    spreads it evenly; it is fixed to the picture.
     """
     u = np.arange(width)[None, :] * 0.7548776662466927
     v = np.arange(height)[:, None] * 0.5698402909980532

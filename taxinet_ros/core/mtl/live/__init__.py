@@ -1,1 +1,1 @@
-"""Signals of running topics: sampled, held and joined for a monitor."""
+"""Signals of live topics, sampled and held for a monitor."""

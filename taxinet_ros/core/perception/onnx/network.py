@@ -260,7 +260,7 @@ class OnnxNetwork:
 
     def _disagrees(self, description: str, model: str) -> UsageError:
         return file_error(
-            sidecar_path(self._path), f'{description}, but {model}; mend the description'
+            sidecar_path(self._path), f'{description}, but {model}; correct the description'
         )
 
 
@@ -312,7 +312,7 @@ def _open(path: Path, data: bytes) -> _Model:
             ) from None
         if short_of_memory(error):
             raise too_large(path) from None
-        raise file_error(path, f'is no model that onnxruntime {onnxruntime.__version__} can run '
+        raise file_error(path, f'is not a model that onnxruntime {onnxruntime.__version__} can run '
                         f'({_reason(error)}); copy or export it again') from None
 
 
@@ -323,7 +323,7 @@ def _read(path: Path, most: int) -> bytes:
                 '; an ONNX network needs its description beside it, see docs/onnx.md')
             raise file_error(path, f'no such file{beside}')
         if not path.is_file():
-            raise file_error(path, 'is no file; name the file itself')
+            raise file_error(path, 'is not a file; name the file itself')
         if path.stat().st_size > most:
             raise file_error(path, f'has more than {most >> 10} KiB; is it the right file?')
         data = path.read_bytes()
@@ -333,7 +333,7 @@ def _read(path: Path, most: int) -> bytes:
         raise file_error(path, 'is empty; copy it again')
     if data.startswith(b'version https://git-lfs'):
         raise file_error(
-            path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull'
+            path, 'is only a Git LFS pointer; get the file with: git lfs pull'
         )
     return data
 
@@ -347,7 +347,7 @@ def too_large(path: Path) -> UsageError:
     """An error about a network that needs too much memory."""
     return file_error(
         path,
-        f'needs more memory than a network may have, {MEMORY_BYTES >> 30} GiB; make it smaller',
+        f'needs more memory than allowed for a network, {MEMORY_BYTES >> 30} GiB; make it smaller',
     )
 
 

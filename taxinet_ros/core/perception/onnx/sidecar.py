@@ -173,7 +173,7 @@ def _picture(section: Section) -> Picture:
         brightest=brightest,
     )
     if picture.layout == 'flat' and picture.colour != 'grey':
-        raise section.wrong('is flat, which is for grey pictures; write nchw or nhwc', 'layout')
+        raise section.wrong('is flat, which is only for grey images; write nchw or nhwc', 'layout')
     return picture
 
 
@@ -227,13 +227,13 @@ def _output(entry: Section) -> Output:
     if quantity == 'ignore':
         for key in ('unit', 'positive', 'scale', 'offset'):
             if key in entry:
-                raise entry.wrong('says nothing about an ignored number; leave it out', key)
+                raise entry.wrong('has no meaning for an ignored output; leave it out', key)
         return Output(quantity=quantity)
     unit = _UNITS[quantity][entry.word('unit', tuple(_UNITS[quantity]))]
     sign = _SIGNS[entry.word('positive', tuple(_SIGNS))]
     scale = entry.number('scale', -_MOST, _MOST)
     if abs(scale) < _LEAST:
-        raise entry.wrong('makes the network say nothing; write the value at an output of 1',
+        raise entry.wrong('makes the output constant; write the value at an output of 1',
                           'scale')
     offset = entry.number('offset', -_MOST, _MOST, 0.0)
     return Output(quantity=quantity, scale=scale * unit * sign, offset=offset * unit * sign)

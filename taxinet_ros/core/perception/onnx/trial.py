@@ -1,4 +1,4 @@
-"""A stranger's network, tried in a process with limits before this one opens it.
+"""Try a third-party network in a process with resource limits before opening it here.
 
 Opening a model runs part of it, in native code that nothing here can interrupt: some hundred bytes
 can ask for gigabytes, or for hours. So ``python -m taxinet_ros.core.perception.onnx.trial
@@ -97,7 +97,7 @@ def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
         raise UsageError(answer['error'])
     if answer['fingerprint'] != fingerprint:
         raise file_error(
-            files.path, 'was changed while it was looked at; name a file that stays as it is'
+            files.path, 'was changed during the check; name a file that does not change'
         )
     return str(answer['answers'])
 
@@ -107,13 +107,13 @@ def _lost(path: Path, code: int) -> UsageError | InfraError:
     if code == -signal.SIGXCPU:
         return file_error(
             path,
-            f'needs more than {CPU_S} s of processor time to be opened and to look at '
-            'a few frames; make it smaller',
+            f'needs more than {CPU_S} s of processor time to be opened and evaluated on a few '
+            'frames; make it smaller',
         )
     how = exit_words(code)
     if code == -signal.SIGKILL:
         return InfraError(InfraKind.DIED, f'trial of {path}', -1, how)
-    return file_error(path, f'breaks the process that tries it ({how}), which may have '
+    return file_error(path, f'crashes its trial process ({how}), which may use '
                      f'{MEMORY_BYTES >> 30} GiB of memory; make it smaller, or export it again')
 
 
@@ -143,7 +143,7 @@ def _refuse_dice(files: NetworkFiles) -> None:
         if node.op_type in RANDOM_LAYERS or _drops_out(node):
             raise file_error(
                 files.path,
-                f'has a layer that rolls dice, {node.op_type}; export it for '
+                f'has a random layer, {node.op_type}; export it for '
                 'inference, without random layers',
             )
 

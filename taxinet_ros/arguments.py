@@ -1,0 +1,207 @@
+"""What public functions and values take: a wrong kind is one line that names the parameter.
+
+A door says what each parameter takes, once, where it is defined::
+
+    @takes(path=PATH, runs=WHOLE)
+    def falsify(path, *, runs=100): ...
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import numbers
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, NamedTuple, ParamSpec, TypeVar
+
+from taxinet_ros.errors import UsageError
+
+P = ParamSpec('P')
+T = TypeVar('T')
+_TOLD_CHARACTERS = 40
+
+
+class Kind(NamedTuple):
+    """What a parameter takes.
+
+    Attributes:
+        words: it in words, as in "expected ...".
+        accepts: whether a value is one; it may fail on values that are none.
+    """
+
+    words: str
+    accepts: Callable[[Any], bool]
+
+    def __or__(self, other: Kind) -> Kind:
+        """What is of one kind or the other."""
+        return Kind(
+            f'{self.words} or {other.words}', lambda value: self.has(value) or other.has(value)
+        )
+
+    def has(self, value: Any) -> bool:
+        """Whether a value is of this kind, whatever it is."""
+        try:
+            return bool(self.accepts(value))
+        except Exception:  # somebody's value may fail at anything
+            return False
+
+    def check(self, name: str, value: Any) -> None:
+        """Refuse a value of another kind.
+
+        Raises:
+            UsageError: it names the parameter, what came and what was expected.
+        """
+        if not self.has(value):
+            raise UsageError(f'{name}: got {told(value)}; expected {self.words}')
+
+
+def told(value: object) -> str:
+    """A value in a few words: plain ones as they are, others by their type."""
+    if isinstance(value, type):
+        return f'the class {value.__name__}'
+    if value is None or isinstance(value, str | bytes | bool | int | float):
+        text = repr(value)
+        return text if len(text) <= _TOLD_CHARACTERS else f'{text[:_TOLD_CHARACTERS]}…'
+    if isinstance(value, list | tuple | dict | set) and not value:
+        return f'an empty {type(value).__name__}'
+    return f'a {type(value).__name__}'
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a real number, NaN among them; True and False are none."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def a(words: str, *types: type) -> Kind:
+    """What is of one of some types."""
+    return Kind(words, lambda value: isinstance(value, types))
+
+
+def _is_flag(value: Any) -> bool:
+    return isinstance(value, bool) or type(value).__name__ in ('bool_', 'bool')
+
+
+def _is_path(value: Any) -> bool:
+    text = os.fspath(value)
+    return isinstance(text, str) and bool(text) and '\0' not in text
+
+
+def _is_table(value: Any) -> bool:
+    pandas = sys.modules.get('pandas')  # who has a table has imported it
+    return pandas is not None and isinstance(value, pandas.DataFrame)
+
+
+NONE = Kind('None', lambda value: value is None)
+TEXT = a('a text', str)
+WORD = Kind('a word', lambda value: isinstance(value, str) and bool(value.strip()))
+FLAG = Kind('True or False', _is_flag)
+NUMBER = Kind('a number', is_number)
+FINITE = Kind('a finite number', lambda value: is_number(value) and math.isfinite(value))
+WHOLE = Kind(
+    'a whole number',
+    lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool),
+)
+FROM_0 = Kind('a whole number from 0', lambda value: WHOLE.has(value) and value >= 0)
+FROM_1 = Kind('a whole number from 1', lambda value: WHOLE.has(value) and value >= 1)
+PATH = Kind('a path', _is_path)
+TABLE = Kind('a pandas DataFrame', _is_table)
+TEXTS = TEXT | Kind('a list of texts', lambda value: isinstance(value, list | tuple) and all(
+    isinstance(one, str) for one in value
+))
+MAPPING = Kind('a mapping of names to values', lambda value: isinstance(value, Mapping) and all(
+    isinstance(name, str) for name in value
+))
+_OF_FIELDS = {'float': NUMBER, 'bool': FLAG, 'str': TEXT}
+
+
+def takes(
+    _elsewhere: Mapping[str, str] = {}, /, **kinds: Kind
+) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Have a function refuse arguments of other kinds than those named.
+
+    Args:
+        _elsewhere: arguments that it does not have, and where to have what they ask for.
+        kinds: what each parameter takes.
+    """
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+        known = [name for name in signature.parameters if name != 'self']
+        assert set(kinds) <= set(known), 'a parameter is gone'
+
+        @functools.wraps(function)
+        def call(*args: P.args, **given: P.kwargs) -> T:
+            name = function.__name__
+            for extra in given:
+                if extra not in known:
+                    why = _elsewhere.get(extra, f'unknown; it takes {", ".join(known)}')
+                    raise UsageError(f'{name}: {extra}: {why}')
+            try:
+                bound = signature.bind(*args, **given)
+            except TypeError as error:
+                raise UsageError(f'{name}: {error}; it takes {", ".join(known)}') from None
+            for parameter, value in bound.arguments.items():
+                if parameter in kinds:
+                    kinds[parameter].check(parameter, value)
+            return function(*args, **given)
+
+        return call
+
+    return decorate
+
+
+_OPTION = re.compile(r'(taxinet [^;,]*)|(?<![\w-])--([a-z][a-z-]*[a-z])')
+_PARAMETERS = {
+    'spec': 'specs', 'set': 'settings', 'sampler-option': 'sampler_options', 'bound': 'bounds',
+    'rate': 'rates',
+}
+"""Options of the command line whose parameter in Python has another name."""
+
+
+def python_words(line: str) -> str:
+    """A line about options of ``taxinet run`` for one who calls a function; commands stay.
+
+    ``--sampler-option floor=0.3`` becomes ``sampler_options floor=0.3``.
+    """
+    def parameter(found: re.Match[str]) -> str:
+        command, option = found.groups()
+        return command or _PARAMETERS.get(option, option.replace('-', '_'))
+
+    return _OPTION.sub(parameter, line)
+
+
+def says_parameters(function: Callable[P, T]) -> Callable[P, T]:
+    """Have a function that shares its checks with the command line complain of its parameters."""
+    @functools.wraps(function)
+    def call(*args: P.args, **given: P.kwargs) -> T:
+        try:
+            return function(*args, **given)
+        except UsageError as error:
+            if type(error) is not UsageError or (words := python_words(str(error))) == str(error):
+                raise
+            raise UsageError(words) from error
+
+    return call
+
+
+def check_fields(value: Any) -> None:
+    """Refuse a dataclass with a field of another kind than it is annotated as; NaN is a number.
+
+    Raises:
+        UsageError: it names the class and the field.
+    """
+    of_class: Any = type(value)
+    for name, kind in _kinds_of(of_class):
+        kind.check(f'{of_class.__name__}: {name}', getattr(value, name))
+
+
+@functools.cache
+def _kinds_of(kind: Any) -> tuple[tuple[str, Kind], ...]:
+    return tuple(
+        (field.name, _OF_FIELDS[str(field.type)]) for field in fields(kind)
+        if str(field.type) in _OF_FIELDS
+    )

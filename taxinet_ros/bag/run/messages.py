@@ -1,0 +1,215 @@
+"""The messages of a run as bytes, made of core values without ROS.
+
+Nodes publish these bytes as they are, and a run in one process saves them as its bag: floats pass
+unchanged, so graph and loop have the same bits. What ROS makes of message objects with the same
+values is the same to the byte (``tests/nodes/messages``).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from taxinet_ros.bag.cdr.alignment import FORMATS
+from taxinet_ros.bag.cdr.decode import typestore
+from taxinet_ros.bag.cdr.fields import MessageTemplate
+from taxinet_ros.bag.cdr.image import image_cdr
+from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
+from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.core import topics
+from taxinet_ros.core.camera import camera
+from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
+from taxinet_ros.core.world import Observation
+
+_STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
+_STEP = (*_STAMP, 'seq')
+_KEPT = 256
+"""Cache size of templates per kind: more than the formulas of a run."""
+_PROGRESS_STATE = 1
+"""``NodeStatus.PROGRESS``."""
+
+Values = Mapping[str, Any]
+"""Fields of a message by name, a message within as such a mapping; what is missing is zero."""
+
+
+def header_values(stamp_ns: int, frame_id: str = MAP_FRAME) -> Values:
+    """Header at simulated time ``stamp_ns``."""
+    sec, nanosec = divmod(stamp_ns, NS_PER_S)
+    return {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': frame_id}
+
+
+def message_cdr(topic: Topic, values: Values) -> bytes:
+    """Any message of a topic, serialised."""
+    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
+    store = typestore(described)
+    return bytes(store.serialize_cdr(_message(store, topic.type_name, values), topic.type_name))
+
+
+def _message(store: Any, type_name: str, values: Values) -> Any:
+    kinds = dict(store.fielddefs[type_name][1])
+    if unknown := set(values) - set(kinds):
+        raise KeyError(f'{type_name} has no {", ".join(sorted(unknown))}')
+    fields = {name: _field(store, kind, values.get(name)) for name, kind in kinds.items()}
+    return store.types[type_name](**fields)
+
+
+def _field(store: Any, kind: Any, value: Any) -> Any:
+    node, what = kind
+    if node is Nodetype.NAME:
+        return _message(store, what, value or {})
+    if node is Nodetype.BASE:
+        empty = '' if what[0] == 'string' else np.dtype(what[0]).type(0).item()
+        return empty if value is None else value
+    element, count = what
+    if element[0] is Nodetype.BASE and element[1][0] in FORMATS:
+        given = [0] * (count if node is Nodetype.ARRAY else 0) if value is None else value
+        return np.array(given, dtype=element[1][0])
+    return [_field(store, element, one) for one in value or ()]
+
+
+def clock_cdr(stamp_ns: int) -> bytes:
+    """Simulated time [ns]."""
+    return _clock().filled(*divmod(stamp_ns, NS_PER_S))
+
+
+def camera_info_cdr(stamp_ns: int) -> bytes:
+    """Intrinsics of the wing camera, stamped [ns]."""
+    return _camera_info().filled(*divmod(stamp_ns, NS_PER_S))
+
+
+def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
+    """True state: pose in map, velocity in base_link."""
+    return _odometry().filled(
+        *divmod(stamp_ns, NS_PER_S), state.x_m, state.y_m, state.z_m,
+        *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
+        state.speed_mps, state.yaw_rate_radps,
+    )
+
+
+def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
+    """True or estimated tracking error."""
+    return _error(run_id).filled(
+        *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
+    )
+
+
+def command_cdr(command: TaxiCommand, run_id: str, seq: int, stamp_ns: int) -> bytes:
+    """A command."""
+    return _command(run_id).filled(
+        *divmod(stamp_ns, NS_PER_S), seq, command.steering_rad, command.speed_mps
+    )
+
+
+def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int) -> bytes:
+    """Current robustness of one formula."""
+    return _robustness(spec.name, spec.text, run_id).filled(
+        *divmod(stamp_ns, NS_PER_S), seq, reading.lower, reading.upper, reading.verdict,
+        reading.final, reading.valid, reading.samples, reading.rejected, reading.trusted,
+    )
+
+
+def progress_cdr(
+    node: str, implementation: str, fingerprint: str, run_id: str, seq: int, stamp_ns: int
+) -> bytes:
+    """Status of a lockstep node with progress up to ``seq``.
+
+    Args:
+        node: its name.
+        implementation: name of its implementation.
+        fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        run_id: its run.
+        seq: the last control step it has finished.
+        stamp_ns: simulated time of that [ns].
+    """
+    return _progress(node, implementation, fingerprint, run_id).filled(
+        *divmod(stamp_ns, NS_PER_S), seq
+    )
+
+
+def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic, bytes]]:
+    """Serialised messages of a control step, in order of publication.
+
+    Args:
+        now: the observation.
+        run_id: the run it belongs to.
+    """
+    stamp_ns = now.stamp_ns
+    yield topics.CLOCK, clock_cdr(stamp_ns)
+    yield topics.ODOMETRY, odometry_cdr(now.state, stamp_ns)
+    yield topics.TRUTH, error_cdr(now.state.tracking_error, run_id, now.seq, stamp_ns)
+    yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns)
+    if now.image is not None:
+        yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)
+
+
+@functools.cache
+def _clock() -> MessageTemplate:
+    return _template(topics.CLOCK, {}, 'clock.sec', 'clock.nanosec')
+
+
+@functools.cache
+def _camera_info() -> MessageTemplate:
+    matrix = camera.intrinsics()
+    return _template(topics.CAMERA_INFO, {
+        'header': header_values(0, CAMERA_FRAME),
+        'height': camera.IMAGE_HEIGHT,
+        'width': camera.IMAGE_WIDTH,
+        'distortion_model': 'plumb_bob',
+        'd': [0.0] * 5,
+        'k': matrix.ravel(),
+        'r': np.eye(3).ravel(),
+        'p': np.hstack([matrix, np.zeros((3, 1))]).ravel(),
+    }, *_STAMP)
+
+
+@functools.cache
+def _odometry() -> MessageTemplate:
+    return _template(
+        topics.ODOMETRY, {'header': header_values(0), 'child_frame_id': BASE_FRAME}, *_STAMP,
+        *(f'pose.pose.position.{axis}' for axis in 'xyz'),
+        *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
+        'twist.twist.linear.x', 'twist.twist.angular.z',
+    )
+
+
+@functools.lru_cache(_KEPT)
+def _error(run_id: str) -> MessageTemplate:
+    values = {'header': header_values(0), 'run_id': run_id}
+    return _template(
+        topics.TRUTH, values, *_STEP, 'cross_track_error', 'heading_error', 'valid'
+    )
+
+
+@functools.lru_cache(_KEPT)
+def _command(run_id: str) -> MessageTemplate:
+    values = {'header': header_values(0, BASE_FRAME), 'run_id': run_id}
+    return _template(topics.COMMAND, values, *_STEP, 'steering_angle', 'speed')
+
+
+@functools.lru_cache(_KEPT)
+def _robustness(name: str, text: str, run_id: str) -> MessageTemplate:
+    values = {'header': header_values(0), 'run_id': run_id, 'spec': name, 'formula': text}
+    return _template(
+        topics.ROBUSTNESS, values, *_STEP,
+        'rho_lower', 'rho_upper', 'verdict', 'final', 'valid', 'samples', 'rejected', 'trusted',
+    )
+
+
+@functools.lru_cache(_KEPT)
+def _progress(node: str, implementation: str, fingerprint: str, run_id: str) -> MessageTemplate:
+    values = {
+        'header': header_values(0, ''), 'run_id': run_id, 'node': node, 'state': _PROGRESS_STATE,
+        'implementation': implementation, 'fingerprint': fingerprint,
+    }
+    return _template(topics.PROGRESS, values, *_STEP)
+
+
+def _template(topic: Topic, values: Values, *fields: str) -> MessageTemplate:
+    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
+    return MessageTemplate(described, message_cdr(topic, values), fields)

@@ -1,0 +1,90 @@
+"""``taxinet plugins``: what stands under which name, whose it is, and whether it can be used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich.console import Console
+
+from taxinet_ros.campaign.samplers.registry import SAMPLERS
+from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.registry import SHIPPED, Extension, installed
+
+_USES: Mapping[str, Callable[[str], Any]] = {
+    'perceptions': check_perception, 'controllers': check_controller,
+    'samplers': SAMPLERS.__getitem__, 'worlds': find_world, 'requirements': parse_spec,
+}
+"""What looks a name up for use, by extension point."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Listed:
+    """A name, and what stands behind it.
+
+    Attributes:
+        extension: what provides it.
+        trouble: why it cannot be used, or ''.
+    """
+
+    extension: Extension
+    trouble: str
+
+
+def show_plugins(name: str | None, *, as_json: bool) -> int:
+    """Print the names of all extension points, or what stands behind one name.
+
+    Returns:
+        Exit code: 0; with a name, 2 where something of that name cannot be used.
+
+    Raises:
+        UsageError: nothing has the name.
+    """
+    found = [
+        Listed(extension=one, trouble=_trouble(one))
+        for kind in SHIPPED for one in installed(kind) if name in (None, one.name)
+    ]
+    if not found:
+        raise UsageError(f'plugins: nothing is called {name!r}; taxinet plugins lists all names')
+    if as_json:
+        print(json.dumps([
+            {**asdict(one.extension), 'shipped': one.extension.shipped, 'usable': not one.trouble,
+             'trouble': one.trouble} for one in found
+        ], indent=2))
+    else:
+        _print(found)
+    broken = any(one.trouble for one in found)
+    return ExitCode.USAGE if name is not None and broken else ExitCode.OK
+
+
+def _trouble(one: Extension) -> str:
+    try:
+        _USES[one.kind](one.name)
+    except UsageError as error:
+        return str(error)
+    return ''
+
+
+def _print(found: list[Listed]) -> None:
+    console = Console(highlight=False)
+    width = max(len(one.extension.name) for one in found)
+    whose = max(len(_whose(one.extension)) for one in found)
+    kind = ''
+    for one in found:
+        if one.extension.kind != kind:
+            kind = one.extension.kind
+            console.print(kind)
+        line = f'  {one.extension.name:<{width}}  {_whose(one.extension):<{whose}}  '
+        console.print(f'{line}{one.extension.target}', soft_wrap=True, markup=False)
+        if one.trouble:
+            console.print(f'    cannot be used: {one.trouble}', soft_wrap=True, markup=False)
+
+
+def _whose(one: Extension) -> str:
+    return 'shipped' if one.shipped else f'{one.distribution} {one.version}'

@@ -1,0 +1,158 @@
+"""``Run.save_bag``: the bag that the graph records of the same run, made without ROS."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.core.topics import PARTICIPANTS
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = tx.Scenario(cross_track_m=2.0, duration_s=1.0)
+SPECS = ['phi_always', 'always(abs(steering) <= 15 deg)']
+WITHOUT_ROS = """
+import sys
+for name in ('rclpy', 'taxinet_msgs', 'sensor_msgs', 'std_msgs', 'builtin_interfaces', 'nav_msgs'):
+    sys.modules[name] = None  # importing it raises ImportError
+"""
+
+
+@pytest.fixture(scope='module')
+def run() -> tx.Run:
+    return tx.run(SHORT, specs=SPECS)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('asked', [
+    {'perception': 'taxinet', 'specs': SPECS},
+    {'perception': 'truth', 'stop_on': 'violated', 'bounds': ['cte=-25:25'], 'rates': ['cte=3']},
+    {'perception': 'truth', 'latency': 'perception=normal(0.15,0.05)',
+     'controller': tx.SteeringLaw(tx.SteeringGains(heading_gain=1.0))},
+    {'perception': f'{ROOT}/examples/perception_function.py:bright_paint'},
+], ids=['network', 'stopped', 'late and tuned', 'file'])
+def test_given_a_run_then_its_bag_is_to_the_byte_the_one_that_the_graph_records(asked, tmp_path):
+    from taxinet_ros.core.outcome import RunRequest
+    from taxinet_ros.core.pacing.timing import parse_latency
+    from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+
+    here = tx.run(SHORT, **asked)
+    bag = here.save_bag(tmp_path / 'loop' / 'run-1')
+    request = RunRequest(
+        run_id='run-1', index=0, program='', seed=0, scenario=SHORT, judging=here.judging,
+        participants=PARTICIPANTS,
+    )
+    options = GraphOptions(
+        perception=asked['perception'], out=tmp_path / 'graph',
+        timing=parse_latency([asked.get('latency', '')]),
+        gains={'heading_gain': 1.0} if 'controller' in asked else {},
+    )
+    with composed_graph(options) as graph:
+        graph.run([request], lambda request, result: True)
+    for file in sorted(bag.iterdir()):
+        assert file.read_bytes() == (tmp_path / 'graph' / 'run-1' / file.name).read_bytes()
+
+
+def test_given_no_ros_then_the_messages_and_types_are_the_same(run, tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-c', WITHOUT_ROS + f"""
+from pathlib import Path
+import taxinet_ros as tx
+from taxinet_ros.bag import topics
+topics._search_path = lambda prefixes: (topics._OURS,)  # nor are its definitions installed
+run = tx.run(tx.Scenario(cross_track_m=2.0, duration_s=1.0), specs={SPECS!r})
+run.save_bag(Path({str(tmp_path)!r}) / 'alone' / 'run')
+"""], capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    bags = run.save_bag(tmp_path / 'beside' / 'run'), tmp_path / 'alone' / 'run'
+    beside, alone = (list(read_messages(bag)) for bag in bags)
+    assert beside == alone
+    described = [
+        {topic.name: (topic.type, topic.type_hash, topic.qos) for topic in read_info(bag).topics}
+        for bag in bags
+    ]
+    assert described[0] == described[1]
+
+
+def test_given_a_saved_run_when_opened_then_it_is_the_run(run, tmp_path):
+    recording = tx.open_recording(run.save_bag(tmp_path / 'a-run'))
+    assert recording.scenario == SHORT
+    pd.testing.assert_frame_equal(recording.trace, run.trace, check_exact=True)
+    assert recording.judge('phi_always').interval == run.rho['phi_always']
+    assert [frame.seq for frame in recording.frames(render=False)] == list(range(11))
+
+
+@pytest.mark.parametrize('command', [
+    ['bag', 'info'], ['bag', 'doctor'], ['bag', 'split', '--out', 'parts'],
+    ['monitor', '--spec', 'phi_always'],
+])
+def test_given_a_saved_run_then_the_commands_read_it(command, run, tmp_path):
+    bag = run.save_bag(tmp_path / 'a-run')
+    done = subprocess.run(
+        [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()', *command, str(bag)],
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+    )
+    assert done.returncode == int(command[0] == 'monitor'), done.stderr  # phi_always is violated
+
+
+def test_given_no_images_then_all_else_is_there(run, tmp_path):
+    recording = tx.open_recording(run.save_bag(tmp_path / 'small', images=False))
+    assert recording.trace.equals(run.trace)
+    assert len(list(recording.frames())) == 11  # rendered anew
+    assert len(list(recording.frames(render=False))) == 0
+
+
+def test_given_what_could_not_be_judged_then_its_bag_says_so(tmp_path):
+    run = tx.run(SHORT, perception=lambda frame: None, specs='always(abs(cte_estimate) <= 9)')
+    assert run.outcome == 'INFRA_ERROR'
+    assert run.detail.endswith('reads cte_estimate, which is nan at 0 s')
+    recording = tx.open_recording(run.save_bag(tmp_path / 'broken'))
+    assert recording.facts.outcome == 'INFRA_ERROR'
+    assert recording.facts.kind == 'invalid_run'
+
+
+@pytest.mark.parametrize('what', ['folder', 'file', 'dangling link'])
+def test_given_something_at_the_path_then_it_is_refused_by_name_and_stays(what, run, tmp_path):
+    there = tmp_path / 'there'
+    if what == 'folder':
+        there.mkdir()
+    elif what == 'file':
+        there.write_text('mine')
+    else:
+        there.symlink_to(tmp_path / 'nowhere')
+    with pytest.raises(tx.UsageError, match='there: exists already'):
+        run.save_bag(there)
+    assert [file.name for file in tmp_path.iterdir()] == ['there']
+
+
+def test_given_a_name_that_no_run_can_have_then_it_is_refused(run, tmp_path):
+    with pytest.raises(tx.UsageError, match='use letters, digits'):
+        run.save_bag(tmp_path / 'my run')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_disk_that_refuses_amid_the_bag_then_nothing_of_it_stays(
+    run, tmp_path, monkeypatch
+):
+    write, written = os.write, []
+
+    def refuse(descriptor, data):
+        written.append(len(data))
+        if len(written) > 5:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, 'write', refuse)
+    with pytest.raises(tx.BagError, match='No space left'):
+        run.save_bag(tmp_path / 'full')
+    monkeypatch.undo()
+    assert len(written) > 5
+    assert list(tmp_path.iterdir()) == []

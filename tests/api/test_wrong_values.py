@@ -1,0 +1,223 @@
+"""Whatever a name of the front door is given, it answers with one line that names the parameter."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.arguments import python_words
+from taxinet_ros.core.world import ChosenWorld, SimulatedWorld
+
+GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
+SHORT = tx.Scenario(duration_s=0.1)
+RUBBISH = [
+    None, 3, -1, 'x', '', 'a\0b', b'', [], {}, (1,), [None], object(), math.nan, True,
+    pd.DataFrame({'a': [1]}), int, Path('no', 'such', 'file'), lambda: None,
+]
+RUN = tx.run(SHORT, specs='phi_always')
+RECORDING = tx.open_recording(GOLDEN / 'truth-nominal')
+STATE = dict.fromkeys(tx.AircraftState.__dataclass_fields__, 0.0)
+CALLS = {
+    'run': (tx.run, {'scenario': SHORT, 'specs': 'phi_always'}),
+    'render': (tx.render, {'scenario': SHORT}),
+    'robustness': (tx.robustness, {'spec': 'phi_always', 'trace': RUN.trace}),
+    'load_perception': (tx.load_perception, {}),
+    'open_recording': (tx.open_recording, {}),
+    'open_campaign': (tx.open_campaign, {}),
+    # No search is begun here, whatever else is right.
+    'falsify': (tx.falsify, {'program': 'no/such.scenic', 'out': 'never'}),
+    'Scenario': (tx.Scenario, {}),
+    'Spec.parse': (tx.Spec.parse, {}),
+    'SteeringGains': (tx.SteeringGains, {}),
+    'SteeringLaw': (tx.SteeringLaw, {}),
+    'TrackingError': (tx.TrackingError, {'cte_m': 0.0, 'he_rad': 0.0}),
+    'TaxiCommand': (tx.TaxiCommand, {'steering_rad': 0.0, 'speed_mps': 5.0}),
+    'AircraftState': (tx.AircraftState, STATE),
+    'Run.frame': (RUN.frame, {}),
+    'Run.save_bag': (RUN.save_bag, {'path': 'saved'}),
+    'Recording.judge': (RECORDING.judge, {}),
+    'Recording.table': (RECORDING.table, {}),
+}
+MADE_FOR_YOU = {'Campaign', 'Counterexample', 'Recording', 'Run', 'Spec'}
+"""Their values come from functions; their methods are above."""
+PYTHONS_OWN = {
+    'Outcome', 'BagError', 'InfraError', 'RecordError', 'UsageError', 'UserCodeError',
+}
+"""An enum, whose members are named, and errors, which are caught."""
+PARAMETERS = [
+    (name, parameter) for name, (call, _) in CALLS.items()
+    for parameter in inspect.signature(call).parameters
+]
+
+
+@pytest.mark.filterwarnings('ignore::UserWarning')
+@pytest.mark.parametrize(('name', 'parameter'), PARAMETERS)
+def test_given_rubbish_then_it_is_taken_or_refused_in_one_line(
+    name, parameter, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    call, others = CALLS[name]
+    lines = []
+    for number, value in enumerate(RUBBISH):
+        given = {**others, parameter: value}
+        if name == 'Run.save_bag' and parameter == 'images':
+            given['path'] = f'saved-{number}'
+        try:
+            call(**given)
+        except (tx.UsageError, tx.BagError) as error:
+            lines.append(str(error))
+    assert len(lines) >= len(RUBBISH) // 2
+    assert all(0 < len(line) < 700 and '\n' not in line for line in lines)
+    assert not Path('never').exists()
+
+
+def test_given_every_name_of_the_package_then_it_is_among_those_tried():
+    tried = {name.partition('.')[0] for name in CALLS}
+    assert set(tx.__all__) <= tried | MADE_FOR_YOU | PYTHONS_OWN
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda: tx.run(None), 'scenario: got None; expected a tx.Scenario'),
+    (lambda: tx.run('phi_always', SHORT), 'run: too many positional arguments'),
+    (lambda: tx.run(SHORT, free=True), 'run: free: needs the graph of nodes; type taxinet run'),
+    (lambda: tx.run(SHORT, spec='phi_always'), 'run: spec: unknown; it takes scenario, perception'),
+    (lambda: tx.run(SHORT, bounds='cte'), "bound 'cte': expected SIGNAL="),
+    (lambda: tx.run(SHORT, latency=0.3), 'latency: got 0.3; expected a text or a list of texts'),
+    (lambda: tx.run(SHORT, perception=tx.SteeringLaw), 'perception: the class SteeringLaw is'),
+    (lambda: tx.run(SHORT, perception=lambda: None), 'perception: a function cannot be called'),
+    (lambda: tx.robustness(RUN.trace, 'phi_always'), 'spec: got a DataFrame; expected a text or a'),
+    (lambda: tx.robustness('phi_always', RUN), 'trace: got a Run; expected a pandas DataFrame'),
+    (lambda: tx.render(SHORT, (1.0, 2.0)), 'pose: got a tuple; expected None, (x_m, '),
+    (lambda: tx.render(SHORT, (1.0, math.inf, 0.0)), 'pose: got a tuple; expected'),
+    (lambda: tx.SteeringLaw(None), 'gains: got None; expected a tx.SteeringGains'),
+    (lambda: tx.TaxiCommand(steering_rad='0', speed_mps=5.0), "TaxiCommand: steering_rad: got '0'"),
+    (lambda: tx.open_recording(None), 'path: got None; expected a path'),
+    (lambda: tx.falsify(tx.run), 'program: got a function; expected a path'),
+    (lambda: tx.falsify('s_falsif', runs=2.0), 'runs: got 2.0; expected a whole number from 1'),
+    (lambda: RUN.frame('0'), "seq: got '0'; expected a whole number"),
+])
+def test_given_a_wrong_kind_then_the_line_names_the_parameter_and_both(call, words):
+    with pytest.raises(tx.UsageError) as caught:
+        call()
+    assert str(caught.value).startswith(words)
+
+
+def test_given_an_object_of_ones_own_then_its_methods_answer():
+    class Eyes:
+        needs_image = False
+
+        def estimate(self, image, truth):
+            assert image is None
+            return truth
+
+    class Hands:
+        def command(self, estimate):
+            return 0.0, 5.0
+
+    run = tx.run(SHORT, perception=Eyes(), controller=Hands())
+    assert run.perception == 'python'
+    assert run.trace['est_cte_m'].equals(run.trace['cte_m'])
+    Eyes.estimate = lambda self, image, truth: 'left'
+    with pytest.raises(tx.UsageError, match="perception: answered 'left'; expected"):
+        tx.run(SHORT, perception=Eyes())
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda: tx.run(SHORT, stop_on='tired'), 'stop_on tired: unknown'),
+    (lambda: tx.run(SHORT, specs=['usable', 'usable']), 'specs: usable is given twice'),
+    (lambda: tx.run(SHORT, specs='no.yaml'), 'specs no.yaml: cannot be read'),
+    (lambda: tx.falsify('s_falsif', resume=True), 'resume: say with out which campaign'),
+    (lambda: tx.falsify('s_falsif', until='tired'), 'until tired: expected'),
+    (lambda: tx.falsify('s_falsif', workers=99), 'workers 99: needs to be within'),
+    (lambda: tx.falsify('s_falsif', settings={'steering.x': 1}), 'settings steering.x: unknown'),
+    (lambda: tx.falsify('s_falsif', out='no', resume=True), 'resume: no/ledger.jsonl: no such'),
+])
+def test_given_what_cannot_be_then_the_line_speaks_of_parameters_not_of_options(
+    call, words, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(tx.UsageError) as caught:
+        call()
+    assert str(caught.value).startswith(words)
+    assert '--' not in str(caught.value)
+
+
+def test_given_a_line_with_a_command_then_that_stays_as_it_is_typed():
+    assert python_words('--out x: see taxinet doctor --mend x, or name another --out') == (
+        'out x: see taxinet doctor --mend x, or name another out'
+    )
+
+
+TRACE = pd.DataFrame({
+    't_s': [0.0, 1.0], 'gap': [2.0, 3.0], 'light': ['dusk', 'day'], 'always': [1.0, 1.0],
+    'not a word': [1.0, 1.0], 'cte_m': [0.1, 0.2],
+})
+
+
+def test_given_a_column_without_numbers_then_it_is_named_and_not_unknown():
+    with pytest.raises(tx.UsageError, match=r"light, which 'light > 0' reads, holds \w+, no"):
+        tx.robustness('light > 0', TRACE)
+    with pytest.raises(tx.UsageError, match=r"unknown 'night'; known: cte, t_s, gap, cte_m$"):
+        tx.robustness('night > 0', TRACE)
+
+
+def test_given_the_signals_that_are_known_then_a_formula_can_read_each():
+    for name in ('cte', 't_s', 'gap', 'cte_m'):
+        assert math.isfinite(tx.robustness(f'always({name} <= 9)', TRACE))
+
+
+def test_given_a_signals_column_in_another_unit_then_it_is_refused():
+    trace = RUN.trace.copy()
+    trace.attrs['units'] = {**trace.attrs['units'], 'he_rad': 'deg'}
+    assert tx.robustness('always(abs(cte) <= 1)', trace) > 0
+    with pytest.raises(tx.UsageError, match='column he_rad is in deg; signal he is in rad'):
+        tx.robustness('always(abs(he) <= 1)', trace)
+
+
+def test_given_a_bag_or_a_campaign_then_the_other_function_is_named(campaign_folder):
+    with pytest.raises(tx.UsageError, match=r'a campaign, no bag; open it with tx\.open_campaign'):
+        tx.open_recording(campaign_folder)
+    with pytest.raises(tx.UsageError, match=r'a bag, no campaign; open it with tx\.open_recording'):
+        tx.open_campaign(GOLDEN / 'truth-nominal')
+    for open_it in (tx.open_campaign, tx.open_recording):
+        with pytest.raises(tx.UsageError, match='nowhere: no such'):
+            open_it(GOLDEN / 'nowhere')
+
+
+def test_given_a_function_in_a_file_that_fails_then_its_error_can_be_caught_by_name(tmp_path):
+    file = tmp_path / 'eyes.py'
+    file.write_text('def look(frame):\n    raise ValueError("blind")\n')
+    with pytest.raises(tx.UserCodeError, match=r'eyes\.py:2.*ValueError: blind'):
+        tx.run(SHORT, perception=f'{file}:look')
+
+
+def test_given_a_world_with_a_nan_then_the_run_says_what_could_not_be_judged(monkeypatch):
+    class Torn(SimulatedWorld):
+        def observe(self, *, picture=True):
+            now = super().observe(picture=picture)
+            return replace(now, state=replace(now.state, y_m=math.nan)) if now.seq else now
+
+    torn = ChosenWorld(name='torn', fingerprint='', make=Torn)
+    monkeypatch.setattr('taxinet_ros.api.run.find_world', lambda name: torn)
+    run = tx.run(SHORT, specs='phi_always', world='torn')
+    assert (run.outcome, run.detail) == (
+        'INFRA_ERROR', 'phi_always reads cte, which is nan at 0.1 s'
+    )
+    assert run.detail in repr(run)
+
+
+@pytest.mark.parametrize('name', ['read_bag', 'read_campaign'])
+def test_given_an_example_without_its_argument_then_it_says_how_to_call_it(name):
+    file = GOLDEN.parents[1] / 'examples' / f'{name}.py'
+    done = subprocess.run([sys.executable, file], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.startswith(f'usage: {name}.py')
+    assert len(done.stderr.splitlines()) == 1
