@@ -7,7 +7,6 @@ ranges, units and words of the values are in :mod:`taxinet_ros.core.scenario_fie
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -60,14 +59,11 @@ class Scenario:
 
     def __post_init__(self) -> None:
         for field in SCENARIO_FIELDS:
-            field.check(getattr(self, field.attribute))
+            given = getattr(self, field.attribute)
+            object.__setattr__(self, field.attribute, field.checked(given))
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
-        try:
-            datetime.date.fromisoformat(self.date)
-        except ValueError as error:
-            raise UsageError(f'scenario: date is {self.date!r}, not YYYY-MM-DD') from error
 
     @property
     def duration_ns(self) -> int:
