@@ -1,1 +1,1 @@
-"""Pictures and figures made from runs. No ROS."""
+"""Plots, figures and reports of runs. No ROS."""

@@ -1,4 +1,4 @@
-"""Fault localisation: is the network or the controller to blame for failures?
+"""Fault localisation: find whether network or controller causes failures.
 
 The paper's (section "Error analysis and debugging"): counterexamples are run again with the
 truth in place of the network's estimates. Here are the verdicts, and the report on them:
@@ -46,9 +46,9 @@ class Blame(enum.StrEnum):
     CONTROLLER = 'controller'
     """It fails with a perfect estimate too: steering law, dynamics or the formula itself."""
     NOT_REPRODUCED = 'not reproduced'
-    """Run once more as it was, it came out otherwise: the world is another one. Not counted."""
+    """The unchanged rerun differs from the recording (other version or machine). Not counted."""
     UNKNOWN = 'unknown'
-    """A trial that it rests on was not made, or could not be judged. Not counted."""
+    """A required trial was not made or could not be judged. Not counted."""
 
 
 class Suffices(enum.StrEnum):
@@ -58,7 +58,7 @@ class Suffices(enum.StrEnum):
     HEADING = 'heading'
     CTE = 'cte'
     NEITHER = 'neither'
-    """Neither alone is enough; where the perception is to blame, it takes both."""
+    """Neither alone is sufficient; both are needed."""
     UNKNOWN = ''
 
 
@@ -224,7 +224,7 @@ def localisation_report(found: Localisation) -> Report:
     """The whole, as a page of its own would show it."""
     sentences = tuple(localisation_sentences(found))
     return Report(
-        title=f'Whose fault: {len(found.cases)} counterexamples of {found.perception}',
+        title=f'Fault localisation: {len(found.cases)} counterexamples of {found.perception}',
         facts={
             'perception': found.perception, 'formula': found.spec,
             'failed runs': f'{found.failed} of {found.runs} judged',
@@ -239,8 +239,7 @@ def localisation_section(found: Localisation) -> Section:
     return Section(
         name='fault-localisation', heading='Whose fault',
         sentences=(
-            'Counterexamples were run once more with something else in the place of the '
-            "network's estimate, in the same scenes and from the same starts.",
+            "Counterexamples were rerun in the same scenes, with the network's estimate replaced.",
         ),
         pictures=(_picture(found),), tables=(_table(found),),
     )
@@ -289,14 +288,14 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
 
 def _blame_words(found: Localisation) -> Iterator[str]:
     if not found.counted:
-        yield 'No counterexample was reproduced as recorded, so nothing can be said.'
+        yield 'No counterexample was reproduced, so no conclusion is possible.'
         return
     if TRUTH not in found.words:
         return
     passed, judged, share = found.passing(TRUTH)
     satisfy = _satisfy(found)
     if not judged:
-        yield 'No run with perfect perception could be judged, so nothing can be said.'
+        yield 'No run with perfect perception could be judged, so no conclusion is possible.'
     elif passed == judged:
         yield (
             f'{_all(judged)} {satisfy(judged)} with perfect perception '
@@ -350,19 +349,19 @@ def _reservations(found: Localisation) -> Iterator[str]:
         names = ', '.join(case.row.run_id for case in others[:3])
         more = ', …' if len(others) > 3 else ''
         yield (
-            f'{len(others)} of {count} did not come out as recorded ({names}{more}) and '
-            f'{"is" if len(others) == 1 else "are"} not counted: the world is another one than '
-            'theirs, as of another version or machine.'
+            f'{len(others)} of {count} were not reproduced ({names}{more}) and '
+            f'{"is" if len(others) == 1 else "are"} not counted: probably recorded by another '
+            'version or machine.'
         )
     if found.rounded:
         yield (
-            f'Of {found.rounded} there is no bag: the ledger has their scenes to nine decimals, '
-            'not to the last bit, so they were only asked to fail again.'
+            f'{found.rounded} have no bag: the ledger has their scenes to nine decimals only, so '
+            'they were only required to fail again.'
         )
     if found.chosen_by not in _UNBIASED:
         yield (
-            f'The scenes were chosen by {found.chosen_by}: the shares are of the counterexamples '
-            'that it finds, not of those of the program.'
+            f'The scenes were chosen by {found.chosen_by}: the shares refer to the counterexamples '
+            'it finds, not to those of the program.'
         )
 
 
@@ -401,7 +400,7 @@ def _share(share: Rate) -> str:
 
 def _table(found: Localisation) -> Table:
     return Table(
-        name='fault_localisation', title='How many pass with what in place of the estimate',
+        name='fault_localisation', title='Passing counterexamples by replacement of the estimate',
         caption='Shares with exact 95 % intervals (Clopper and Pearson); the control has to fail.',
         columns=(
             Column(name='substitution', title='substitution'),

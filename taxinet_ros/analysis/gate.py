@@ -1,4 +1,4 @@
-"""The release gate: do a campaign's runs prove what is asked of them? Verdicts and JUnit XML.
+"""Release gate: check acceptance thresholds on a campaign's runs; verdicts and JUnit XML.
 
 A share of runs is known within an interval only, so there are three answers. PASS: the bound of
 the interval that matters clears the threshold. FAIL: the whole interval is beyond it.
@@ -49,7 +49,7 @@ from taxinet_ros.core.provenance import words
 from taxinet_ros.errors import UsageError
 
 MOST_RUNS = 10**7
-"""Beyond so many further runs nobody waits for an answer."""
+"""Maximum number of additional runs suggested."""
 
 
 class Bounds(NamedTuple):
@@ -97,7 +97,7 @@ class GateOptions:
             if value is not None and not 0 <= value <= 1:
                 raise UsageError(f'{name} {value:g}: a share, so it needs to be within 0..1')
         if self.min_satisfaction is None and self.max_off_runway is None:
-            raise UsageError('gate: say what is asked: --min-satisfaction or --max-off-runway')
+            raise UsageError('gate: give a threshold: --min-satisfaction or --max-off-runway')
         if not 0.5 <= self.confidence < 1:
             raise UsageError(f'--confidence {self.confidence:g}: needs to be within 0.5..1')
         if self.max_infra < 0:
@@ -213,7 +213,7 @@ def _on_runway(rows: Sequence[RunRow], planned: int | None) -> ProgramRate:
         judged = [row for row in rows if row.outcome.judged]
         unknown = sum(row.left_runway is None for row in judged)
         raise UsageError(
-            f'--max-off-runway: {unknown} of {len(judged)} runs were stopped before one knew '
+            f'--max-off-runway: {unknown} of {len(judged)} runs were stopped too early to know '
             'whether they leave the runway; run the campaign without --stop-on'
         )
     return rate_of(rows, lambda row: not row.left_runway, planned)
@@ -250,7 +250,7 @@ def _sentence(
     more: int | None,
 ) -> str:
     if not good.runs:
-        needed = f': all good, {more:,} would do' if more else ''
+        needed = f': {more:,} runs, all good, would suffice' if more else ''
         return f'no run was judged{needed}'
     if not good.drawn:
         return good.why_not
@@ -261,8 +261,8 @@ def _sentence(
     if verdict is not Verdict.INCONCLUSIVE:
         return text
     if more is None:
-        return f'{text}; so near the threshold no number of runs that anybody makes will tell'
-    return f'{text}; about {_rounded(more):,} runs more would tell if the share stays as it is'
+        return f'{text}; too close to the threshold for any realistic number of runs'
+    return f'{text}; about {_rounded(more):,} more runs needed if the share stays the same'
 
 
 def _percent(share: float) -> str:
@@ -299,8 +299,8 @@ def _notes(counts: Mapping[Outcome, int], found: ProgramRate, planned: int) -> l
         notes.append(f'{missing} of {planned} planned runs have no result')
     if 0 < found.drawn < found.runs:
         notes.append(
-            f'the sampler {found.sampler} is biased: shares are of the {found.drawn} of '
-            f'{found.runs} runs that the program itself drew'
+            f'the sampler {found.sampler} is biased: shares refer to the {found.drawn} of '
+            f'{found.runs} runs drawn by the program itself'
         )
     return notes
 

@@ -10,8 +10,8 @@ The traces of a run as a table, on any machine with Python::
     odom = run.table('ground_truth/odom')
     odom.plot('t_s', 'pose.pose.position.y')
 
-Of a run that was not finished these raise :class:`BagTruncated`, one line that says what to do;
-``taxinet bag recover`` makes a whole bag of it.
+For an unfinished run these raise :class:`BagTruncated` with a one-line remedy; ``taxinet bag
+recover`` repairs such a bag.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can be wrong with a bag. Every failure of this package is one of these, on one line."""
+"""Errors of bags. Every failure of this package is one of these, with a one-line message."""
 
 from __future__ import annotations
 
@@ -56,6 +56,6 @@ class BagForeign(BagError):  # noqa: N818 - the state of the bag
 def several_runs(path: Path, one: str, other: str) -> BagForeign:
     """The error of who reads one run, and finds two in a bag."""
     return BagForeign(
-        f'{path}: holds several runs, {one} and {other}; a bag of each makes: '
-        f'taxinet bag split {path} --out DIR', path=path,
+        f'{path}: holds several runs, {one} and {other}; split it with: taxinet bag split {path} '
+        '--out DIR', path=path,
     )

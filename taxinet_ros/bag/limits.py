@@ -1,4 +1,4 @@
-"""How much time and memory reading a bag may take: a file can be made so that each step is costly.
+"""Limits of time and memory for reading a bag, as protection against malicious files.
 
 The limits of :mod:`.parse` hold for what is in chunks. What its definitions make of a message, a
 million objects out of a megabyte, no count of records foresees; so the processor's clock decides,
@@ -42,7 +42,7 @@ class _TookTooLongError(BaseException):
 def limited_reading(
     *bags: Path, error: Callable[[str], Exception] = BagCorrupt
 ) -> Iterator[None]:
-    """Within the ``with``, reading ends when it takes more than bags of that size have need of.
+    """Context in which reading is aborted when it exceeds the limits for its size.
 
     Only the main thread is watched. Within another ``with`` of its kind that one decides.
 
@@ -62,11 +62,15 @@ def limited_reading(
         with _memory(FREE_BYTES + BYTES_PER_BYTE * size):
             yield
     except _TookTooLongError:
-        raise error(f'{names}: took more than {allowed_s:.0f} s of processor time, which no '
-                    f'recording of {size} bytes does; where is it from?') from None
+        raise error(
+            f'{names}: took more than {allowed_s:.0f} s of processor time, too much for a '
+            f'recording of {size} bytes; is it a valid recording?'
+        ) from None
     except MemoryError:
-        raise error(f'{names}: took more memory than a recording of {size} bytes does; where is it '
-                    'from?') from None
+        raise error(
+            f'{names}: took too much memory for a recording of {size} bytes; is it a valid '
+            'recording?'
+        ) from None
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
         signal.signal(signal.SIGVTALRM, before)

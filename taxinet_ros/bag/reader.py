@@ -1,4 +1,4 @@
-"""Messages and the table of contents of a bag, ours or another ROS 2 recorder's.
+"""Read messages and the table of contents of a bag from any ROS 2 recorder.
 
 :func:`read_contents` reads a bag in one pass: its table of contents, and the messages that are
 wanted. A sound file is read a few times as fast as a scan does it, and every checksum and count is
@@ -134,14 +134,13 @@ def stored_messages(
                 if not isinstance(record, Message):
                     continue
                 info = infos.by_channel[record.channel_id]
-                if record.data.startswith(_ZSTD):
-                    raise BagForeign(compressed(file, 'message'), path=file)
-                if wanted is None or wanted(info.name):
-                    infos.check_cdr(record.channel_id, file)
+                asked_for = wanted is None or wanted(info.name)
+                infos.check(record, file, wanted=asked_for)
+                if asked_for:
                     yield StoredMessage(info, record.log_time, record.data)
                     count += 1
     except (BagTruncated, BagCorrupt) as error:
-        message = f'{error}; {count} sound messages before'
+        message = f'{error}; {count} intact messages before'
         raise type(error)(
             message, path=error.path, recovered=count, offset=error.offset
         ) from error
@@ -207,10 +206,13 @@ class _Topics:
             self.by_channel[record.id] = self._info(record)
             self._encodings[record.id] = record.message_encoding
 
-    def check_cdr(self, channel: int, file: Path) -> None:
-        """Raise :class:`BagForeign` unless the channel's messages are CDR."""
-        if (encoding := self._encodings[channel]) != 'cdr':
-            name = self.by_channel[channel].name
+    def check(self, message: Message, file: Path, *, wanted: bool) -> None:
+        """Raise :class:`BagForeign` if a message is compressed, or is wanted and not CDR."""
+        encoding = self._encodings[message.channel_id]
+        if message.data.startswith(_ZSTD) and (wanted or encoding == 'cdr'):
+            raise BagForeign(compressed(file, 'message'), path=file)
+        if wanted and encoding != 'cdr':
+            name = self.by_channel[message.channel_id].name
             raise BagForeign(f'{file}: topic {name}: messages are {encoding!r}, not cdr', path=file)
 
     def _info(self, channel: Channel) -> TopicInfo:
@@ -341,10 +343,7 @@ def _scanned(
         infos.note(record)
         if isinstance(record, Message):
             info = infos.by_channel[record.channel_id]
-            if kept_bytes(info.name):
-                if record.data.startswith(_ZSTD):
-                    raise BagForeign(compressed(file, 'message'), path=file)
-                infos.check_cdr(record.channel_id, file)
+            infos.check(record, file, wanted=kept_bytes(info.name) > 0)
             yield StoredMessage(info, record.log_time, record.data)
         elif isinstance(record, Channel):
             yield infos.by_channel[record.id]
@@ -379,7 +378,7 @@ def decode_of(path: Path, stored: StoredMessage, count: int) -> Any:
     try:
         return decode(stored.topic, stored.cdr)
     except BagError as error:
-        text = f'{path}: at {stored.stamp_ns} ns: {error}; {count} sound messages before'
+        text = f'{path}: at {stored.stamp_ns} ns: {error}; {count} intact messages before'
         raise type(error)(text, path=path, recovered=count) from error
 
 
@@ -407,7 +406,7 @@ class _SoundFile:
             opcode, length = HEAD.unpack_from(data, offset)
             body = data[offset + HEAD.size:offset + HEAD.size + length]
             if opcode not in _IN_SOUND_FILES or len(body) != length:
-                raise BagCorrupt('a record that does not belong there, or a torn one')
+                raise BagCorrupt('a misplaced or truncated record')
             behind = offset + HEAD.size + length
             if opcode == Opcode.MESSAGE_INDEX:
                 check_message_index(body)
@@ -424,7 +423,7 @@ class _SoundFile:
     ) -> Sequence[TopicInfo | StoredMessage | Metadata | Attachment]:
         if isinstance(record, Chunk):
             if body in self._chunks:
-                raise BagCorrupt('the same chunk once more')
+                raise BagCorrupt('a repeated chunk')
             self._chunks.add(body)
             return self._in_chunk(open_chunk(record, self._work))
         if isinstance(record, Metadata | Attachment):
@@ -462,9 +461,9 @@ class _SoundFile:
             return ()
         info = self._infos.by_channel[record.id]
         if record.message_encoding != 'cdr' or not info.definition:
-            raise BagCorrupt(f'topic {record.topic} is encoded in another way')
+            raise BagCorrupt(f'topic {record.topic} has another encoding')
         if known not in (None, info):
-            raise BagCorrupt(f'channel {record.id} is told in two ways')
+            raise BagCorrupt(f'channel {record.id} has two different definitions')
         return (info,)
 
     def _finish(self, end: DataEnd, offset: int, behind: int) -> None:

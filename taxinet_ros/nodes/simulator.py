@@ -123,8 +123,8 @@ _OPTIONS = (
         description='the world that runs take place in',
     ),
     Parameter(
-        name='world_sha256', default='',
-        description='what the package that brings the world has to be; empty: it may be any',
+        name='world_sha256', default='', takes='64 hexadecimal digits, or empty',
+        description="required SHA-256 of the world's package; empty: any",
     ),
 )
 

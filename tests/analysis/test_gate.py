@@ -110,7 +110,7 @@ def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_a
     assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
     nothing = gate_result(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
     assert nothing.verdict is Verdict.INCONCLUSIVE
-    assert nothing.criteria[0].sentence == 'no run was judged: all good, 72 would do'
+    assert nothing.criteria[0].sentence == 'no run was judged: 72 runs, all good, would suffice'
 
 
 def test_given_runs_without_a_result_then_the_reader_is_told():
@@ -132,7 +132,7 @@ def test_given_a_biased_sampler_then_only_what_the_program_itself_drew_counts():
     assert answer.criteria[0].bounds is not None
     assert answer.criteria[0].bounds.share == pytest.approx(100 / 109)
     assert (answer.judged, answer.effective) == (200, 109)
-    assert 'shares are of the 109 of 200 runs that the program itself drew' in answer.notes[0]
+    assert 'shares refer to the 109 of 200 runs drawn by the program itself' in answer.notes[0]
 
 
 @pytest.mark.parametrize('sampler', ['ce', 'mab', 'bo', 'halton', 'grid'])
@@ -171,7 +171,7 @@ def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
         ({'max_off_runway': math.nan}, '--max-off-runway nan'),
         ({'min_satisfaction': 0.5, 'confidence': 95}, '--confidence 95: needs'),
         ({'min_satisfaction': 0.5, 'max_infra': -1}, '--max-infra -1'),
-        ({}, 'say what is asked'),
+        ({}, 'give a threshold'),
     ],
 )
 def test_given_options_that_make_no_sense_then_one_line_says_so(options, words):
@@ -202,7 +202,7 @@ def test_given_any_counts_then_the_share_is_within_bounds_that_more_confidence_w
 def test_given_a_share_at_the_threshold_then_no_number_of_runs_decides():
     assert further_runs(counted(1, 2), 0.5, 0.95) is None
     answer = gate_result(rows(5, 5), GateOptions(min_satisfaction=0.5))
-    assert 'no number of runs' in answer.criteria[0].sentence
+    assert 'any realistic number of runs' in answer.criteria[0].sentence
 
 
 def test_given_the_runs_that_are_said_to_be_missing_then_they_decide_and_fewer_do_not():
@@ -214,7 +214,7 @@ def test_given_the_runs_that_are_said_to_be_missing_then_they_decide_and_fewer_d
             rows(good, runs - good), GateOptions(min_satisfaction=0.86), planned=50)
         assert answer.verdict is expected
     sentence = gate_result(rows(45, 5), GateOptions(min_satisfaction=0.86)).criteria[0].sentence
-    number = int(re.search(r'about ([\d,]+) runs more', sentence)[1].replace(',', ''))
+    number = int(re.search(r'about ([\d,]+) more runs', sentence)[1].replace(',', ''))
     assert number == pytest.approx(more, rel=0.06)
 
 

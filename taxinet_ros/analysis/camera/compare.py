@@ -1,4 +1,4 @@
-"""How a perception fares on labelled frames from elsewhere, and how our camera sees their poses."""
+"""Evaluate a perception on labelled frames, and render the same poses with our camera."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def comparison_scenes(
             reason = f'{frame.image}: {str(error).removeprefix("scenario: ")}'
     if not scenes:
         raise UsageError(
-            f'no frame lies on our runway, such as {reason}; see --distance-offset'
+            f'no frame lies on our runway (first: {reason}); see --distance-offset'
         )
     return [(frame, scenes[frame]) for frame in spread_out(list(scenes))]
 

@@ -1,4 +1,4 @@
-"""How dark the aircraft's own shadow is in the picture, when it is there, and what physics says.
+"""Visibility and darkness of the aircraft's own shadow, compared with physics.
 
 Physics: direct and diffuse irradiance of a clear day by Ineichen and Perez (Solar Energy 73, 2002,
 pp. 151-157) for a Linke turbidity, and what of either is light to an eye or a camera by Perez,

@@ -1,1 +1,1 @@
-"""What a campaign says: findings, tables, figures and its report."""
+"""Analysis of a campaign: findings, tables, figures and report."""

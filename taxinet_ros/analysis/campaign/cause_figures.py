@@ -50,12 +50,12 @@ def causes_picture(findings: Findings) -> Picture:
             axes.legend(loc='lower center', bbox_to_anchor=(0.4, 1.0), ncols=3, frameon=False,
                         fontsize=9)
 
-    which = 'all runs in it' if several else 'the runs in it that the causes above it left'
+    which = 'all runs in it' if several else 'its runs not in causes above it'
     lines = sum(1 + row.count('\n') for row in rows)
     return Picture(
         name='causes', title='Where runs fail', draw=draw,
-        caption=f'How often runs fail in each cause: of {which}. The 95 % intervals of the '
-        'campaign that the causes were found in allow for their having been chosen.',
+        caption=f'How often runs fail in each cause: of {which}. For the campaign in which the '
+        'causes were found, the 95 % intervals account for their selection.',
         size_in=(7.6, 1.1 + 0.17 * lines + 0.22 * len(rows)),
     )
 
@@ -77,13 +77,13 @@ def ranking_picture(ranking: tuple[RankedFeature, ...]) -> Picture:
         axes.set_ylim(len(ranking) - 0.4, -0.6)
         axes.set_xlim(0, max([*shares, 0.02]) * 1.25)
         axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=' %'))
-        axes.set_xlabel('share of what there is to know about failing')
+        axes.set_xlabel('explained share of the entropy of failing')
         style_axes(axes, grid='x')
 
     return Picture(
-        name='feature_ranking', title='How much each feature tells by itself', draw=draw,
+        name='feature_ranking', title='Information of each feature about failure', draw=draw,
         caption='Mutual information of a feature and of failing, as a share of the entropy of '
-        'failing and less what chance shows. Grey ones may be chance (p > 0.05 after Holm).',
+        'failing, minus its value by chance. Grey bars may be chance (p > 0.05 after Holm).',
         size_in=(7.0, 0.9 + 0.3 * max(len(ranking), 1)),
     )
 
@@ -107,8 +107,8 @@ def clusters_picture(findings: Findings) -> Picture:
     return Picture(
         name='clusters', title='Groups of failures', draw=draw,
         size_in=(7.0, 3.8 + 0.22 * rows),
-        caption='Each failure that was compared, by its group; the large mark with a rim is its '
-        'most typical run.',
+        caption='Each failure that was compared, by its group; the large outlined mark is its most '
+        'typical run.',
     )
 
 

@@ -304,8 +304,8 @@ def _cell(
 def _meaning(campaigns: Sequence[CampaignRuns]) -> str:
     kinds = {runs.weighting for runs in campaigns}
     if Weighting.UNKNOWN in kinds:
-        return '; of the runs as the sampler chose them, so no rates, and without intervals'
-    return '; of the runs that the program itself drew' if Weighting.WEIGHTED in kinds else ''
+        return '; shares of the runs chosen by the sampler, without intervals'
+    return '; of the runs drawn by the program itself' if Weighting.WEIGHTED in kinds else ''
 
 
 _WIDTHS = {TIME_OF_DAY: 0.5, DISTANCE: 50.0, HEADING: 5.0, CROSS_TRACK: 1.0}
@@ -327,7 +327,7 @@ def rho_picture(campaigns: Sequence[CampaignRuns], feature: Feature, name: str) 
     if len(campaigns) == 1 and raining:
         caption += ' The dashed line is the median of the runs without rain.'
     if any(runs.stopped for runs in campaigns):
-        caption += ' Of a run that was stopped early, ρ is the bound known then.'
+        caption += ' For a run stopped early, ρ is the bound known at that time.'
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
@@ -368,8 +368,8 @@ def clouds_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
     among = 'without rain ' if dry else ''
     return Picture(
         name='rho_by_hour_and_clouds', title='Median robustness by kind of clouds',
-        caption=f'Medians of the runs {among}in 30 minutes each. A line that falls where the '
-        'others do not shows an hour that is hard under that sky only.',
+        caption=f'Medians of the runs {among}in 30 minutes each. A line that drops alone shows an '
+        'hour that is difficult only under that sky.',
         draw=draw, size_in=(7.0, 0.8 + 2.9 * len(campaigns)),
     )
 

@@ -1,4 +1,4 @@
-"""What an analysis finds out about a campaign.
+"""Findings of an analysis of a campaign.
 
 Causes, groups and predictors of its failures, comparisons with baselines (rates, their
 difference, and runs that changed in the same scenes), and which failed runs to look at first.

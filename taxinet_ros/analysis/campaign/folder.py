@@ -122,9 +122,9 @@ def check_folder(out: Path) -> None:
     if out.is_dir():
         if any(out.iterdir()) and _written_before(out) is None:
             raise UsageError(
-                f'--out {out}: holds other files than those of an analysis; name a new folder')
+                f'--out {out}: contains files other than those of an analysis; choose a new folder')
     elif out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: not a folder; name another')
+        raise UsageError(f'--out {out}: not a folder; choose another')
 
 
 def write_analysis(

@@ -79,9 +79,9 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
         case Weighting.UNKNOWN:
             first = (
                 f'{count}, chosen by the sampler {runs.sampler or "(unknown)"}: {rate.failures:,} '
-                f'violate {runs.spec}. There is no rate from this search: the program itself drew '
-                'none of its runs, so they say where failures are, and not how many. All shares '
-                'are of the runs made.'
+                f'violate {runs.spec}. This search yields no failure rate: the program itself drew '
+                'none of its runs, so they show where failures are, not how frequent. All shares '
+                'refer to the runs made.'
             )
     return (first, *_without_verdict(runs), *(f'Warning: {line}.' for line in runs.warnings))
 
@@ -97,7 +97,7 @@ def stack_sentences(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
     untold = [one.label for one in campaigns if not one.stacks]
     if untold and len(campaigns) > 1:
         sentences.append(
-            f'Nothing tells on which machine and versions the runs of {", ".join(untold)} were '
+            f'Machine and versions are unknown for the runs of {", ".join(untold)} were '
             'made.'
         )
     return tuple(sentences)
@@ -142,8 +142,10 @@ def cluster_sentence(clusters: Clusters) -> str:
 def _anytime(runs: CampaignRuns) -> str:
     if not runs.anytime:
         return ''
-    return (' As the number of runs was not fixed beforehand, the intervals are valid wherever a '
-            'campaign stops.')
+    return (
+        ' Since the number of runs was not fixed beforehand, the intervals are valid at any '
+        'stopping point.'
+    )
 
 
 def _without_verdict(runs: CampaignRuns) -> tuple[str, ...]:
@@ -228,7 +230,7 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
                 if not varied(findings.runs.frame, (feature,))]
     sentences = []
     if constant:
-        sentences.append(f'The same in all runs, and so no cause: {", ".join(constant)}.')
+        sentences.append(f'Constant in all runs, so not a cause: {", ".join(constant)}.')
     if findings.causes.candidates:
         sentences.append(
             f'Method: {findings.causes.candidates:,} regions were compared (intervals, categories, '
@@ -238,22 +240,23 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
             f'{findings.alpha:.0%} of cases without any cause'
             .replace('%', ' %'))
         how = (
-            '; outcomes influenced the choice of scenes, so the runs were judged in their order, '
-            'each before the next was chosen. All shares are of the runs made: they are no rates '
-            'of the program, and have no intervals'
+            '; outcomes influenced the choice of scenes, so the runs were evaluated in order, each '
+            'before the next was chosen. All shares refer to the runs made: they are no failure '
+            'rates of the program and have no intervals'
             if findings.causes.searched
             else f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
             'All intervals of causes hold for all regions at once, so also for those selected'
         )
         sentences[-1] += how + '. Its runs are removed, and the search is repeated.'
     if findings.causes.again:
-        sentences.append(f'{findings.causes.again:,} runs repeat the very scene of another, and '
-                         'do not count here.')
+        sentences.append(
+            f'{findings.causes.again:,} runs repeat the scene of another and are not counted here.'
+        )
     commands = [command for cause in findings.causes.found
                 if (command := confirmation_command(findings.runs, cause)) is not None]
     if commands:
         sentences.append(
-            'Each cause can be tested on fresh scenes by a command of its own, in this folder:')
+            'To test a cause on fresh scenes, run its command in this folder:')
         sentences += commands
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
@@ -283,8 +286,8 @@ def _clusters(findings: Findings) -> Section:
         first = findings.axes[0]
         even = 1 / len(findings.axes)
         sentences.append(
-            f'The longest principal axis of the failures holds {100 * first.explained:.0f} % of '
-            f'their variance, where features without any relation would have {100 * even:.0f} %.')
+            f'The longest principal axis of the failures explains {100 * first.explained:.0f} % of '
+            f'their variance; for unrelated features it would be {100 * even:.0f} %.')
     return Section(
         name='clusters', heading='Groups of failures', sentences=tuple(sentences),
         pictures=(clusters_picture(findings),) if found else (),
@@ -298,11 +301,12 @@ def _tree(findings: Findings) -> Section | None:
     if tree is None:
         return None
     return Section(
-        name='tree', heading='As a tree of questions',
+        name='tree', heading='Decision tree',
         sentences=(
             f'A tree of {tree.depth} {"question" if tree.depth == 1 else "questions"} at most '
-            f'tells {100 * tree.accuracy:.0f} % of held-back runs right (five-fold '
-            f'cross-validation); always guessing the commoner outcome, {100 * tree.guess:.0f} %.',
+            f'classifies {100 * tree.accuracy:.0f} % of held-out runs correctly (five-fold '
+            f'cross-validation); always guessing the more common outcome, {100 * tree.guess:.0f} '
+            '%.',
         ),
         tables=(tree_table(findings),),
     )

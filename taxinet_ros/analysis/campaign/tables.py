@@ -36,9 +36,9 @@ def rates_table(findings: Findings) -> Table:
                      _known(runs.rate().effective), sum(runs.others.values()) + runs.undecided))
     return Table(
         name='rates', title='Rates', rows=tuple(rows),
-        caption='With 95 % intervals, of the runs that the program itself drew. Where there is no '
-        'such run there is no interval, and the rate is that of the runs made; the share that '
-        'leaves the runway is unknown where runs were stopped before.',
+        caption='With 95 % intervals, of the runs drawn by the program itself. Without such runs '
+        'there is no interval, and the rate is that of the runs made; the off-runway share is '
+        'unknown if runs were stopped early.',
         columns=(
             Column(name='network', title='network'), Column(name='sampler', title='sampler'),
             *_RATE, Column(name='off_runway_percent', title='off the runway [%]', decimals=1),
@@ -114,7 +114,7 @@ def ranking_table(findings: Findings) -> Table:
         columns=(
             Column(name='feature', title='feature'),
             Column(name='information_bit', title='tells [bit]', decimals=4),
-            Column(name='explained_percent', title='of all there is to know [%]', decimals=1),
+            Column(name='explained_percent', title='of the entropy of failing [%]', decimals=1),
             Column(name='p', title='p', decimals=3),
         ),
         rows=tuple((one.feature.title, one.information_bit, 100 * one.explained, one.p)
@@ -145,7 +145,7 @@ def clusters_table(findings: Findings) -> Table:
     """Groups of failures in words."""
     return Table(
         name='clusters', title='Groups', run_id_column='typical_run',
-        caption='What nine in ten of its runs have in common and many others do not.',
+        caption='Properties shared by nine in ten of its runs, but not by many others.',
         columns=(
             Column(name='group', title='#'), Column(name='failures', title='failures'),
             Column(name='share_percent', title='of those compared [%]', decimals=0),
@@ -164,8 +164,8 @@ def axes_table(findings: Findings) -> Table:
     titles = {CLOUD_RANK: 'clouds (rank)'}
     return Table(
         name='principal_axes', title='Principal axes of the failures',
-        caption='How far the failures are spread along each direction, and the part of each '
-        'standardised feature in it.',
+        caption='Spread of the failures along each direction, and the weight of each standardised '
+        'feature.',
         columns=(
             Column(name='axis', title='axis'),
             Column(name='explained_percent', title='variance [%]', decimals=1),
@@ -182,8 +182,8 @@ def tree_table(findings: Findings) -> Table:
     rules = findings.tree.rules if findings.tree is not None else ()
     return Table(
         name='tree_rules', title='Rules of the tree',
-        caption='Every run is in one of them. The intervals are of the runs that the tree was '
-        'grown from, and so a little too narrow.',
+        caption='Every run matches one rule. The intervals use the runs the tree was grown from, '
+        'so they are slightly too narrow.',
         columns=(Column(name='rule', title='scenes'), *_RATE),
         rows=tuple((rule.region.words() or 'all', *_shares(rule.rate)) for rule in rules),
     )

@@ -1,4 +1,4 @@
-"""Names causes of failures, one after another, until what is left looks like chance.
+"""Find causes of failures one by one until the remaining failures are consistent with chance.
 
 The most telling region of failures (:mod:`.scan`) gets sharper limits, to the run and then on
 round values, and its runs are taken out; then the next one is looked for among the rest. A step
@@ -388,12 +388,12 @@ def _why_not(failed: Mask) -> str:
     counts += 'no failure' if not failures else f'{failures:,} ' + (
         'failure' if failures == 1 else 'failures')
     if runs and failures == runs:
-        return f'{counts}: where all runs fail, nothing tells causes apart'
+        return f'{counts}: all runs fail, so causes cannot be distinguished'
     if not failures:
-        return f'{counts}: there are no causes to name'
+        return f'{counts}: no causes'
     if runs < LEAST_RUNS or failures < LEAST_FAILURES or runs - failures < LEAST_FAILURES:
-        few = 'too few to name causes' if runs < LEAST_RUNS or failures < LEAST_FAILURES else (
-            'too few others to tell causes apart')
+        few = 'too few to find causes' if runs < LEAST_RUNS or failures < LEAST_FAILURES else (
+            'too few other runs to distinguish causes')
         return f'{counts}: {few}'
     return ''
 

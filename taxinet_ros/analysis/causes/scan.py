@@ -1,4 +1,4 @@
-"""Scan statistic: where failures are denser than elsewhere, and whether that is chance.
+"""Scan statistic: find regions of increased failure rate and test their significance.
 
 Regions are of three families: intervals of a numeric feature, over midnight too, and sets of
 words; intervals of a sum of two features, which are slanted bands; and two conditions, of which

@@ -1,4 +1,4 @@
-"""How two ways of running the same scenes differ: rates and medians of pairs, with intervals."""
+"""Paired comparison of two arms on the same scenes: rates and medians with intervals."""
 
 from __future__ import annotations
 

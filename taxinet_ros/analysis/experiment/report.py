@@ -133,8 +133,8 @@ def change_picture(found: PairedArms, one: ArmComparison) -> Picture:
     """How much rho changes from the arm compared to."""
     return Picture(
         name=f'change_{one.arm}', title=f'Change of ρ from {one.base} to {one.arm}',
-        caption='A dot is a scene: how much greater its ρ is in one arm than in the other; the '
-                f'line is the median. Beyond {_MOST_CHANGE:g} m dots are drawn at the edge.',
+        caption='A dot is a scene: the difference of its ρ between the arms; the line is the '
+        f'median. Beyond {_MOST_CHANGE:g} m dots are drawn at the edge.',
         draw=partial(_draw_change, found, one), size_in=(7.6, 3.2),
     )
 
@@ -202,7 +202,7 @@ def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator
         unjudged = [row for row in rows if not row.outcome.judged]
         if unjudged:
             how = count_outcomes(unjudged)
-            yield f'Runs of {name} without verdict, whose scenes are in no pair: {how}.'
+            yield f'Runs of {name} without verdict, whose scenes are excluded: {how}.'
 
 
 def experiment_json(found: PairedArms) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
 def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
     """What matters most: satisfied or not, rho, and where."""
     if not one.pairs:
-        yield f'{one.arm}: no scene was judged in both arms, so nothing can be said.'
+        yield f'{one.arm}: no scene was judged in both arms, so no conclusion is possible.'
         return
     what = _formula(found.experiment)
     rates = one.satisfied
@@ -349,8 +349,8 @@ def _section(found: PairedArms) -> Section:
     return Section(
         name='arms', heading='The arms',
         sentences=(
-            'Every scene was run once in each arm; only what an arm sets is different. So runs are '
-            'compared in pairs, and what else makes a scene hard or easy drops out.',
+            'Every scene was run once in each arm; only the settings of the arm differ. So runs '
+            'are compared in pairs, which removes the influence of the scene itself.',
         ),
         pictures=(arms_picture(found),), tables=(_arms_table(found),),
     )
@@ -366,7 +366,7 @@ def _pair_section(found: PairedArms, one: ArmComparison) -> Section:
 
 def _arms_table(found: PairedArms) -> Table:
     return Table(
-        name='arms', title='What became of the scenes', caption='Over all judged runs of an arm.',
+        name='arms', title='Outcomes of the scenes', caption='Over all judged runs of an arm.',
         columns=(
             Column(name='arm', title='arm'), Column(name='judged', title='judged'),
             Column(name='satisfied', title='satisfied'),
@@ -396,7 +396,7 @@ def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
         return ()
     flips.sort(key=lambda pair: -abs(rho_of(pair[1]) - rho_of(pair[0])))
     return (Table(
-        name=f'flips_{one.arm}', title='Scenes with another verdict',
+        name=f'flips_{one.arm}', title='Scenes with different verdicts',
         caption=f'{len(flips)} of {len(one.pairs)} pairs, the greatest change of ρ first'
                 f'{f"; {_MOST_FLIPS} are shown" if len(flips) > _MOST_FLIPS else ""}.',
         columns=(

@@ -1,4 +1,4 @@
-"""The same moment in another world: what the network would have seen without a shadow, or dry.
+"""Counterfactual images: the network's estimate of the same moment without shadow, rain, etc.
 
 The camera is deterministic, so one property of the scene can be changed and nothing else. If the
 error goes with the property, the property causes it; no gradient is needed, and it holds for any
@@ -158,7 +158,7 @@ def _best_single(found: Sequence[Effect]) -> float:
 
 def _outcome(camera: Camera, moment: Moment, look: Estimator, gains: SteeringGains) -> ChangedView:
     if moment.state is None:
-        raise ValueError(f'step {moment.seq}: its state is not known')
+        raise ValueError(f'step {moment.seq}: its state is unknown')
     image = camera.render(moment.state, moment.seq * CONTROL_PERIOD_NS)
     estimate = look(image)
     return ChangedView(

@@ -125,12 +125,12 @@ def explain(
     bag, run = recording.path, recording.run
     if run.world:
         raise UsageError(
-            f'{bag}: took place in world {run.world}; changed scenes of it cannot be rendered'
+            f'{bag}: used world {run.world}, whose modified scenes cannot be rendered'
         )
     track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
     chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:
-        raise BagEmpty(f'{bag}: no camera frame of it can be looked into', path=bag)
+        raise BagEmpty(f'{bag}: none of its camera frames can be examined', path=bag)
     found: tuple[Effect, ...] = ()
     if not track.differs and all(moment.state is not None for moment in chosen):
         found = effects(
@@ -181,14 +181,14 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
     """The findings."""
     worst = found.insights[found.worst]
     yield from _cause(found)
-    yield f'Most wrong at {moment_words(worst.moment)}.'
+    yield f'Largest error at {moment_words(worst.moment)}.'
     yield from attention_sentences(worst)
     yield from _nearness(found)
     yield recomputed_sentence(found)
     if found.run.controller:
         yield (
-            f'Another controller than the steering law drove this run: {found.run.controller}. '
-            'The effect of an estimate is computed with the steering law.'
+            f'This run used the controller {found.run.controller}, but the effect of an estimate '
+            'is computed with the shipped steering law.'
         )
 
 
@@ -226,12 +226,12 @@ def attention_sentences(insight: Insight) -> Iterator[str]:
     region, share = insight.occlusion.region
     time = f'At {insight.moment.t_s:.1f} s'
     if share == 0:
-        yield f'{time} covering a patch of the picture never changes the estimate.'
+        yield f'{time} covering any patch of the image leaves the estimate unchanged.'
     else:
         yield (
             f'{time} the estimate depends most on the {region} of the picture: '
-            f'{100 * share:.0f} % of the change by covering patches is there '
-            '(11 % if all ninths counted alike).'
+            f'{100 * share:.0f} % of the change by covering patches is there (11 % if all ninths '
+            'were equal).'
         )
     for name, (area, weight) in insight.parts.items():
         if area >= _NOT_IN_VIEW:
@@ -248,11 +248,11 @@ def recomputed_sentence(found: Explanation) -> str:
     cte_m, he_rad = found.track.greatest_change
     if not found.own:
         who = found.run.perception or 'an unnamed perception'
-        return f'This network did not drive the run: {who} did.'
+        return f'The run was driven by {who}, not by this network.'
     if cte_m == he_rad == 0:
         return 'All estimates are equal to the recorded ones, bit for bit.'
     if math.isinf(cte_m):
-        return 'Some estimates exist only in the recording, or only when computed again.'
+        return 'Some estimates exist only in the recording, or only when recomputed.'
     return (
         f'The estimates differ from those recorded by up to {cte_m:.2g} m and '
         f'{math.degrees(he_rad):.2g}°.'
@@ -276,9 +276,9 @@ def _cause(found: Explanation) -> Iterator[str]:
         return
     if abs(worst.misled_rad) < _HARDLY_RAD:
         yield (
-            f'While the aircraft was on the runway, its network misled the steering law by '
+            'While the aircraft was on the runway, the network misled the steering law by '
             f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, the network '
-            'is hardly the cause.'
+            'is probably not the cause.'
         )
         return
     if not found.effects:
@@ -289,8 +289,8 @@ def _cause(found: Explanation) -> Iterator[str]:
     if blamed is None:
         yield (
             f'No change of the scene removes {100 * LEAST_SHARE:.0f} % of the error: neither '
-            f'{_list([effect.factor.cause for effect in found.effects])}. There remain the pose, '
-            'the ground and the network itself.'
+            f'{_list([effect.factor.cause for effect in found.effects])}. The remaining candidates '
+            'are the pose, the ground and the network itself.'
         )
         return
     yield (

@@ -1,4 +1,4 @@
-"""Drawings of why a network failed: errors, frames in other scenes, maps of what matters.
+"""Figures on a network failure: errors, counterfactual frames, occlusion maps.
 
 In frames a solid line is where the centreline is, a dashed one where the network believes it to be.
 """
@@ -43,8 +43,8 @@ def error_picture(found: Explanation) -> Picture:
     """Both errors and what they do, over time."""
     return Picture(
         name='explain-errors', title='Estimates along the run',
-        caption='Cross-track and heading error, true and estimated, left positive; and how far '
-                'the estimate misleads the steering law. Vertical lines: the examined moments.',
+        caption='Cross-track and heading error, true and estimated, left positive; and by how much '
+        'the estimate misleads the steering law. Vertical lines: the examined moments.',
         draw=partial(_draw_errors, found), size_in=(8.0, 6.0),
     )
 
@@ -53,8 +53,8 @@ def factor_picture(found: Explanation) -> Picture:
     """How much of the error each factor takes away."""
     return Picture(
         name='explain-factors', title='Which change removes the error',
-        caption='Share of the error, over all examined moments, that one change of the scene '
-                'removes. Bars to the left: the error grows.',
+        caption='Share of the error over all examined moments removed by one change of the scene. '
+        'Bars to the left: the error grows.',
         draw=partial(_draw_factors, found), size_in=(7.0, 0.9 + 0.34 * len(found.effects)),
     )
 
@@ -65,8 +65,8 @@ def scene_picture(found: Explanation, number: int) -> Picture:
     rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
     return Picture(
         name=f'explain-scenes-{moment.seq:04d}', title=f'In other scenes, at {moment.t_s:.1f} s',
-        caption=f'{moment_words(moment)}. Blue: where the centreline is; orange, dashed: where '
-                'the network estimates it to be.',
+        caption=f'{moment_words(moment)}. Blue: true centreline; orange, dashed: centreline '
+        "according to the network's estimate.",
         draw=partial(_draw_scenes, found, number), size_in=(9.0, 0.1 + 2.15 * rows),
     )
 
@@ -76,8 +76,8 @@ def occlusion_picture(insight: Insight) -> Picture:
     moment = insight.moment
     return Picture(
         name=f'explain-patches-{moment.seq:04d}', title=f'What matters, at {moment.t_s:.1f} s',
-        caption='How the estimate changes where the picture is covered: red, it moves to the '
-                'left; blue, to the right. What has no colour does not matter.',
+        caption='Change of the estimate when the image is covered there: red, to the left; blue, '
+        'to the right. Uncoloured regions have no effect.',
         draw=partial(_draw_occlusion, insight), size_in=(9.0, 2.35),
     )
 
@@ -88,8 +88,8 @@ def nearest_picture(insight: Insight, images: TrainingImages) -> Picture:
     return Picture(
         name=f'explain-nearest-{moment.seq:04d}',
         title=f'Nearest training images, at {moment.t_s:.1f} s',
-        caption='Left the frame; then the images nearest to it, above as pictures, below by '
-                'labels and weather. All are reduced to what the networks here see.',
+        caption='Left: the frame; right: its nearest images, above by image, below by labels and '
+        "weather. All are reduced to the networks' input.",
         draw=partial(_draw_nearest, insight, images), size_in=(9.0, 2.7),
     )
 

@@ -1,4 +1,4 @@
-"""What was found out about a run's network, as a report for people and as JSON for programs."""
+"""Report on a run's network failure as HTML and JSON."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def explain_report(found: Explanation) -> Report:
     """The whole, as a page of its own."""
     run_id = found.run.request.run_id
     return Report(
-        title=f'Why the network errs: {run_id}',
+        title=f'Network errors in {run_id}',
         facts=_facts(found), summary=tuple(explain_sentences(found)),
         sections=tuple(_sections(found)), runs={run_id: found.bag},
     )
@@ -76,10 +76,10 @@ def _sections(found: Explanation) -> Iterator[Section]:
         name='errors', heading='Along the run',
         sentences=(
             recomputed_sentence(found),
-            'Examined are the moments where the estimate misleads the steering law most while '
-            'the aircraft is on the runway, and the start. Misled by 10° means: the law asks for '
-            'a heading 10° away from the one it would ask for with the truth; 4° correspond to a '
-            'metre of cross-track error with the default gains.',
+            'We examine the start and the moments on the runway where the estimate misleads the '
+            'steering law most. Misled by 10° means: the commanded heading is 10° off the one '
+            'commanded with the truth; 4° correspond to a metre of cross-track error with the '
+            'default gains.',
             *(f'{moment_words(insight.moment)}.' for insight in insights),
         ),
         pictures=(error_picture(found),), tables=(_moment_table(found),),
@@ -88,9 +88,9 @@ def _sections(found: Explanation) -> Iterator[Section]:
         yield Section(
             name='scenes', heading='The same moments in other scenes',
             sentences=(
-                'Each change is made alone, so the difference is caused by it. This holds for '
-                'the pictures; whether the whole run would have passed, only another run can '
-                'tell.',
+                'Each change is made alone, so it causes the difference. This holds for the '
+                'images; whether the whole run would have passed can only be tested by another '
+                'run.',
             ),
             pictures=(
                 factor_picture(found),

@@ -172,11 +172,11 @@ def read_track(
     except WorldDiffers as error:
         if not recorded.issuperset(trace['seq'].tolist()):
             raise WorldDiffers(
-                f'{error}; its frames were not recorded and cannot be rendered as they were, so '
-                'there is nothing to explain', path=path) from error
+                f'{error}; its frames were not recorded and cannot be re-rendered, so there is '
+                'nothing to explain', path=path) from error
         states, differs = {}, str(error)
     if not seen:
-        raise BagEmpty(f'{path}: no camera frame could be had, so there is nothing to explain',
+        raise BagEmpty(f'{path}: no camera frames available, so there is nothing to explain',
                        path=path)
     steps = trace['seq'].astype(np.int64)
     return Track(

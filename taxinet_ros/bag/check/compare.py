@@ -1,10 +1,10 @@
 """Two bags compared topic by topic, down to the first field that differs; and golden bags.
 
-The messages of a topic are compared in their order. Names of runs are not: one scene that was
-run twice may have two. Golden bags are runs kept in the repository, which every change has to
-reproduce or to account for. On the stack that recorded them (processor features, C library,
-numeric libraries) a run comes out the same to the bit. Elsewhere sines and sums may round
-otherwise, and a closed loop carries that on; there numbers are compared with a tolerance.
+The messages of a topic are compared in their order. Run names are ignored, since a scene may be run
+under several names. Golden bags are runs in the repository that every change has to reproduce or to
+justify. On the stack that recorded them (processor features, C library, numeric libraries) a run is
+bit-identical. On other stacks sines and sums may round differently, and a closed loop amplifies
+this; values are then compared with a tolerance.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class FieldDifference:
     """The first field in which two bags differ on a topic.
 
     Attributes:
-        number: of the message on its topic, from 0.
+        number: number of the message on its topic, from 0.
         seq: control step of its stamp.
         field: dotted path within the message.
         values: in either bag, for people.
@@ -66,7 +66,7 @@ class TopicComparison:
         topic: its name.
         counts: messages in either bag.
         differing: of the messages that both have, those that differ beyond the tolerance.
-        greatest: greatest difference of two numbers in them, whether tolerated or not.
+        greatest: maximum difference of two numbers in them, tolerated or not.
         first: the first difference beyond the tolerance, or None.
     """
 
@@ -90,7 +90,7 @@ def compare_bags(
     Args:
         one: a run folder or an ``.mcap`` file.
         other: the same.
-        tolerance: how far floating-point numbers may be apart; at 0 every bit counts.
+        tolerance: tolerance of floating-point values; 0: bit-identical.
         skip: topics to leave out.
 
     Returns:
@@ -103,7 +103,7 @@ def compare_bags(
     counts = [read_info(path).counts for path in (one, other)]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])
-        # Bags of before have no transforms; where there are, odometry tells the same.
+        # Older bags have no transforms, which follow from odometry anyway.
         if name not in skip and not (
             is_of_frames(name) and not all(count.get(name) for count in counts))
     ]

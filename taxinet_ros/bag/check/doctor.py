@@ -1,7 +1,7 @@
 """Everything that can be checked about a bag, whoever recorded it.
 
-Bytes, indexes, description and types are checked of every bag; stamps, steps and verdict of
-each run in it; and, if asked for, the camera frames against those rendered anew.
+Checks bytes, indexes, description and types of every bag; stamps, steps and verdict of each run in
+it; and optionally the camera frames against re-rendered ones.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
 def check_index(path: Path, *, sound: bool) -> Check:
     """Whether the indexes lead to every message; only asked where the bytes are sound."""
     if not sound:
-        return Check(name='index', looked_at='the bytes are not sound', skipped=True)
+        return Check(name='index', looked_at='the bytes are damaged', skipped=True)
     files = storage_files(path)
     found: list[Finding] = []
     for file in files:
@@ -69,15 +69,15 @@ def check_index(path: Path, *, sound: bool) -> Check:
             for offset, what in troubles
         ]
     return Check(
-        name='index', looked_at='chunks, messages, attachments and counts are where it says',
+        name='index', looked_at='chunks, messages, attachments and counts match the summary',
         findings=tuple(found),
     )
 
 
 def check_description(info: BagInfo) -> Check:
-    """Whether ``metadata.yaml`` says what the storage files hold."""
+    """Check ``metadata.yaml`` against the storage files."""
     if info.path.is_file():
-        why = f'a file without its folder has no {METADATA_FILE}'
+        why = f'a single file has no {METADATA_FILE}'
         return Check(name='description', looked_at=why, skipped=True)
     try:
         description = read_description(info.path)
@@ -91,7 +91,7 @@ def check_description(info: BagInfo) -> Check:
         for what in _contradictions(info, description)
     ]
     return Check(
-        name='description', looked_at=f'{METADATA_FILE} says what the file holds',
+        name='description', looked_at=f'{METADATA_FILE} matches the file',
         findings=tuple(wrong),
     )
 
@@ -125,10 +125,13 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
     version = told.get('version')
     if not isinstance(version, int) or not 0 < version <= VERSION:
         yield f'version is {_short(version)}; known up to {VERSION}'
+    files = [file.name for file in storage_files(info.path)]
+    # rosbag2 unpacks a compressed file beside itself, and its description goes on naming that.
+    packed = [f'{name}.zstd' for name in files]
     there: dict[str, object] = {
         'storage_identifier': 'mcap',
         'message_count': sum(info.counts.values()),
-        'relative_file_paths': [file.name for file in storage_files(info.path)],
+        'relative_file_paths': packed if told.get('relative_file_paths') == packed else files,
         'duration': {'nanoseconds': info.end_ns - info.start_ns},
     }
     if any(info.counts.values()):
@@ -139,7 +142,7 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
     yield from _topic_contradictions(info, told.get('topics_with_message_count'))
     words = info.metadata.get(RUN_METADATA)
     if words is not None and _inner(info) != _without(told, words_beside(info.path, words)):
-        yield 'is not the same as the description within the file'
+        yield 'differs from the description within the file'
 
 
 def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
@@ -154,21 +157,22 @@ def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:
     try:
         claimed = {str(entry['topic_metadata']['name']): entry for entry in _list(told)}
     except (TypeError, KeyError, AttributeError):
-        yield 'topics_with_message_count is no list of topics'
+        yield 'topics_with_message_count is not a list of topics'
         return
     for topic in info.topics:
         entry = claimed.pop(topic.name, None)
         if entry is None:
-            yield f'does not know topic {topic.name}'
+            yield f'lacks topic {topic.name}'
             continue
         told_of, there = entry['topic_metadata'], _topic_fields(topic)
         wrong = [key for key, value in there.items() if told_of.get(key, value) != value]
         if entry.get('message_count') != info.counts[topic.name]:
             wrong.append('message_count')
         if wrong:
-            yield f'topic {topic.name}: {", ".join(wrong)} not as in the bag'
-    for name in claimed:
-        yield f'tells of topic {_short(name)}, which is not in the bag'
+            yield f'topic {topic.name}: {", ".join(wrong)} differ from the bag'
+    for name, entry in claimed.items():
+        if entry.get('message_count') != 0:  # The file that rosbag2 makes lacks silent topics.
+            yield f'lists topic {_short(name)}, which is not in the bag'
 
 
 def _topic_fields(topic: TopicInfo) -> dict[str, object]:
@@ -245,16 +249,16 @@ def check_recorded_frames(recording: Recording) -> Check:
         found = compare_recorded_frames(recording)
     except (BagError, UsageError) as error:
         return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
-    words = f'{found.equal} of {found.recorded} equal those rendered anew'
+    words = f'{found.equal} of {found.recorded} equal re-rendered ones'
     if not found.recorded:
-        return Check(name='frames', looked_at='none in it to compare', skipped=True)
+        return Check(name='frames', looked_at='no frames to compare', skipped=True)
     if found.ok:
         return Check(name='frames', looked_at=f'{words}, bit for bit')
     finding = Finding(where=f'/{IMAGE}', what=found.trouble)
     if found.first_seq is not None:
         finding = Finding(
             where=f'step {found.first_seq}',
-            what=f'the first other frame: {found.first_pixels} pixels differ, by up to '
+            what=f'the first different frame: {found.first_pixels} pixels differ, by up to '
             f'{found.first_difference} of 255',
         )
     return Check(name='frames', looked_at=words, findings=(finding,))
@@ -278,7 +282,7 @@ def compare_recorded_frames(recording: Recording) -> FrameComparison:
         except WorldDiffers as error:
             trouble, now = str(error), None
         if now is None:
-            trouble = trouble or f'step {seq} has a frame and no recorded state'
+            trouble = trouble or f'step {seq} has a frame but no recorded state'
         elif now.shape == image.shape and now.tobytes() == image.tobytes():
             equal += 1
         elif not first:
@@ -343,7 +347,7 @@ def _run_checks(recording: Recording) -> Iterator[Check]:
         yield from _checks_of(recording, run_record(recording), topics, '')
         return
     yield Check(
-        name='messages', looked_at='every message is what its topic says',
+        name='messages', looked_at="every message matches its topic's type",
         findings=tuple(
             Finding(where=recording.path.name, what=str(error)) for error in recording.broken
         ),

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 RECOVER = 'taxinet bag recover {bag} --out NEW'
-"""The command that writes what is sound into a new bag, with the bag's path to be filled in."""
+"""Command that copies intact messages to a new bag; the bag's path is filled in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +16,7 @@ class Finding:
     Attributes:
         where: byte, step, topic or file.
         what: what is wrong there, on one line.
-        mend: command that mends it, with ``{bag}`` for the bag's path; '' where none does.
+        mend: repair command, with ``{bag}`` for the bag's path; '' if there is none.
     """
 
     where: str
@@ -30,9 +30,9 @@ class Check:
 
     Attributes:
         name: one word.
-        looked_at: what was looked at, on one line; where ``skipped``, why it was not.
-        findings: what is wrong; empty where all is well.
-        skipped: the question does not arise, or cannot be answered.
+        looked_at: what was checked, in one line; if ``skipped``, why not.
+        findings: problems found.
+        skipped: not applicable, or cannot be checked.
     """
 
     name: str

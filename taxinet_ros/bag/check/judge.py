@@ -1,6 +1,6 @@
 """Bags judged, all runs of each, by the requirements of then or by others.
 
-Many bags are judged by several processes; how many does not show in the result.
+Several processes may judge many bags; the result does not depend on their number.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ class JudgedBag:
 def judge_runs(
     path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
 ) -> list[JudgedBag]:
-    """Judge every run in a bag. What is wrong with it is told in the result, not raised.
+    """Judge every run in a bag. Damage is reported in the result, not raised.
 
     Args:
         path: a bag's folder or an ``.mcap`` file.
-        specs: requirements; where empty, those that judged each run.
-        assumptions: what is vouched for; where None, what was then.
+        specs: requirements; empty: each run's own.
+        assumptions: assumptions; None: the recorded ones.
 
     Raises:
         UsageError: there is nothing at ``path``.
@@ -124,9 +124,9 @@ def judge_bags(
 
     Args:
         paths: run folders or ``.mcap`` files.
-        specs: requirements; where empty, those that judged each run.
+        specs: requirements; empty: each run's own.
         workers: processes to do it in; 1 is this one.
-        assumptions: what is vouched for; where None, what was when a run was made.
+        assumptions: assumptions; None: the recorded ones.
 
     Raises:
         UsageError: there is nothing at a path.

@@ -1,7 +1,6 @@
 """Checks of a bag as a run of the lockstep: stamps, whole steps, and the verdict.
 
-The verdict is made once more from the truth in the bag, and must be the recorded one bit for
-bit.
+The verdict is recomputed from the recorded truth and must match bit for bit.
 """
 
 from __future__ import annotations
@@ -114,7 +113,7 @@ class RunRecord:
         steps[step] = steps.get(step, 0) + 1
         header = getattr(message, 'header', None)
         if header is not None and stamp_of(message) != stamp:
-            self._wrong(name, stamp, f'{name}: header says {stamp_of(message)} ns')
+            self._wrong(name, stamp, f'{name}: header stamp is {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
             reading = RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
@@ -123,7 +122,7 @@ class RunRecord:
         # It is written behind the odometry of its step, and made of that.
         odometry = self.odometry.get(step)
         if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
-            self._wrong(name, stamp, f'{name}: is not where {ODOMETRY} says')
+            self._wrong(name, stamp, f'{name}: differs from {ODOMETRY}')
 
     def _wrong(self, name: str, stamp: int, what: str) -> None:
         if len(self.stamps) < MOST_STEPS:
@@ -165,11 +164,11 @@ def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
         topics: names of those that speak.
     """
     if record.scenario is None:
-        return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
+        return Check(name='steps', looked_at='no taxinet_ros scenario in it', skipped=True)
     last = last_seq(record)
     truth = any(is_topic(name, TRUTH) for name in record.counts)
     if last < 0 and record.ending is None and not truth:
-        found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='not one control step')]
+        found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='no control steps')]
         return Check(name='steps', looked_at='no truth', findings=tuple(found))
     found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
     return Check(
@@ -258,10 +257,10 @@ def check_verdict(record: RunRecord, recording: Recording) -> Check:
         recording: of that run alone.
     """
     if record.scenario is None:
-        return Check(name='verdict', looked_at='no scenario of ours in it', skipped=True)
+        return Check(name='verdict', looked_at='no taxinet_ros scenario in it', skipped=True)
     steps, found = verdict_findings(record, recording)
     if not steps and not found:
-        return Check(name='verdict', looked_at='not one step to judge', skipped=True)
+        return Check(name='verdict', looked_at='no steps to judge', skipped=True)
     return Check(
         name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
         'bit for bit', findings=tuple(found),
@@ -333,7 +332,7 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
         )
         if wrong:
             found.append(Finding(
-                where=f'step {wrong}', what=f'{name}: another interval was recorded'))
+                where=f'step {wrong}', what=f'{name}: the recorded interval differs'))
     if steps <= last_seq(record):
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
     elif steps:
@@ -371,7 +370,7 @@ def _verdict_troubles(record: RunRecord, readings: dict[str, RobustnessInterval]
     outcome = record.ending.outcome if record.ending is not None else ''
     satisfied = all(interval.satisfied for interval in readings.values())
     if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
-        found.append(Finding(where=RUN_STATUS, what=f'{outcome}, but the truth says otherwise'))
+        found.append(Finding(where=RUN_STATUS, what=f'{outcome}, which contradicts the truth'))
     return found
 
 

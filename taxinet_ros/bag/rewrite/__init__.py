@@ -1,1 +1,1 @@
-"""New bags out of old ones: recovered, split, with frames rendered."""
+"""Write new bags from old ones: recover, split, render frames."""

@@ -1,4 +1,4 @@
-"""Camera frames of a bag that was recorded without them, put back bit for bit.
+"""Restore camera frames, bit for bit, in a bag recorded without them.
 
 The camera is deterministic, so a frame follows from scenario and commands, which are recorded
 (:mod:`taxinet_ros.bag.run.resimulation`). The bag that comes out has the bytes of one that was
@@ -38,7 +38,8 @@ def missing_frames(info: BagInfo) -> int:
     """
     if CAMERA_INFO not in info.counts:
         raise BagForeign(
-            f'{info.path}: no topic {CAMERA_INFO}, so it is no run of ours', path=info.path
+            f'{info.path}: no topic {CAMERA_INFO}, so it is not a run of '
+            'taxinet_ros', path=info.path
         )
     return info.counts[CAMERA_INFO] - info.counts.get(IMAGE, 0)
 
@@ -78,7 +79,7 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
     source, info = recording.path, recording.info
     missing_frames(info)
     if info.trouble:
-        raise UsageError(f'{info.trouble}; mend it first: taxinet bag recover {source} --out NEW')
+        raise UsageError(f'{info.trouble}; repair it first: taxinet bag recover {source} --out NEW')
     try:
         with copy_of(info, folder, _topics(info), min_free_bytes) as bag:
             for stamp_ns in written_steps(bag, _with_frames(recording)):
@@ -95,7 +96,7 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
     system calls does the folder lack its ``metadata.yaml``; a bag caught so can be recovered.
     """
     if not folder.is_dir():
-        raise UsageError(f'{folder}: is no run folder; name one, or a new one with --out')
+        raise UsageError(f'{folder}: is not a run folder; name one, or a new one with --out')
     draft = folder / _DRAFT / folder.name
     shutil.rmtree(draft.parent, ignore_errors=True)
     try:

@@ -1,4 +1,4 @@
-"""Saving what is sound of a damaged or unfinished bag into a new one."""
+"""Copy the intact part of a damaged or unfinished bag to a new one."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from taxinet_ros.bag.writer import BagSummary
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """The outcome of a rescue.
+    """Result of a recovery.
 
     Attributes:
-        bag: the new, whole bag.
+        bag: the new, complete bag.
         damage: one line for each damaged place and each topic left out; empty if nothing of the
             data was lost.
         declared: messages that the source says it holds, or None where what would say so is lost.
@@ -48,7 +48,7 @@ def recover(source: Path, folder: Path) -> Recovery:
     """
     info = read_info(source)
     if not any(info.counts.values()):
-        raise BagEmpty(f'{source}: nothing can be saved: {info.trouble or "no messages"}',
+        raise BagEmpty(f'{source}: nothing can be recovered: {info.trouble or "no messages"}',
                        path=source)
     damage: list[str] = []
     topics = [t for topic in info.topics if (t := storable_topic(topic, damage.append)) is not None]

@@ -1,4 +1,4 @@
-"""A recording of several runs as a bag of each, as our recorder would have made it."""
+"""Split a recording of several runs into one bag per run, as written by the recorder node."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
     for run in numbers.values():
         if run.scenario is None:
             raise UsageError(
-                f'{recording.path}: run {run.name}: no message on {SCENARIO}, so nothing tells '
-                'what was run'
+                f'{recording.path}: run {run.name}: no message on {SCENARIO}, so its scenario is '
+                'unknown'
             )
         if not is_run_name(run.run_id):
-            raise BagForeign(f'{recording.path}: run {run.run_id!r:.80} is no name for a folder')
+            raise BagForeign(f'{recording.path}: run {run.run_id!r:.80} is not a valid folder name')
         if run.unclear:
             raise BagForeign(f'{recording.path}: run {run.name}: {run.unclear}')
     held: dict[int, list[StoredMessage]] = {i: [] for i in numbers}

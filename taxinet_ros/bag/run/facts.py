@@ -1,6 +1,6 @@
-"""What a bag tells of its run: what was asked for, enough to run it again, and the outcome.
+"""Facts of a recorded run: request (sufficient for a rerun) and outcome.
 
-A bag that ends before it tells all is read as far as it goes.
+An incomplete bag is read as far as it goes.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def recorded_run(recording: StoredRuns) -> RecordedRun:
         for error in recording.damaged_places:
             raise error
     if scenario is None:
-        raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
+        raise BagEmpty(f'{path}: no message on /scenario, so its run is unknown', path=path)
     try:
         eyes, law = kinds.get('perception'), kinds.get('steering_controller')
         world = kinds.get(SIMULATOR)
@@ -134,7 +134,7 @@ def parse_gains(words: str) -> dict[str, float]:
 
 def _request(message: Any) -> RunRequest:
     if not is_run_name(message.run_id):
-        raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
+        raise ValueError(f'run_id {message.run_id!r} is not a valid folder name')
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,
         seed=int(message.seed), scenario=scenario_of(message),
@@ -148,7 +148,7 @@ _NO_FIGURES = frozenset({'header', 'run_id', 'specs', 'complete', 'satisfied'})
 
 @dataclass(frozen=True, kw_only=True)
 class NodeFacts:
-    """What one node said of itself.
+    """Facts reported by a node.
 
     Attributes:
         implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
@@ -179,7 +179,7 @@ class RecordedRobustness:
 
 @dataclass(frozen=True, kw_only=True)
 class RunFacts:
-    """A run as its bag tells of it.
+    """Facts of a run recorded in its bag.
 
     Attributes:
         run_id, program, seed, index: who asked for it.

@@ -1,7 +1,7 @@
-"""A recorded run judged by a requirement, be it one that nobody had thought of when it ran.
+"""Evaluate any requirement on a recorded run.
 
-The monitor, its inputs and their order are those of the run, so a formula that judged the run
-gets the recorded robustness to the last bit.
+Monitor, inputs and their order are those of the run, so the run's own formulas reproduce the
+recorded robustness bit for bit.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from taxinet_ros.errors import UsageError
 
 
 class BagVerdict(enum.StrEnum):
-    """What a bag says of a requirement. Only SATISFIED is a success."""
+    """Verdict of a requirement on a bag. Only SATISFIED is a success."""
 
     SATISFIED = 'SATISFIED'
     VIOLATED = 'VIOLATED'

@@ -1,4 +1,4 @@
-"""A recorded run, read from its bag in one pass: what was asked, what happened, what came of it.
+"""A recorded run, read from its bag in one pass: request, messages and outcome.
 
 ``open_recording`` takes bags of our recorder and of ``ros2 bag record``, in any namespace and with
 any perception and controller. A bag of several runs is a sequence of recordings::
@@ -151,7 +151,7 @@ class Recording(StoredRuns, Sequence['Recording']):
         if told is not None and told.run_id != run_id:
             raise UsageError(
                 f'{self.path}: is of run {told.run_id}, not of {run_id}; was the folder moved '
-                f'here? taxinet doctor {self.path.parent} checks all of them'
+                f'here? Check all with taxinet doctor {self.path.parent}'
             )
 
     @property

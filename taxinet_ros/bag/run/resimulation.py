@@ -1,9 +1,8 @@
-"""The world of a recorded run once more: states and pictures out of scenario and commands.
+"""Re-simulate a recorded run: states and images from scenario and commands.
 
-The recorded attitude is a quaternion, whose rounding does not give the angles back to the bit, and
-the picture follows from the angles. So the aircraft is not read off the bag but driven again: the
-scenario and the recorded commands determine every state, and the recorded odometry and truth, which
-must come out equal to the bit, prove that they did.
+The recorded attitude is a quaternion, from which the exact angles cannot be restored, but images
+depend on the angles. So the aircraft is re-simulated from the scenario and the recorded commands,
+and checked bit for bit against the recorded odometry and truth.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
-    """Driven again, the aircraft is elsewhere: another version or machine has recorded the bag."""
+    """The re-simulated aircraft deviates: the bag is from another version or machine."""
 
 
 def observations(
@@ -78,8 +77,8 @@ def _held(
     account = free_account(recording.info)
     if account is None:
         raise BagEmpty(
-            f'{path}: a free run that does not tell which command held when, for it was not ended '
-            'in order', path=path,
+            f'{path}: a free run without the record of its commands in effect, since it did not '
+            'end in order', path=path,
         )
     applied = account.applied
     known = {**commands, -1: first}
@@ -132,7 +131,7 @@ def _compare(path: Path, seq: int, before: dict[str, float], now: dict[str, floa
         if now[name] != value:
             raise WorldDiffers(
                 f'{path}: step {seq}: {name} of the aircraft is {value!r} in the bag and '
-                f'{now[name]!r} when driven again: recorded by another version or on another '
+                f'{now[name]!r} when re-simulated: recorded by another version or on another '
                 'machine',
                 path=path,
             )

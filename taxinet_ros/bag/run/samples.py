@@ -1,4 +1,4 @@
-"""The monitored signals of a run, out of its bag, with what was recorded of its judgement."""
+"""Monitored signals of a recorded run, with its recorded robustness."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
     readers = [_SamplesReader(names) for _ in recording.runs]
     if all(run.scenario is None for run in recording.runs):
         kind = BagEmpty if trouble else BagForeign
-        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown', path=path)
     try:
         # What a run's own formulas need is known from its scenario, which a recorder that came
         # late may have been told last.
@@ -189,7 +189,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
             except BagCorrupt as error:
                 trouble.append(str(error))
     except _UNREADABLE as error:
-        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+        raise BagForeign(f'{path}: not a run of taxinet_ros: {error}', path=path) from error
     alone = recording.plain or len(recording.runs) == 1
     pairs = list(zip(recording.runs, readers, strict=True))
     present = [pair for pair in pairs if not pair[0].absent] or pairs
@@ -201,7 +201,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
     notes = [unchecked_files(path)]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
-        notes.append(f'tells how these ended, and has not one step of them: {", ".join(absent)}')
+        notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
     found[0] = dataclasses.replace(found[0], note='; '.join(filter(None, notes)))
     return found
 
@@ -213,12 +213,12 @@ def _samples(
         return RunSamples(
             run=run, duration_ns=0, specs=(), assumptions=NO_ASSUMPTIONS, stamps_ns=(), samples=(),
             recorded={}, stopped_early=False, unusable_estimates=0, there=(),
-            trouble=f'no message on {SCENARIO}, so nothing tells what was run',
+            trouble=f'no message on {SCENARIO}, so its scenario is unknown',
         )
     try:
         return reader.run(run, trouble, unclear)
     except _UNREADABLE as error:
-        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+        raise BagForeign(f'{path}: not a run of taxinet_ros: {error}', path=path) from error
 
 
 def _timing(words: str) -> str:
@@ -318,7 +318,7 @@ class _SamplesReader:
                     sample.update(watch.signals(stamp, sample))
         begins_ns = min(self.steps[TRUTH], default=0)
         if begins_ns > 0 and not trouble:
-            trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
+            trouble = f'begins at {begins_ns / NS_PER_S:g} s: earlier steps were not recorded'
         return RunSamples(
             run=run,
             duration_ns=duration_ns,
@@ -341,7 +341,7 @@ class _SamplesReader:
             if self.free and topic in (ESTIMATE, COMMAND):
                 continue
             if not messages and last_ns >= 0:
-                found[topic] = f'{topic}: no message of it, so what reads it is not judged'
+                found[topic] = f'{topic}: no messages, so formulas that read it are not evaluated'
             elif min(messages, default=0) > min(self.steps[TRUTH], default=0):
                 found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
             elif max(messages, default=last_ns) < last_ns - CONTROL_PERIOD_NS:

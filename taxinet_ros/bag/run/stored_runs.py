@@ -120,11 +120,6 @@ class StoredRuns:
         return self._apart.runs
 
     @property
-    def owners(self) -> Sequence[int]:
-        """For each message on a topic of a run, the number of the run it belongs to, or -1."""
-        return self._apart.owners
-
-    @property
     def plain(self) -> bool:
         """Whether it is one run and nothing else, logged as our recorder does."""
         return self._apart.plain
@@ -155,15 +150,15 @@ class StoredRuns:
         if len(present) > 1:
             raise UsageError(
                 f'{self.path}: holds {len(present)} runs: '
-                f'{", ".join(run.words() for run in present)}; choose one with --run, or make a '
-                f'bag of each: taxinet bag split {self.path} --out DIR'
+                f'{", ".join(run.words() for run in present)}; choose one with --run, or split it: '
+                f'taxinet bag split {self.path} --out DIR'
             )
         return present[0]
 
     def without_run(self) -> BagEmpty:
         """What to raise where there is no run; damage may have taken it."""
         why = f': {self.damage[0]}' if self.damage else ''
-        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
+        return BagEmpty(f'{self.path}: contains no run of taxinet_ros{why}', path=self.path)
 
     # ---- its messages ------------------------------------------------------------------------
 
@@ -197,7 +192,7 @@ class StoredRuns:
         for _, error in damage:
             text = str(error)
             if isinstance(error, BagTruncated | BagCorrupt):
-                text = f'{text}; {count} sound messages before'
+                text = f'{text}; {count} intact messages before'
             raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
 
     def messages_of_runs(
@@ -211,7 +206,7 @@ class StoredRuns:
             whole: whether pictures are not cut short, which takes a pass over the files.
         """
         messages = self.all_messages() if whole else self._contents.messages
-        return messages_of_runs(messages, self._apart.owners, wanted)
+        return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
         """Every sound message, whoever's, in the order of the recording; pictures take a pass.
@@ -236,7 +231,7 @@ class StoredRuns:
             return stored_messages(self.path, wanted)
         whole, number = self._within.whole, self._within.number
         mine = messages_of_runs(
-            stored_messages(self.path), whole._apart.owners,
+            stored_messages(self.path), whole._apart,
             lambda run, topic: run == number and wanted(f'/{topic}'),
         )
         return (stored for _, stored in mine)

@@ -1,4 +1,4 @@
-"""Where the frames are, as tf2 has it: ``tf`` follows odometry, ``tf_static`` mounts the camera.
+"""Coordinate frames for tf2: ``tf`` follows odometry, ``tf_static`` mounts the camera.
 
 By ROS's convention anybody may speak on these two topics, of frames of his own. So what a bag of
 ours says there is not what was heard, but made of the odometry that is in it: ``tf`` says where

@@ -1,4 +1,4 @@
-"""Reading an MCAP file from the front, as far as it is sound, and on behind what is damaged.
+"""Read an MCAP file sequentially, and resume behind damage.
 
 Neither index nor footer is needed, so a file whose writer was killed reads like any other, up to
 the last flush. Behind damage the next sound record is searched for by what a record has to look
@@ -121,7 +121,7 @@ def unchecked(path: Path) -> str:
     if not bare and not loose:
         return ''
     what = f'{bare} of {chunks} chunks carry' if bare else f'{loose} messages outside chunks have'
-    return f'{path.name}: {what} no checksum, so that damage in them cannot be seen'
+    return f'{path.name}: {what} no checksum, so that damage in them cannot be detected'
 
 
 class _Scanner:
@@ -241,7 +241,7 @@ class _Scanner:
         if first != offset and count:
             if offset not in self._repeats:
                 self._repeats.add(offset)
-                text = f'the chunk at byte {first} once more, {count} messages; left out'
+                text = f'the chunk at byte {first} is repeated, {count} messages; left out'
                 self.damage(BagCorrupt(text), offset)
             return ()
         return inner if small else chunk_records(raw, ReadBudget(len(raw)))
@@ -279,7 +279,7 @@ class _Scanner:
 
     def _contradiction(self, what: str) -> None:
         # If the scan is to go on, the later copy wins: it stands under a chunk's checksum.
-        self.damage(BagCorrupt(f'{what} is told in two ways'), self._offset)
+        self.damage(BagCorrupt(f'{what} has two different definitions'), self._offset)
 
     def _finish(self, body: bytes, offset: int, crc: int) -> None:
         """Check the whole against the end of the file."""
@@ -337,7 +337,7 @@ class _Salvage:
             if sound >= self._end and self._summary is None:
                 self._scanner.damage(BagTruncated('the end of the file is missing'), sound)
             elif sound < self._end:
-                self._scanner.damage(BagCorrupt('no sound record'), sound)
+                self._scanner.damage(BagCorrupt('no intact record'), sound)
             offset = sound
 
     def _next_sound(self, start: int) -> int:

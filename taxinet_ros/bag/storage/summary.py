@@ -243,7 +243,7 @@ class _IndexCheck:
         """After the last record: what the summary does not tell of."""
         if self.told == 0 and self.chunks:
             self.troubles.append(
-                IndexTrouble(self.end, 'no index: players must read all to find any')
+                IndexTrouble(self.end, 'no index: players must read the whole file')
             )
             return
         for what, left in (('chunk', self.chunks), ('file', self.files), ('words', self.words)):
@@ -294,7 +294,7 @@ class _IndexCheck:
         if (chunk.message_start_time, chunk.message_end_time) != (
             self.chunk.message_start_time, self.chunk.message_end_time
         ):
-            self.troubles.append(IndexTrouble(offset, 'chunk tells other stamps than its messages'))
+            self.troubles.append(IndexTrouble(offset, "chunk's stamps differ from its messages'"))
 
     def _note_entries(self, offset: int, length: int, index: MessageIndex) -> None:
         there = self.pending.pop(index.channel_id, [])
@@ -343,7 +343,7 @@ class _IndexCheck:
         self.told += 1
         if record != there:
             kind = type(record).__name__
-            self.troubles.append(IndexTrouble(offset, f'{kind} points at something else'))
+            self.troubles.append(IndexTrouble(offset, f'{kind} points to something else'))
 
     def _note_group(self, offset: int, opcode: int, length: int) -> None:
         start, so_far = self.groups.get(opcode, (offset, 0))
@@ -366,5 +366,5 @@ class _IndexCheck:
         counts = {channel: n for channel, n in told.channel_message_counts.items() if n}
         if counts != {channel: n for channel, n in self.counts.items() if n}:
             self.troubles.append(
-                IndexTrouble(offset, 'statistics: messages per channel are others')
+                IndexTrouble(offset, 'statistics: messages per channel differ')
             )

@@ -134,8 +134,8 @@ def test_given_bags_then_only_failures_with_one_are_to_be_looked_at(tmp_path):
 
 
 @pytest.mark.parametrize(('count', 'columns', 'said'), [
-    (3, {}, 'no failure: there are no causes to name'),
-    (12, {**ALIKE, 'weight': math.nan, 'sampler': 'bo'}, 'There is no rate from this search'),
+    (3, {}, 'no failure: no causes'),
+    (12, {**ALIKE, 'weight': math.nan, 'sampler': 'bo'}, 'This search yields no failure rate'),
 ])
 def test_given_few_or_odd_runs_then_there_is_a_whole_report(tmp_path, count, columns, said):
     report = campaign_report(analyse(planted_runs(
@@ -189,10 +189,10 @@ def test_given_an_analysis_when_written_then_files_are_there_and_its_own_are_rep
 
 def test_given_a_foreign_folder_then_nothing_is_written_there(tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
-    with pytest.raises(UsageError, match='holds other files than those of an analysis'):
+    with pytest.raises(UsageError, match='contains files other than those of an analysis'):
         check_folder(tmp_path)
     (tmp_path / 'analysis.json').write_text('{"schema": "another"}')
-    with pytest.raises(UsageError, match='holds other files'):
+    with pytest.raises(UsageError, match='contains files other'):
         check_folder(tmp_path)
     with pytest.raises(UsageError, match='not a folder'):
         check_folder(tmp_path / 'notes.txt')

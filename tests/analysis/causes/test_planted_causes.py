@@ -139,11 +139,11 @@ def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path)
 
 
 @pytest.mark.parametrize(('runs', 'failing', 'words'), [
-    (12, 2, '12 runs, 2 failures: too few to name causes'),
-    (300, 300, '300 runs, 300 failures: where all runs fail, nothing tells causes apart'),
-    (300, 0, '300 runs, no failure: there are no causes to name'),
-    (100, 98, '100 runs, 98 failures: too few others to tell causes apart'),
-    (1, 1, '1 run, 1 failure: where all runs fail, nothing tells causes apart'),
+    (12, 2, '12 runs, 2 failures: too few to find causes'),
+    (300, 300, '300 runs, 300 failures: all runs fail, so causes cannot be distinguished'),
+    (300, 0, '300 runs, no failure: no causes'),
+    (100, 98, '100 runs, 98 failures: too few other runs to distinguish causes'),
+    (1, 1, '1 run, 1 failure: all runs fail, so causes cannot be distinguished'),
 ])
 def test_given_too_little_to_go_by_then_it_says_so(tmp_path, runs, failing, words):
     causes = causes_of(tmp_path, lambda t: t['index'] < failing, runs=runs)

@@ -186,10 +186,10 @@ def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
     some = found([1.0, None, 1.0], [1.0, 1.0])
     (one,) = some.comparisons
     assert (len(one.pairs), one.unpaired) == (1, 2)
-    assert 'Runs of on without verdict, whose scenes are in no pair: 1 INFRA_ERROR (1 died).' in [
+    assert 'Runs of on without verdict, whose scenes are excluded: 1 INFRA_ERROR (1 died).' in [
         *experiment_sentences(some)]
     nothing = found([None], [None])
-    assert 'nothing can be said' in ' '.join(experiment_sentences(nothing))
+    assert 'no conclusion is possible' in ' '.join(experiment_sentences(nothing))
 
 
 def test_given_an_experiment_then_report_json_and_table_hold_it():

@@ -84,7 +84,7 @@ def test_given_a_search_without_draws_then_there_is_no_rate(sampler, tmp_path):
         assert unknown.rate().rate == (frame['outcome'] == 'FAIL').mean()
         assert math.isnan(unknown.rate().low)
         assert 'of the runs made' in unknown.rate().words()
-        assert 'There is no rate from this search' in rate_sentences(unknown)[0]
+        assert 'This search yields no failure rate' in rate_sentences(unknown)[0]
 
 
 def test_given_a_group_in_which_nothing_was_drawn_then_it_has_no_interval():

@@ -147,8 +147,8 @@ def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
     ('message_count: 135', 'message_count: 134', 'message_count is 134, in the bag 135'),
-    ('message_count: 16', 'message_count: 15', 'message_count not as in the bag'),
-    ('depth: 16', 'depth: 10', 'offered_qos_profiles not as in the bag'),
+    ('message_count: 16', 'message_count: 15', 'message_count differ from the bag'),
+    ('depth: 16', 'depth: 10', 'offered_qos_profiles differ from the bag'),
     ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
     ('name: /clock', 'name: /clocks', 'does not know topic /clock'),
     ('version: 9', 'version: 10', 'version is 10; known up to 9'),

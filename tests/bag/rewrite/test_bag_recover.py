@@ -64,7 +64,7 @@ def test_given_a_damaged_topic_at_the_top_when_recovered_then_the_copy_in_the_ch
 def test_given_nothing_sound_when_recovered_then_refused_and_no_folder_made(
     whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
 ) -> None:
-    with pytest.raises(BagEmpty, match='nothing can be saved'):
+    with pytest.raises(BagEmpty, match='nothing can be recovered'):
         recover(damaged(whole[:20]), tmp_path / 'saved')
     assert not (tmp_path / 'saved').exists()
 

@@ -101,7 +101,7 @@ def test_ros1_given_interleaved_runs_then_what_names_no_run_is_not_guessed(tmp_p
     assert [essence(run) for run in judged] == [essence(judge_runs(b)[0]) for b in (GOOD, BAD)]
     for run in judge_runs(bag, [parse_spec('always(x >= 1)')]):
         assert not run.sound
-        assert 'odometry and frames name no run' in run.trouble
+        assert 'odometry and frames have no run_id' in run.trouble
 
 
 def test_ros1_given_a_recorder_that_came_late_then_the_run_is_incomplete_and_said_to_be(
@@ -115,8 +115,8 @@ def test_ros1_given_a_recorder_that_came_late_then_the_run_is_incomplete_and_sai
     code, out, _ = call(capsys, 'monitor', bag)
     assert code == 3
     assert 'INCOMPLETE' in out
-    assert 'begins at 5 s: what came before was not recorded' in out
-    assert f'has not one step of them: {BAD.name}' in out
+    assert 'begins at 5 s: earlier steps were not recorded' in out
+    assert f'has the end, but no steps, of these runs: {BAD.name}' in out
     code, _, err = call(capsys, 'monitor', bag, '--run', BAD.name)
     assert (code, len(err.splitlines())) == (2, 1)
     assert f'--run {BAD.name}: no step of it in {bag}' in err
@@ -135,7 +135,7 @@ def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_
         assert f'holds 2 runs: {GOOD.name} (0-12 s), {BAD.name} (0-12 s); choose one with' in err
     code, out, err = call(capsys, 'shrink', both)
     assert (code, out, len(err.splitlines())) == (2, '', 1)
-    assert f'makes: taxinet bag split {both} --out DIR' in err
+    assert f'split it: taxinet bag split {both} --out DIR' in err
     assert list(tmp_path.iterdir()) == []
     for name in ('run', 'columns', 'facts'):
         with pytest.raises(BagForeign, match='holds several runs, taxinet-midday and original'):
@@ -212,7 +212,7 @@ def test_ros14_given_a_compressed_bag_then_one_line_says_how_to_make_it_plain(
     code, out, err = call(capsys, *words, bag)
     assert code == 2
     assert (out, len(err.splitlines())) == ('', 1)
-    assert f'compressed by {mode.name.lower()}; make it plain: ros2 bag convert -i' in err
+    assert f'compressed by {mode.name.lower()}; decompress it: ros2 bag convert -i' in err
 
 
 @pytest.mark.parametrize('words', [('monitor',), ('bag', 'info'), ('bag', 'doctor')])
@@ -223,7 +223,7 @@ def test_ros14_given_an_sqlite3_bag_then_one_line_says_how_to_make_it_mcap(
     (tmp_path / 'small_0.db3').write_bytes(b'SQLite format 3\0')
     code, out, err = call(capsys, *words, tmp_path / name)
     assert (code, out, len(err.splitlines())) == (2, '', 1)
-    assert 'an sqlite3 bag; make it MCAP with: ros2 bag convert' in err
+    assert 'an sqlite3 bag; convert it to MCAP with ros2 bag convert' in err
 
 
 def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(tmp_path, capsys):

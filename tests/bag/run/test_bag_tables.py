@@ -91,7 +91,7 @@ def test_given_an_unfinished_run_when_made_a_table_then_it_is_said(
 ) -> None:
     data = next(run.glob('*.mcap')).read_bytes()
     (tmp_path / 'x.mcap').write_bytes(data[:len(data) // 2])
-    with pytest.raises(BagTruncated, match=r'at byte \d+: .*sound messages before'):
+    with pytest.raises(BagTruncated, match=r'at byte \d+: .*intact messages before'):
         _ = open_recording(tmp_path / 'x.mcap').trace
 
 

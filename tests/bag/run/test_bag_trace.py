@@ -92,7 +92,7 @@ def test_given_no_ground_truth_when_traced_then_empty(tmp_path: Path) -> None:
 def test_given_a_damaged_run_when_traced_then_the_damage_is_raised(tmp_path: Path) -> None:
     path = write_bag(tmp_path / 'run', samples(2))
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(BagError, match='10 sound messages before'):
+    with pytest.raises(BagError, match='10 intact messages before'):
         _ = open_recording(path).columns
 
 

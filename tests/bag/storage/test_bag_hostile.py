@@ -98,7 +98,7 @@ def test_given_each_compression_when_read_then_messages_come(
     ))
     assert found == [('/t', 'a/msg/B', 5, b'abcd')]
     assert isinstance(error, BagTruncated)
-    assert '1 sound messages before' in str(error)
+    assert '1 intact messages before' in str(error)
 
 
 def test_given_messages_of_another_encoding_when_read_then_refused_only_if_wanted(
@@ -244,7 +244,7 @@ def test_f8_given_reading_without_end_then_it_ends_with_one_line(
         swallow()
     assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
     before = resource.getrlimit(resource.RLIMIT_AS)
-    with pytest.raises(UsageError, match='took more memory than a recording of 1000 bytes does'), \
+    with pytest.raises(UsageError, match='took too much memory for a recording of 1000 bytes'), \
             read_within_limits(tmp_path):
         bytearray(8 << 30)
     assert resource.getrlimit(resource.RLIMIT_AS) == before

@@ -95,7 +95,7 @@ def test_provenance_of_tables_that_are_held_together_is_compared(tmp_path, elsew
     table.attrs = {}
     table.to_parquet(tmp_path / 'old.parquet')
     old = read_runs(tmp_path / 'old.parquet')
-    assert 'Nothing tells' in stack_sentences([here, old])[0]
+    assert 'Machine and versions are unknown' in stack_sentences([here, old])[0]
 
 
 def test_provenance_of_several_sittings_is_a_note_of_the_gate(tmp_path, monkeypatch, capsys):

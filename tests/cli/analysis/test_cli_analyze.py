@@ -79,15 +79,14 @@ def test_t2_given_runs_that_a_sampler_chose_when_analysed_then_there_is_no_rate_
     chosen.to_parquet(tmp_path / 'c.parquet')
     words = ['analyze', str(tmp_path / 'c.parquet'), '--viewers', '0']
     assert main._exit_code(lambda: main.app(words, standalone_mode=False)) == 3
-    assert 'There is no rate from this search' in capsys.readouterr().out
+    assert 'This search yields no failure rate' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['nowhere'], 'nowhere/runs.parquet: no such table; is nowhere a campaign?'),
     (['c', '--spec', 'other'], '--spec other: not judged in c; known: phi'),
     (['c', '--alpha', '7'], '--alpha 7: not within 0.002..0.5'),
-    (['c', '--out', 'c'], '--out c: holds other files than those of an analysis; '
-                          'name a new folder'),
+    (['c', '--out', 'c'], '--out c: contains files other than those of an analysis'),
     (['c', '--baseline', 'stdout'], 'stdout/runs.parquet: no such table; is stdout a campaign?'),
 ])
 def test_given_bad_input_then_one_line_says_so(folder, monkeypatch, capsys, words, complaint):
@@ -114,5 +113,5 @@ def test_given_json_when_asked_then_only_that_is_printed(folder, monkeypatch, ca
     values = json.loads(capsys.readouterr().out)
     written = read_sealed(folder / 'better-analysis' / 'analysis.json').values
     assert values == written
-    assert values['causes_why_not'] == '60 runs, no failure: there are no causes to name'
+    assert values['causes_why_not'] == '60 runs, no failure: no causes'
     assert values['runs_to_look_at'] == {}

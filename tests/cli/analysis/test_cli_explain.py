@@ -116,7 +116,7 @@ def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags
     found = json.loads(out)
     assert code == 0
     assert (found['perception'], found['recorded_perception']) == ('original', 'truth')
-    assert 'This network did not drive the run: truth did.' in found['sentences']
+    assert 'The run was driven by truth, not by this network.' in found['sentences']
     assert found['recomputed']['equal'] is False
     assert len(found['moments']) == 1
 
@@ -134,7 +134,7 @@ def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_on
     monkeypatch.setattr(Recording, 'observations', elsewhere)
     code, out, err = taxinet('explain', bags / 'original', '--out', 'x')
     assert (code, out, err.count('\n')) == (2, '', 1)
-    assert 'were not recorded and cannot be rendered as they were' in err
+    assert 'were not recorded and cannot be re-rendered' in err
     assert not (tmp_path / 'x').exists()
     code, out, err = taxinet(
         'explain', tmp_path / 'original', '--frames', 1, '--out', 'y', '--json')
@@ -165,7 +165,7 @@ def test_given_a_full_folder_or_no_bag_then_one_line(bags, taxinet, tmp_path):
     (tmp_path / 'full' / 'mine').touch()
     code, _, err = taxinet('explain', bags / 'original', '--out', 'full')
     assert (code, err.count('\n')) == (2, 1)
-    assert 'name a new folder' in err
+    assert 'choose a new folder' in err
     code, _, err = taxinet('explain', 'nothing')
     assert (code, err.count('\n')) == (2, 1)
 

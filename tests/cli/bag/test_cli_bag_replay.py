@@ -41,7 +41,7 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
     assert read_info(again).counts.get(IMAGE) is None
     code, out, _ = taxinet('bag', 'doctor', '--images', tmp_path / 'new')
     assert code == 0
-    assert '11 of 11 equal those rendered anew, bit for bit' in out
+    assert '11 of 11 equal re-rendered ones, bit for bit' in out
     code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
     assert (code, out.split(':')[0]) == (0, 'nothing to do')
     assert taxinet('bag', 'render', again, '--out', tmp_path / 'new')[0] == 2

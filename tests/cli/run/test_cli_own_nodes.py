@@ -216,7 +216,7 @@ def test_given_failures_of_a_file_when_localized_then_it_steers_the_trials(folde
     assert taxinet('run', 'nominal', *words, *SHORT, '--out', 'f', cwd=folder).returncode == 1
     done = taxinet('localize', 'f', '--out', 'l', '--workers', '1', cwd=folder)
     assert done.returncode == 0, done.stderr
-    assert 'did not come out as recorded' not in done.stdout
+    assert 'were not reproduced' not in done.stdout
     (folder / 'mine.py').write_text(MINE + '\n')
     done = taxinet('localize', 'f', '--out', 'l2', cwd=folder)
     (folder / 'mine.py').write_text(MINE)

@@ -164,7 +164,7 @@ def test_given_five_outcomes_in_an_arm_then_its_report_counts_them_and_pairs_non
     found = paired_arms(experiment, {'before': tuple(rows), 'after': tuple(rows)})
     assert len(found.comparisons[0].pairs) == JUDGED
     counted = UNJUDGED.replace('2 REJECTED', '').rstrip(', ')
-    words = 'Runs of after without verdict, whose scenes are in no pair: 2 REJECTED, ' + counted
+    words = 'Runs of after without verdict, whose scenes are excluded: 2 REJECTED, ' + counted
     assert f'{words}.' in [*experiment_sentences(found)]
     write_report_page(experiment_report(found), tmp_path / 'page.html')
     assert words in (tmp_path / 'page.html').read_text()
