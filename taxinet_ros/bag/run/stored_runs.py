@@ -120,6 +120,11 @@ class StoredRuns:
         return self._apart.runs
 
     @property
+    def owners(self) -> Sequence[int]:
+        """For each message on a topic of a run, the number of the run it belongs to, or -1."""
+        return self._apart.owners
+
+    @property
     def plain(self) -> bool:
         """Whether it is one run and nothing else, logged as our recorder does."""
         return self._apart.plain
