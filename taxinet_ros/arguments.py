@@ -77,7 +77,7 @@ def told(value: object) -> str:
 
 def is_number(value: object) -> bool:
     """Whether it is a real number that fits a float, NaN among them; True and False are none."""
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
     try:
         float(value)

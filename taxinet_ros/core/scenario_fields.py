@@ -34,7 +34,7 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
-RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
