@@ -22,24 +22,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.provenance import differences, known, provenance
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
-from taxinet_ros.core.topics import SCENARIO
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import load_json
 
 _NAMES = frozenset({'run_id'})
 _ABSENT = object()
-_BEFORE = {
-    field.attribute: field.absent for field in SCENARIO_FIELDS if field.absent is not None
-}
-"""What scenarios of before had where there is a key now."""
 _SHOWN_CHARS = 60
 
 
@@ -178,9 +172,10 @@ def _differences(
         yield 'log time', (f'{a.stamp_ns} ns', f'{b.stamp_ns} ns'), math.nan
     one = dict(_leaves('', decode(a.topic, a.cdr)))
     other = dict(_leaves('', decode(b.topic, b.cdr)))
-    before = _BEFORE if a.topic.type == SCENARIO.type_name else {}
+    # What a recording of before could not say yet was so.
+    unsaid = ABSENT if a.topic.type == b.topic.type == SCENARIO_TYPE else {}
     for path in dict.fromkeys([*one, *other]):
-        x, y = (leaves.get(path, before.get(path, _ABSENT)) for leaves in (one, other))
+        x, y = (leaves.get(path, unsaid.get(path, _ABSENT)) for leaves in (one, other))
         if isinstance(x, np.ndarray) and isinstance(y, np.ndarray):
             yield from _array_difference(path, x, y)
         elif isinstance(x, float) and isinstance(y, float):

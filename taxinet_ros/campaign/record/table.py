@@ -201,24 +201,24 @@ def read_any_table(path: Path) -> pd.DataFrame:
     # A table from before a column was thought of is still a table.
     try:
         frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
-        return _with_later_keys(frame)
     except (ValueError, TypeError, OverflowError) as error:
         raise _damaged(path, error) from error
+    _add_what_was_so(frame)
+    return frame
 
 
-def _with_later_keys(frame: pd.DataFrame) -> pd.DataFrame:
-    """A table with the scenario's keys of after it, which had their value of then in all scenes."""
-    if not {'shadows', SCENARIO_FIELDS[0].key} <= set(frame.columns):
-        return frame
-    drawn = frame['shadows'].notna()
+def _add_what_was_so(frame: pd.DataFrame) -> None:
+    """Columns of a scene that could not be varied yet: their value of then, if there is a scene."""
     for before, field in pairwise(SCENARIO_FIELDS):
         if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
             continue
-        nothing = None if field.absent is True else ''
-        kind: Any = field.column_type
-        column = drawn.map({True: field.absent, False: nothing}).astype(kind)
-        frame.insert(list(frame.columns).index(before.key) + 1, field.key, column)
-    return frame
+        value, nothing = field.to_human(field.absent), '' if field.words else None
+        drawn = frame[SCENARIO_FIELDS[0].key].notna()
+        frame.insert(
+            list(frame.columns).index(before.key) + 1, field.key,
+            [value if there else nothing for there in drawn],
+        )
+        frame[field.key] = frame[field.key].astype(field.column_type)  # type: ignore[call-overload]
 
 
 def _specs_of(frame: pd.DataFrame) -> list[str]:

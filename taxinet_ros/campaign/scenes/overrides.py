@@ -13,13 +13,18 @@ from typing import Any
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
     BY_KEY,
+    GUST,
+    GUST_SEED,
     HEADING,
     PLACE,
     RAIN,
     RAIN_CLOUDS,
     SKY,
     TIME_OF_DAY,
+    WIND_DIRECTION,
+    WIND_SPEED,
     by_key,
 )
 from taxinet_ros.core.world import last_step
@@ -28,6 +33,13 @@ from taxinet_ros.errors import UsageError
 WEATHER = (SKY.key, RAIN.key)
 """The two keys that bind each other: rain falls from rain clouds only."""
 
+_BOUND = (
+    WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
+    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
+)
+"""Keys that bind each other."""
+_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
+"""Beside these every value of another key can be."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
@@ -143,6 +155,17 @@ def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     return found
 
 
+def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
+    """Keys of values that no scenario could have together, though each of them alone."""
+    found: set[str] = set()
+    for keys in _BOUND:
+        try:
+            scenario_from_human({key: values[key] for key in keys if key in values})
+        except UsageError:
+            found.update(keys)
+    return found
+
+
 def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:
     """See that a scenario could have this value, whatever the others were.
 
@@ -158,8 +181,8 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     if not place and field is not None and field.anywhere is not None:
         field.check(field.from_human(value), field.anywhere)
         return
-    # Rain is checked under a sky that allows it, and what crosses where something does.
-    last_step(scenario_from_human({**(place or {}), 'clouds': RAIN_CLOUDS[0], key: value}))
+    # Each among others that allow it, as rain under a sky, and what crosses where something does.
+    last_step(scenario_from_human({**(place or {}), **_ALLOWING, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

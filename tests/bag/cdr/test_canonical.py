@@ -13,7 +13,6 @@ from rosbags.typesys import Stores, get_typestore
 from taxinet_ros.bag.cdr.alignment import Canonical, Trail, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.reader import read_info, stored_messages
-from taxinet_ros.bag.run.run_bag import bag_topics
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = [
@@ -82,15 +81,9 @@ def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes
         assert len(walk_of(STORE, name).without_gaps(bytes(clean))) <= len(clean)
 
 
-def as_recorded(bag):
-    """The topics of a run, with the definitions that a bag has of theirs."""
-    told = {topic.name: topic for topic in read_info(bag).topics}
-    return [told.get(topic.name, topic) for topic in bag_topics(True)]
-
-
 def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     bag = GOLDEN / 'taxinet-midday'
-    canonical = Canonical(as_recorded(bag))
+    canonical = Canonical(read_info(bag).topics)
     stored = list(stored_messages(bag))
     assert len(stored) == sum(read_info(bag).counts.values()) > 500
     for one in stored:
@@ -103,7 +96,7 @@ def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
 ])
 def test_given_bytes_that_are_no_message_then_the_error_names_the_topic(spoil):
     bag = GOLDEN / 'truth-nominal'
-    canonical = Canonical(as_recorded(bag))
+    canonical = Canonical(read_info(bag).topics)
     one = next(m for m in stored_messages(bag) if m.topic.name == '/scenario')
     with pytest.raises(BagCorrupt, match=r'/scenario: .* bytes are no message of it'):
         canonical.message('/scenario', spoil(one.cdr))
