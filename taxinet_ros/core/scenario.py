@@ -92,11 +92,11 @@ class Scenario:
         PLACE.check(self.place)
         runway = self.runway
         limits = {
-            CROSS_TRACK: (-runway.farthest_start_m, runway.farthest_start_m),
-            DISTANCE: (0.0, runway.last_start_m),
+            CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
+            DISTANCE.key: (0.0, runway.last_start_m),
         }
         for field in SCENARIO_FIELDS:
-            self._check(field, limits.get(field))
+            self._check(field, limits.get(field.key))
         if not runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
