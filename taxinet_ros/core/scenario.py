@@ -7,7 +7,6 @@ ranges, units and words of the values are in :mod:`taxinet_ros.core.scenario_fie
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -89,14 +88,15 @@ class Scenario:
     place: str = DEFAULT_PLACE
 
     def __post_init__(self) -> None:
-        PLACE.check(self.place)
+        PLACE.checked(self.place)
         runway = self.runway
         limits = {
             CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
             DISTANCE.key: (0.0, runway.last_start_m),
         }
         for field in SCENARIO_FIELDS:
-            self._check(field, limits.get(field.key))
+            value = self._checked(field, limits.get(field.key))
+            object.__setattr__(self, field.attribute, value)
         if not runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
@@ -114,14 +114,10 @@ class Scenario:
             )
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
-        try:
-            datetime.date.fromisoformat(self.date)
-        except ValueError as error:
-            raise UsageError(f'scenario: date is {self.date!r}, not YYYY-MM-DD') from error
 
-    def _check(self, field: ScenarioField, limits: tuple[float, float] | None) -> None:
+    def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         try:
-            field.check(getattr(self, field.attribute), limits)
+            return field.checked(getattr(self, field.attribute), limits)
         except UsageError as error:
             if limits is None or self.place == DEFAULT_PLACE:
                 raise

@@ -15,13 +15,14 @@ compared with them by ``tests/core/test_scenario_fields.py``.
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from numbers import Real
 from typing import Any, TypeVar
 
+from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, typed_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.errors import UsageError
@@ -33,7 +34,7 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
-RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
@@ -54,7 +55,7 @@ class Kind(Enum):
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
-    Kind.NUMBER: (Real, 'a number'), Kind.WORD: (str, 'a word'),
+    Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
     Kind.PLACE: (str, 'a place'),
 }
@@ -157,21 +158,24 @@ class ScenarioField:
             return find_place(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
-    def check(self, value: Any, limits: tuple[float, float] | None = None) -> None:
-        """See that a value in SI units is of its kind, and within the range or one of the words.
+    def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
+        """A value in SI units as plain Python, if it is of its kind and possible.
 
         Args:
             value: to be checked.
             limits: least and greatest number in place of the row's own.
 
         Raises:
-            UsageError: it is not.
+            UsageError: it is of another kind, outside the range, or none of the words.
         """
         expected, what = _VALUES[self.kind]
         # To Python a switch is a number too, and any text is true; numpy has switches of its own.
         switch = type(value).__name__ in ('bool', 'bool_')
-        if switch is not (self.kind is Kind.SWITCH) or not (switch or isinstance(value, expected)):
-            raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not {what}')
+        fits = is_number(value) if self.kind is Kind.NUMBER else isinstance(value, expected)
+        if switch is not (self.kind is Kind.SWITCH) or not (switch or fits):
+            raise UsageError(f'scenario: {self.attribute} is {told(value)}, not {what}')
+        # A number of numpy's would take the arithmetic of the run to its own precision.
+        value = value if type(value) is expected else expected(value)
         low, high = limits or (self.low, self.high)
         if self.kind is Kind.NUMBER and not _within(value, low, high):
             raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
@@ -180,6 +184,12 @@ class ScenarioField:
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
+        if self.kind is Kind.DATE:
+            try:
+                return datetime.date.fromisoformat(value).isoformat()
+            except ValueError:
+                raise UsageError(f'scenario: {self.key} is {value!r}, not YYYY-MM-DD') from None
+        return value
 
     def value_words(self, value: Any) -> str:
         """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
@@ -198,8 +208,8 @@ class ScenarioField:
             raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
         try:
             return float(value)
-        except (TypeError, ValueError):
-            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}') from None
+        except (TypeError, ValueError, OverflowError):
+            raise UsageError(f'scenario: {self.key} needs a number, got {told(value)}') from None
 
     def _switch(self, value: Any) -> bool:
         if isinstance(value, bool):
@@ -214,7 +224,8 @@ def _within(value: float, low: float, high: float) -> bool:
 
 
 def _outside(name: str, value: float, low: float, high: float, unit: str) -> UsageError:
-    return UsageError(f'scenario: {name} is {value:g}, outside {low:g}..{high:g}{unit}')
+    # With all digits that tell it from the end of the range.
+    return UsageError(f'scenario: {name} is {value:.15g}, outside {low:g}..{high:g}{unit}')
 
 
 def clock_words(hours: float) -> str:

@@ -58,7 +58,7 @@ def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_n
     assert list(attributes) == [field.attribute for field in SCENARIO_FIELDS]
     for field in SCENARIO_FIELDS:
         assert attributes[field.attribute] == TYPES[field.kind], field.key
-        field.check(getattr(Scenario(), field.attribute))
+        field.checked(getattr(Scenario(), field.attribute))
 
 
 def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_its_words():
@@ -142,11 +142,11 @@ def test_given_a_short_form_then_it_is_the_key_without_its_unit_and_means_the_sa
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)
 def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyond(field):
-    field.check(field.low)
-    field.check(field.high)
+    field.checked(field.low)
+    field.checked(field.high)
     for value in (field.low - 0.01, field.high + 0.01, float('nan')):
         with pytest.raises(UsageError, match=f'scenario: {field.attribute} is'):
-            field.check(value)
+            field.checked(value)
 
 
 @pytest.mark.parametrize(

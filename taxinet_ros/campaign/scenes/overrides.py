@@ -179,7 +179,7 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     """
     field = BY_KEY.get(key)
     if not place and field is not None and field.anywhere is not None:
-        field.check(field.from_human(value), field.anywhere)
+        field.checked(field.from_human(value), field.anywhere)
         return
     # Each among others that allow it, as rain under a sky, and what crosses where something does.
     last_step(scenario_from_human({**(place or {}), **_ALLOWING, key: value}))
