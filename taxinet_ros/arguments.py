@@ -65,7 +65,10 @@ def told(value: object) -> str:
     if isinstance(value, type):
         return f'the class {value.__name__}'
     if value is None or isinstance(value, str | bytes | bool | int | float):
-        text = repr(value)
+        try:
+            text = repr(value)
+        except ValueError:  # Python writes out no number of more than some thousand digits
+            text = 'a number of thousands of digits'
         return text if len(text) <= _TOLD_CHARACTERS else f'{text[:_TOLD_CHARACTERS]}…'
     if isinstance(value, list | tuple | dict | set) and not value:
         return f'an empty {type(value).__name__}'
@@ -73,8 +76,14 @@ def told(value: object) -> str:
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a real number, NaN among them; True and False are none."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+    """Whether it is a real number that fits a float, NaN among them; True and False are none."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
 
 
 def a(words: str, *types: type) -> Kind:
@@ -116,7 +125,9 @@ TEXTS = TEXT | Kind('a list of texts', lambda value: isinstance(value, list | tu
 MAPPING = Kind('a mapping of names to values', lambda value: isinstance(value, Mapping) and all(
     isinstance(name, str) for name in value
 ))
-_OF_FIELDS = {'float': NUMBER, 'bool': FLAG, 'str': TEXT}
+_OF_FIELDS: dict[str, tuple[Kind, type]] = {
+    'float': (NUMBER, float), 'bool': (FLAG, bool), 'str': (TEXT, str),
+}
 
 
 def takes(
@@ -191,17 +202,23 @@ def says_parameters(function: Callable[P, T]) -> Callable[P, T]:
 def check_fields(value: Any) -> None:
     """Refuse a dataclass with a field of another kind than it is annotated as; NaN is a number.
 
+    What other libraries have for numbers, switches and texts becomes Python's own, for a number of
+    numpy's would take the arithmetic after it to its own precision.
+
     Raises:
         UsageError: it names the class and the field.
     """
     of_class: Any = type(value)
-    for name, kind in _kinds_of(of_class):
-        kind.check(f'{of_class.__name__}: {name}', getattr(value, name))
+    for name, kind, plain in _kinds_of(of_class):
+        given = getattr(value, name)
+        kind.check(f'{of_class.__name__}: {name}', given)
+        if type(given) is not plain:
+            object.__setattr__(value, name, plain(given))
 
 
 @functools.cache
-def _kinds_of(kind: Any) -> tuple[tuple[str, Kind], ...]:
+def _kinds_of(kind: Any) -> tuple[tuple[str, Kind, type], ...]:
     return tuple(
-        (field.name, _OF_FIELDS[str(field.type)]) for field in fields(kind)
+        (field.name, *_OF_FIELDS[str(field.type)]) for field in fields(kind)
         if str(field.type) in _OF_FIELDS
     )

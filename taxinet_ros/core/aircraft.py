@@ -16,7 +16,7 @@ from pathlib import Path
 import jsbsim
 
 from taxinet_ros.core.gusts import M_PER_FT, Gusts
-from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
@@ -281,7 +281,7 @@ class Aircraft:
 
     def __init__(
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
-        model: AircraftModel | None = None, runway: Runway = KMWH_04,
+        model: AircraftModel | None = None, runway: Runway | None = None,
     ) -> None:
         """Load a model and set it on the runway.
 
@@ -289,7 +289,7 @@ class Aircraft:
             scenario: start pose and kind of aircraft.
             period_ns: control period [ns], a whole number of physics steps.
             model: that takes the place of the scenario's.
-            runway: that it is set on.
+            runway: that takes the place of the scenario's.
 
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
@@ -300,7 +300,7 @@ class Aircraft:
             raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
         self._period_s = period_ns / NS_PER_S
         self._step = -1
-        self._frame = runway_frame(runway)
+        self._frame = runway_frame(runway or scenario.runway)
         self._model = model or MODELS[scenario.aircraft]
         self.max_steering_rad = self._model.max_steering_rad
         self._hold = SpeedHold(self._model.speed_gains)

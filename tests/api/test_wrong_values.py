@@ -7,13 +7,16 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.arguments import python_words
+from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.world import ChosenWorld, SimulatedWorld
 
 GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
@@ -221,3 +224,52 @@ def test_given_an_example_without_its_argument_then_it_says_how_to_call_it(name)
     assert (done.returncode, done.stdout) == (2, '')
     assert done.stderr.startswith(f'usage: {name}.py')
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize('kind', [np.float32, np.float16, np.int64, Fraction, int])
+def test_given_numbers_of_another_kind_then_a_run_is_to_the_bit_that_of_pythons_own(kind):
+    one, two = kind(3.1), kind(5.1)
+
+    def steer(estimate):
+        return tx.TaxiCommand(steering_rad=kind(0), speed_mps=kind(estimate.cte_m + 2))
+
+    def look(frame):
+        return tx.TrackingError(cte_m=kind(2.6), he_rad=kind(0))
+
+    def plainly(estimate):
+        return 0.0, float(kind(estimate.cte_m + 2))
+
+    for given, own in (
+        ({'scenario': replace(SHORT, cross_track_m=one)},
+         {'scenario': replace(SHORT, cross_track_m=float(one))}),
+        ({'controller': steer}, {'controller': plainly}),
+        ({'perception': look}, {'perception': lambda frame: (float(kind(2.6)), 0.0)}),
+        ({'controller': tx.SteeringLaw(tx.SteeringGains(speed_mps=two))},
+         {'controller': tx.SteeringLaw(tx.SteeringGains(speed_mps=float(two)))}),
+    ):
+        usual = {'scenario': SHORT, 'specs': 'phi_always'}
+        run, expected = tx.run(**{**usual, **given}), tx.run(**{**usual, **own})
+        assert len(run.trace) > 1
+        assert run.trace.equals(expected.trace)
+        assert repr(run.scenario) == repr(expected.scenario)
+
+
+def test_given_gains_of_numpy_then_the_bag_of_the_run_is_read(tmp_path):
+    law = tx.SteeringLaw(tx.SteeringGains(speed_mps=np.float32(5.1)))
+    run = tx.run(SHORT, controller=law, specs='phi_always')
+    saved = tx.open_recording(run.save_bag(tmp_path / 'saved', images=False))
+    assert saved.trace['cte_m'].equals(run.trace['cte_m'])
+
+
+@pytest.mark.parametrize('digits', [400, 5000])
+@pytest.mark.parametrize('make', [
+    lambda number: tx.Scenario(cross_track_m=number),
+    lambda number: scenario_from_human({'cross_track_m': number}),
+    lambda number: tx.TaxiCommand(steering_rad=number, speed_mps=5.0),
+    lambda number: tx.TrackingError(cte_m=number, he_rad=0.0),
+    lambda number: tx.render(SHORT, t_s=number),
+])
+def test_given_a_number_that_no_float_can_hold_then_it_is_refused_in_one_line(make, digits):
+    with pytest.raises(tx.UsageError, match='a number') as caught:
+        make(10 ** digits)
+    assert len(str(caught.value)) < 200

@@ -32,7 +32,10 @@ from taxinet_ros.errors import UsageError
 ROOT = Path(__file__).parents[2]
 MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
 WORLD = ROOT / 'scenarios/runway_world.scenic'
-TYPES = {Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool'}
+TYPES = {
+    Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool',
+    Kind.PLACE: 'str',
+}
 UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%', 'm/m': '%', '1': ''}
 """Units of the message by what people type; a duration is in seconds either way."""
 
@@ -55,7 +58,7 @@ def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_n
     assert list(attributes) == [field.attribute for field in SCENARIO_FIELDS]
     for field in SCENARIO_FIELDS:
         assert attributes[field.attribute] == TYPES[field.kind], field.key
-        field.check(getattr(Scenario(), field.attribute))
+        field.checked(getattr(Scenario(), field.attribute))
 
 
 def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_its_words():
@@ -75,7 +78,7 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
     columns = {one.name: str(one.type) for one in dataclasses.fields(RunRow)}
-    empty = {Kind.WORD: 'str', Kind.DATE: 'str'}
+    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.PLACE: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
         assert columns[field.key] == wanted, field.key
@@ -139,11 +142,11 @@ def test_given_a_short_form_then_it_is_the_key_without_its_unit_and_means_the_sa
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)
 def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyond(field):
-    field.check(field.low)
-    field.check(field.high)
+    field.checked(field.low)
+    field.checked(field.high)
     for value in (field.low - 0.01, field.high + 0.01, float('nan')):
         with pytest.raises(UsageError, match=f'scenario: {field.attribute} is'):
-            field.check(value)
+            field.checked(value)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,6 @@ from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.place.runway import CROSSING_X_M
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import BY_KEY, PUSHING_FIELDS, RAIN_CLOUDS, by_key
 from taxinet_ros.core.user_code import is_node_elsewhere
@@ -134,7 +133,8 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    beyond = original.distance_m > CROSSING_X_M
+    crossings = original.runway.crossings
+    beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
         'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
