@@ -8,7 +8,7 @@ import taxinet_ros as tx
 from taxinet_ros.campaign.rates import rate
 
 WINDS_MPS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
-RUNS, SPEED_MPS = (float(number) for number in (sys.argv[1:] if sys.argv[2:] else '15'))
+RUNS, SPEED_MPS = map(float, sys.argv[1:] if sys.argv[2:] else ('1', '5'))
 print('| runway |', ' | '.join(f'{wind:g} m/s' for wind in WINDS_MPS), '|')
 print('| --- |' + ' --- |' * len(WINDS_MPS))
 for state in ('dry', 'wet', 'icy'):
