@@ -71,7 +71,8 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     pavement = turned([_outline(runway)])
     axes.add_collection(PolyCollection(pavement, facecolors=_PAVEMENT, linewidths=0))
     paint = turned(marking.polygon for marking in markings(runway))
-    axes.add_collection(PolyCollection(paint, facecolors=_PAINT, linewidths=0))
+    # Snapped to pixels, stripes thinner than one would vanish.
+    axes.add_collection(PolyCollection(paint, facecolors=_PAINT, linewidths=0, snap=False))
     lines = turned(line.points for line in place.lines)
     axes.add_collection(LineCollection(lines, colors=_LINE, linewidths=0.5))
     routes = turned(route.points for route in place.routes if not route.on_runway)
