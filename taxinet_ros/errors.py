@@ -1,6 +1,6 @@
-"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's.
+"""Exceptions: usage errors (bad input), infrastructure errors (a part failed), disk errors.
 
-And the exit codes that commands and nodes end with.
+Also the exit codes of commands and nodes.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ import sys
 from enum import IntEnum, unique
 
 MAX_CHARACTERS = 2000
-"""Of a message; somebody has to read it."""
+"""Maximum length of a message."""
 
 _WARNED: set[str] = set()
 
 
 @unique
 class ExitCode(IntEnum):
-    """What the end of a command, or of a node, says.
+    """Exit code of a command or node.
 
     Attributes:
-        OK: every run satisfied its specifications; what was asked for is done, and whole.
-        VIOLATED: a run violated one; what was compared differs.
+        OK: every run satisfied its specifications; the command completed.
+        VIOLATED: a run violated one; a comparison found differences.
         USAGE: bad input, :class:`UsageError`.
-        INCOMPLETE: the answer stands on part of the data, or there is too little for one.
+        INCOMPLETE: the result is based on partial data, or there is too little data.
         INFRA: the test bench or the disk failed, :class:`InfraError` and :class:`RecordError`.
         INTERRUPTED: by Ctrl-C; as shells say it, with 128 and the signal's number (POSIX.1-2024,
             XCU section 2.8.2).
@@ -97,22 +97,22 @@ class InfraKind(enum.StrEnum):
     PROTOCOL = 'protocol'
     """A node gave an answer that cannot be one: it does not keep to the lockstep."""
     SIM = 'sim'
-    """The simulator or JSBSim broke."""
+    """The simulator or JSBSim failed."""
     BAG = 'bag'
-    """The run could not be recorded whole."""
+    """The run could not be recorded completely."""
     INVALID_RUN = 'invalid_run'
-    """The monitor had no whole, finite sequence of samples."""
+    """The monitor had no complete, finite sequence of samples."""
     BUSY = 'busy'
-    """The simulator is at a run of somebody else."""
+    """The simulator is busy with another client's run."""
     INTRUDER = 'intruder'
-    """Somebody who has no part in the run publishes on one of its topics."""
+    """A node outside the run publishes on one of its topics."""
 
 
 class InfraError(Exception):
     """A part of the test bench failed, so the run has no verdict. CLI exit 4.
 
     Attributes:
-        kind: an :class:`InfraKind`, or the word that a simulator of somebody else's has for it.
+        kind: an :class:`InfraKind`, or the word used by a third-party simulator.
         who: name of the node or part that failed.
         step: control step at which it happened, or -1 before the first.
     """
@@ -125,5 +125,5 @@ class InfraError(Exception):
         self.detail = detail
 
     def __reduce__(self) -> tuple[type[InfraError], tuple[str, str, int, str]]:
-        """Survive the way home from a worker process."""
+        """Support pickling across worker processes."""
         return InfraError, (self.kind, self.who, self.step, self.detail)

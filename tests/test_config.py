@@ -14,6 +14,7 @@ import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.topics import TOPICS, TRANSFORMS
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import fits
 
@@ -23,6 +24,17 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def test_given_the_parameter_file_when_read_then_it_holds_the_steering_law_s_defaults() -> None:
     nodes = yaml.safe_load((REPOSITORY / 'config' / 'nodes.yaml').read_text())
     assert nodes['/**/steering_controller']['ros__parameters'] == asdict(SteeringGains())
+
+
+def test_ros6_given_the_file_for_ros2_bag_record_then_of_no_topic_a_message_is_dropped() -> None:
+    asked = yaml.safe_load((REPOSITORY / 'config' / 'rosbag2_qos.yaml').read_text())
+    assert asked == {
+        '/' + topic.name.lstrip('/'): {
+            'history': 'keep_all', 'reliability': topic.quality.reliability,
+            'durability': topic.quality.durability,
+        }
+        for topic in (*TOPICS, *TRANSFORMS)
+    }
 
 
 FILE = Path(__file__).resolve().parent.parent / 'config' / 'taxinet.rviz'

@@ -53,7 +53,7 @@ from taxinet_ros.core.controller import (
 )
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
-from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
+from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
 from taxinet_ros.core.mtl import offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
@@ -241,7 +241,7 @@ class Run:
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Number and picture of each step; a picture where it is wanted and there is one."""
         world = self.world.make(self.scenario)
-        commands = LateCommands(self.timing, *_DRAWS)
+        commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
             yield now.seq, now.image
@@ -557,7 +557,7 @@ class _Function:
         self.fingerprint = str(getattr(given, 'fingerprint', ''))
         self._given = given
 
-    def begin(self) -> None:
+    def begin(self, scenario: Scenario | None = None) -> None:
         """Have it forget the run before, if it has a ``begin()`` or ``reset()``."""
         for name in ('begin', 'reset'):
             forget = getattr(self._given, name, None)

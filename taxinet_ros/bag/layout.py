@@ -58,11 +58,12 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         return (path,)
     if not path.is_dir():
         raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
+    # A recorder that was killed has compressed all files but its last.
+    if any(not file.with_suffix('').exists() for file in path.glob(f'*.{STORAGE_ID}.zstd')):
+        raise BagForeign(compressed(path, 'file'), path=path)
     files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
     if files:
         return tuple(files)
-    if any(path.glob(f'*.{STORAGE_ID}.zstd')):
-        raise BagForeign(compressed(path, 'file'), path=path)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
     raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
@@ -74,10 +75,20 @@ def _sqlite3(path: Path) -> BagForeign:
 
 def compressed(path: Path, mode: str) -> str:
     """What to say of a bag that ``ros2 bag record --compression-mode`` has made."""
-    return (
-        f'{path}: compressed by {mode}; decompress it: ros2 bag convert -i {path} -o OPTIONS.yaml '
+    # Of a file alone ros2 bag does not know that it is compressed: that is in the description.
+    folder = path if path.is_dir() else path.parent
+    convert = (
+        f'ros2 bag convert -i {folder} -o OPTIONS.yaml '
         'with "output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]" in OPTIONS.yaml'
     )
+    if (folder / METADATA_FILE).is_file():
+        how = convert
+    elif mode == 'file':
+        how = f'unzstd {folder}/*.{STORAGE_ID}.zstd'
+    else:
+        said = '"compression_mode: MESSAGE" and "compression_format: zstd"'
+        how = f'ros2 bag reindex {folder}; {said} in its {METADATA_FILE}; {convert}'
+    return f'{path}: compressed by {mode}; decompress it: {how}'
 
 
 def _split_number(path: Path) -> tuple[int, str]:

@@ -134,10 +134,9 @@ def stored_messages(
                 if not isinstance(record, Message):
                     continue
                 info = infos.by_channel[record.channel_id]
-                if record.data.startswith(_ZSTD):
-                    raise BagForeign(compressed(file, 'message'), path=file)
-                if wanted is None or wanted(info.name):
-                    infos.check_cdr(record.channel_id, file)
+                asked_for = wanted is None or wanted(info.name)
+                infos.check(record, file, wanted=asked_for)
+                if asked_for:
                     yield StoredMessage(info, record.log_time, record.data)
                     count += 1
     except (BagTruncated, BagCorrupt) as error:
@@ -207,10 +206,13 @@ class _Topics:
             self.by_channel[record.id] = self._info(record)
             self._encodings[record.id] = record.message_encoding
 
-    def check_cdr(self, channel: int, file: Path) -> None:
-        """Raise :class:`BagForeign` unless the channel's messages are CDR."""
-        if (encoding := self._encodings[channel]) != 'cdr':
-            name = self.by_channel[channel].name
+    def check(self, message: Message, file: Path, *, wanted: bool) -> None:
+        """Raise :class:`BagForeign` if a message is compressed, or is wanted and not CDR."""
+        encoding = self._encodings[message.channel_id]
+        if message.data.startswith(_ZSTD) and (wanted or encoding == 'cdr'):
+            raise BagForeign(compressed(file, 'message'), path=file)
+        if wanted and encoding != 'cdr':
+            name = self.by_channel[message.channel_id].name
             raise BagForeign(f'{file}: topic {name}: messages are {encoding!r}, not cdr', path=file)
 
     def _info(self, channel: Channel) -> TopicInfo:
@@ -341,10 +343,7 @@ def _scanned(
         infos.note(record)
         if isinstance(record, Message):
             info = infos.by_channel[record.channel_id]
-            if kept_bytes(info.name):
-                if record.data.startswith(_ZSTD):
-                    raise BagForeign(compressed(file, 'message'), path=file)
-                infos.check_cdr(record.channel_id, file)
+            infos.check(record, file, wanted=kept_bytes(info.name) > 0)
             yield StoredMessage(info, record.log_time, record.data)
         elif isinstance(record, Channel):
             yield infos.by_channel[record.id]

@@ -16,7 +16,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_duration_s
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_scene
 from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import timing_words
@@ -74,7 +74,7 @@ class Campaign:
         """
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
-            self.check = self.options.check(first_duration_s(self._source))
+            self.check = self.options.check(first_scene(self._source))
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
             opened.enter_context(self.book)

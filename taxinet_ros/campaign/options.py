@@ -22,7 +22,7 @@ from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judge import SpecCheck, check_specs
+from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
@@ -35,6 +35,7 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
@@ -175,18 +176,18 @@ class CampaignOptions:
     bags: bool = True
     world: str = KMWH
 
-    def check(self, duration_s: float) -> SpecCheck:
+    def check(self, first: Scenario) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.
 
         Args:
-            duration_s: length of the first run [s].
+            first: scenario of the first run.
 
         Raises:
             UsageError: a requirement that no run of this length can be judged by.
         """
         known = self.controller == STEERING and not self.standing_graph
-        gains = SteeringGains(**self.gains) if known else None
-        found = check_specs(self.judging.parsed_specs, duration_s, gains)
+        gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
+        found = check_specs(self.judging.parsed_specs, first.duration_s, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 

@@ -29,7 +29,7 @@ from taxinet_ros.campaign.scenes.source import (
     Rejected,
     SceneSource,
     accepted_scene,
-    first_duration_s,
+    first_scene,
 )
 from taxinet_ros.campaign.search_options import FAILURES, HALF_WIDTH, SearchOptions, with_sampler
 from taxinet_ros.campaign.summary import (
@@ -289,7 +289,7 @@ class Search:
                 f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
-        self.check = campaign.check(first_duration_s(self._source))
+        self.check = campaign.check(first_scene(self._source))
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

@@ -1,8 +1,13 @@
-"""The aircraft on its wheels: JSBSim, one control period at a time, with the pilot's speed hold."""
+"""The aircraft on its wheels: JSBSim, one control period at a time, with the pilot's speed hold.
+
+Wind, gusts, the runway's friction and its slope push it, as the scenario says.
+"""
 
 from __future__ import annotations
 
 import math
+import tempfile
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +15,7 @@ from pathlib import Path
 
 import jsbsim
 
+from taxinet_ros.core.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import KMWH_04, Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
@@ -107,8 +113,13 @@ CONTROL_PERIOD_NS = 100_000_000
 """Time between two control steps [ns]: the paper's 10 Hz."""
 PHYSICS_HZ = 120
 TAXI_SPEED_MPS = 5.0
-"""Ground speed at the start of a run [m/s]."""
-M_PER_FT = 0.3048
+"""Ground speed of a scenario that names none [m/s]."""
+FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
+"""What the tyres hold, across and in braking, as a share of what they hold on dry pavement.
+
+Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
+EASA AMC 25.1591 has 0.05 for ice; our models have 0.8 on dry pavement.
+"""
 _OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
 _OUTPUTS = (
@@ -174,8 +185,83 @@ MODELS = {
 """Models by the word of ``Scenario.aircraft``."""
 
 
+def _with_slope(models: Path, name: str, scratch: Path) -> Path:
+    """A folder of one model: that of ``models``, with a force that :func:`_pull_down` sets.
+
+    JSBSim's ground is level and its gravity straight down, and forces are added to no model that
+    is loaded.
+    """
+    tree = ET.parse(models / name / f'{name}.xml')
+    root = tree.getroot()
+    forces = root.find('external_reactions')
+    if forces is None:
+        forces = ET.SubElement(root, 'external_reactions')
+    force = ET.SubElement(forces, 'force', name='slope', frame='LOCAL')
+    ET.SubElement(force, 'location', unit='IN')
+    ET.SubElement(force, 'direction')
+    for part in force:
+        for axis in 'xyz':
+            ET.SubElement(part, axis).text = '0'
+    (scratch / name).mkdir()
+    tree.write(scratch / name / f'{name}.xml')
+    return scratch
+
+
+def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> None:
+    """Have gravity act as on a runway that climbs: its part along it, at the centre of gravity.
+
+    Args:
+        fdm: with a model of :func:`_with_slope`.
+        slope_rad: of the runway, uphill positive [rad].
+        along_rad: true heading uphill [rad].
+    """
+    # What the wheels carry is less by 1 - cos: 0.1 % at the most.
+    for axis in 'xyz':
+        fdm[f'external_reactions/slope/location-{axis}-in'] = fdm[f'inertia/cg-{axis}-in']
+    fdm['external_reactions/slope/x'] = -math.cos(along_rad)
+    fdm['external_reactions/slope/y'] = -math.sin(along_rad)
+    fdm['external_reactions/slope/magnitude'] = fdm['inertia/weight-lbs'] * math.sin(slope_rad)
+
+
+class Wind:
+    """The wind of a scenario: steady, or with the gusts of :class:`.Gusts`.
+
+    Attributes:
+        steady: it has no gusts.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Find out where it blows to."""
+        speed_mps, from_rad = scenario.wind_speed_mps, scenario.wind_direction_rad
+        self._north_mps = -speed_mps * math.cos(from_rad)
+        self._east_mps = -speed_mps * math.sin(from_rad)
+        self.steady = not scenario.gust_mps
+        self._gusts = Gusts(scenario.gust_mps, int(scenario.gust_seed))
+
+    def begin(self, fdm: jsbsim.FGFDMExec) -> None:
+        """Let it blow."""
+        fdm['aero/at-any-angle'] = 1.0  # of the caravan alone; JSBSim's own models have no such
+        fdm['atmosphere/wind-north-fps'] = self._north_mps / M_PER_FT
+        fdm['atmosphere/wind-east-fps'] = self._east_mps / M_PER_FT
+
+    def gusts(self, fdm: jsbsim.FGFDMExec, steps: int) -> Iterator[None]:
+        """Before each of so many steps of physics, blow as the gusts are where it then is."""
+        north_mps = fdm['velocities/v-north-fps'] * M_PER_FT - self._north_mps
+        east_mps = fdm['velocities/v-east-fps'] * M_PER_FT - self._east_mps
+        way_mps = math.hypot(north_mps, east_mps)
+        # The specification turns its axes with the mean wind that is felt; what stands still in
+        # still air feels none, and any will do.
+        north, east = (north_mps / way_mps, east_mps / way_mps) if way_mps else (1.0, 0.0)
+        for _ in range(steps):
+            along, across = self._gusts.along_mps, self._gusts.across_mps
+            fdm['atmosphere/gust-north-fps'] = (along * north - across * east) / M_PER_FT
+            fdm['atmosphere/gust-east-fps'] = (along * east + across * north) / M_PER_FT
+            yield
+            self._gusts.advance(way_mps / PHYSICS_HZ)
+
+
 class Aircraft:
-    """The aircraft of one run, rolling at :data:`TAXI_SPEED_MPS` from the scenario's start pose.
+    """The aircraft of one run, rolling at the scenario's speed from the scenario's start pose.
 
     Attributes:
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
@@ -206,9 +292,10 @@ class Aircraft:
         self._model = model or MODELS[scenario.aircraft]
         self.max_steering_rad = self._model.max_steering_rad
         self._hold = SpeedHold(self._model.speed_gains)
-        self._fdm = self._load(self._model.name)
-        self._place(scenario)
-        self._start_rolling()
+        self._fdm = self._load(self._model.name, sloping=scenario.slope_fraction != 0)
+        along_rad = self._place(scenario)
+        self._wind = Wind(scenario) if scenario.wind_speed_mps or scenario.gust_mps else None
+        self._start_rolling(scenario, along_rad)
         self._step = 0
         self._state = self._measure()
 
@@ -240,19 +327,25 @@ class Aircraft:
 
     def _integrate(self) -> bool:
         run = self._fdm.run
-        return all(run() for _ in range(self._steps))
+        if self._wind is None or self._wind.steady:
+            return all(run() for _ in range(self._steps))
+        return all(run() for _ in self._wind.gusts(self._fdm, self._steps))
 
-    def _load(self, name: str) -> jsbsim.FGFDMExec:
-        with captured_log() as log:
+    def _load(self, name: str, *, sloping: bool) -> jsbsim.FGFDMExec:
+        with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
-            if self._model.folder is not None:
-                fdm.set_aircraft_path(str(self._model.folder))
+            folder = self._model.folder
+            if sloping:
+                folder = _with_slope(folder or Path(fdm.get_aircraft_path()), name, Path(scratch))
+            if folder is not None:
+                fdm.set_aircraft_path(str(folder))
             self._attempt(lambda: fdm.load_model(name), f'loading {name}', log)
         fdm.set_dt(1 / PHYSICS_HZ)
         return fdm
 
-    def _place(self, scenario: Scenario) -> None:
+    def _place(self, scenario: Scenario) -> float:
+        """Put it down; the true heading along the runway there [rad]."""
         pose = self._frame.to_geodetic(
             MapPose(
                 x_m=scenario.distance_m,
@@ -271,13 +364,21 @@ class Aircraft:
         fdm['ic/theta-rad'] = -self._model.settled_pitch_rad
         fdm['ic/phi-rad'] = self._model.settled_roll_rad
         # Along the ground, not along the tilted body axis, or the aircraft would start to sink.
-        fdm['ic/vn-fps'] = TAXI_SPEED_MPS * math.cos(pose.heading_rad) / M_PER_FT
-        fdm['ic/ve-fps'] = TAXI_SPEED_MPS * math.sin(pose.heading_rad) / M_PER_FT
+        fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
+        fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
         fdm['ic/vd-fps'] = 0.0
+        return pose.heading_rad + scenario.heading_rad
 
-    def _start_rolling(self) -> None:
+    def _start_rolling(self, scenario: Scenario, along_rad: float) -> None:
         fdm, lever = self._fdm, self._model.speed_gains.rolling_lever
         self._attempt(fdm.run_ic, 'run_ic')
+        # The initial conditions have no wind and a level runway, and would take them away again.
+        if self._wind is not None:
+            self._wind.begin(fdm)
+        if (friction := FRICTION[scenario.surface]) != FRICTION['dry']:
+            fdm['ground/static-friction-factor'] = friction
+        if scenario.slope_fraction:
+            _pull_down(fdm, math.atan(scenario.slope_fraction), along_rad)
         propulsion = fdm.get_propulsion()
         if not propulsion.get_num_engines():  # the caravan's thrust is an external force
             return

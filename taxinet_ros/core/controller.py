@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol
 
 from taxinet_ros.arguments import a, check_fields, takes
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
@@ -76,7 +77,7 @@ GAIN_RANGES: dict[str, GainRange] = {
         low=0.0,
         high=10.0,
         unit='m/s',
-        description='taxi speed to hold',
+        description='taxi speed to hold; at 5 that of the scenario',
     ),
 }
 """Every field of :class:`SteeringGains` by name; ROS parameters derive from it."""
@@ -152,8 +153,12 @@ class Controller(Protocol):
     word: str
     fingerprint: str
 
-    def begin(self) -> None:
-        """Reset; called before each run."""
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Reset; called before each run.
+
+        Args:
+            scenario: of the run, if there is one.
+        """
         return
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
@@ -174,11 +179,17 @@ class SteeringLaw(Controller):
     @takes(gains=a('a tx.SteeringGains', SteeringGains))
     def __init__(self, gains: SteeringGains) -> None:
         """``gains``: tuning of the law."""
-        self.gains = gains
+        self.gains = self._gains = gains
+
+    def begin(self, scenario: Scenario | None = None) -> None:
+        """Hold the scenario's speed, where the gain for it is as usual."""
+        self._gains = self.gains
+        if scenario is not None and self.gains.speed_mps == SteeringGains().speed_mps:
+            self._gains = replace(self.gains, speed_mps=scenario.speed_mps)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """See :func:`.steering.steer`."""
-        return steer(estimate, self.gains)
+        return steer(estimate, self._gains)
 
 
 class UserController(Controller):
@@ -198,7 +209,7 @@ class UserController(Controller):
         self.fingerprint = code.sha256
         self._run = RunCode(code)
 
-    def begin(self) -> None:
+    def begin(self, scenario: Scenario | None = None) -> None:
         """Reset to the initial state."""
         self._run.begin()
 

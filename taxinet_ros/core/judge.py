@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import SteeringGains
@@ -20,6 +20,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
 
@@ -71,6 +72,18 @@ def describe_specs(
         lines=tuple(spec_line(spec, setting) for spec in specs),
         warnings=tuple(line for spec in specs for line in warnings(spec, setting)),
     )
+
+
+def bounding_gains(gains: SteeringGains, scenario: Scenario) -> SteeringGains | None:
+    """Gains that say where the signals of a run can be; None where more than the law moves it.
+
+    Args:
+        gains: of the shipped controller.
+        scenario: of the run.
+    """
+    if scenario.pushed:
+        return None
+    return replace(gains, speed_mps=max(gains.speed_mps, scenario.speed_mps))
 
 
 def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapping[str, Range]:

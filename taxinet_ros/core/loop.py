@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.judging import StopOn
@@ -45,8 +45,13 @@ class Step:
         )
 
 
-ROLLING_ON = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
-"""Command before the first answer: constant initial motion."""
+def rolling_on(speed_mps: float) -> TaxiCommand:
+    """Command before the first answer: constant initial motion.
+
+    Args:
+        speed_mps: of the scenario [m/s].
+    """
+    return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
 
 
 class LateCommands:
@@ -56,9 +61,9 @@ class LateCommands:
         answers: pending commands.
     """
 
-    def __init__(self, timing: Timing, seed: int, index: int) -> None:
-        """Start run ``index`` of a campaign with this seed."""
-        self.answers = LateAnswers(ROLLING_ON)
+    def __init__(self, timing: Timing, seed: int, index: int, first: TaxiCommand) -> None:
+        """Start run ``index`` of a campaign with this seed; ``first``: see :func:`rolling_on`."""
+        self.answers = LateAnswers(first)
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
@@ -122,9 +127,9 @@ def run_closed_loop(
     """
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
-    controller.begin()
+    controller.begin(scenario)
     world = make_world(scenario, pictures=perception.needs_image)
-    commands = LateCommands(timing, *draws)
+    commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:

@@ -21,6 +21,10 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
+C172P_WIND_MPS = 5.0
+"""Above, JSBSim's model of it leaves the ground: it is made for flight, and what its tables say of
+air from behind is that of the greatest angle of attack that they have."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
@@ -39,6 +43,15 @@ class Scenario:
         crossing: whether the other runway is there that crosses this one near 1,450 m; without it
             pavement and paint go on as elsewhere.
         aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
+        wind_speed_mps: mean wind [m/s].
+        wind_direction_rad: which it blows from [rad], from true north, clockwise.
+        gust_mps: standard deviation of the turbulence in either horizontal direction [m/s], see
+            :mod:`taxinet_ros.core.gusts`.
+        gust_seed: which of all gusts; a whole number.
+        runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
+        slope_fraction: rise of the runway by its length, uphill ahead positive.
+        speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
+            ``speed_mps`` is another than the usual.
         duration_s: length of the run [s], a multiple of the control period.
 
     Raises:
@@ -55,6 +68,13 @@ class Scenario:
     shadows: bool = True
     crossing: bool = True
     aircraft: str = 'caravan'
+    wind_speed_mps: float = 0.0
+    wind_direction_rad: float = 0.0
+    gust_mps: float = 0.0
+    gust_seed: float = 0.0
+    runway_state: str = 'dry'
+    slope_fraction: float = 0.0
+    speed_mps: float = 5.0
     duration_s: float = 30.0
 
     def __post_init__(self) -> None:
@@ -64,11 +84,37 @@ class Scenario:
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
+        if self.wind_direction_rad and not self.wind_speed_mps:
+            raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
+        if self.gust_seed and not self.gust_mps:
+            raise UsageError('scenario: gust_seed has no effect without gust_mps')
+        strongest_mps = self.wind_speed_mps + 3 * self.gust_mps
+        if self.aircraft == 'c172p' and strongest_mps > C172P_WIND_MPS:
+            raise UsageError(
+                f'scenario: aircraft c172p: wind_speed_mps + 3 gust_mps is {strongest_mps:g}, more '
+                f'than {C172P_WIND_MPS:g}: the wind would lift the model'
+            )
+        if self.gust_seed % 1:
+            raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
 
     @property
     def duration_ns(self) -> int:
         """Length of the run in integer nanoseconds."""
         return round(self.duration_s * NS_PER_S)
+
+    @property
+    def pushed(self) -> bool:
+        """Whether wind, a slope or slippery ground move the aircraft too."""
+        return bool(self.wind_speed_mps or self.gust_mps or self.slope_fraction) or (
+            self.surface != 'dry'
+        )
+
+    @property
+    def surface(self) -> str:
+        """What the runway's friction is that of: ``runway_state``, with ``auto`` resolved."""
+        if self.runway_state == 'auto':
+            return 'wet' if self.rain_fraction > 0 else 'dry'
+        return self.runway_state
 
     def to_human(self) -> dict[str, Any]:
         """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""

@@ -32,6 +32,8 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
+RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+"""What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
@@ -83,7 +85,8 @@ class ScenarioField:
         words: all that there are, in their order.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
-        absent: its value in recordings of before there was such a key; None where there always was.
+        absent: its value in recordings of before there was such a key, in SI units; None where
+            there always was.
     """
 
     key: str
@@ -100,7 +103,7 @@ class ScenarioField:
     form: str = '{:g}'
     words: tuple[str, ...] = ()
     plane: bool = False
-    absent: bool | None = None
+    absent: Any = None
 
     @property
     def label(self) -> str:
@@ -177,7 +180,7 @@ class ScenarioField:
             return str(value)
         number = self.form.format(value)
         unit = 'deg' if self.unit == '°' else self.unit
-        return f'{number.removeprefix("+") if value == 0 else number} {unit}'
+        return f'{number.removeprefix("+") if value == 0 else number} {unit}'.rstrip()
 
     def _within(self, value: float) -> bool:
         return math.isfinite(value) and self.low <= value <= self.high
@@ -207,6 +210,18 @@ def clock_words(hours: float) -> str:
     """Hours after midnight as ``13:20``."""
     whole, minutes = divmod(round(hours * 60), 60)
     return f'{whole:02d}:{minutes:02d}'
+
+
+def pushing_words(scene: Mapping[str, Any]) -> str:
+    """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
+
+    Args:
+        scene: in human units, by key.
+    """
+    return ''.join(
+        f', {field.title} {field.value_words(scene[field.key])}' for field in PUSHING_FIELDS
+        if scene[field.key] not in (None, '', field.to_human(field.absent))
+    )
 
 
 CROSS_TRACK = ScenarioField(
@@ -249,6 +264,36 @@ CROSSING = ScenarioField(
 AIRCRAFT_MODEL = ScenarioField(
     key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.WORD, words=AIRCRAFT,
 )
+WIND_SPEED = ScenarioField(
+    key='wind_speed_mps', short='wind_speed', attribute='wind_speed_mps', title='wind', unit='m/s',
+    form='{:.1f}', low=0.0, high=30.0, si_unit='m/s', absent=0.0,
+)
+WIND_DIRECTION = ScenarioField(
+    key='wind_direction_deg', short='wind_direction', attribute='wind_direction_rad',
+    title='direction that the wind blows from', unit='°', si=math.pi / 180, form='{:.0f}',
+    low=0.0, high=2 * math.pi, si_unit='rad', counted=' from true north, clockwise',
+    absent=0.0,
+)
+GUST = ScenarioField(
+    key='gust_mps', short='gust', attribute='gust_mps', title='gusts, standard deviation',
+    unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0,
+)
+GUST_SEED = ScenarioField(
+    key='gust_seed', attribute='gust_seed', title='seed of the gusts',
+    form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
+)
+RUNWAY_STATE = ScenarioField(
+    key='runway_state', attribute='runway_state', title='friction of the runway', kind=Kind.WORD,
+    words=RUNWAY_STATES, absent='dry',
+)
+SLOPE = ScenarioField(
+    key='slope_percent', short='slope', attribute='slope_fraction', title='slope, uphill', unit='%',
+    si=0.01, form='{:+.1f}', low=-0.05, high=0.05, si_unit='as a fraction', absent=0.0,
+)
+SPEED = ScenarioField(
+    key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
+    form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
@@ -256,7 +301,11 @@ DURATION = ScenarioField(
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
-SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
+PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
+"""What moves the aircraft and is not in the picture."""
+SCENARIO_FIELDS = (
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION,
+)
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """Scenario keys as people type and read them."""

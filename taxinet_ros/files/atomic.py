@@ -1,4 +1,4 @@
-"""Writing files so that a reader sees all of one or none; errors of the disk name their file."""
+"""Atomic file writes; disk errors name their file."""
 
 from __future__ import annotations
 

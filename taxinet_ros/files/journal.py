@@ -1,4 +1,4 @@
-"""A file of JSON lines that is only ever appended to, by one process at a time, and checks itself.
+"""Append-only JSON Lines file with checksums, written by one process at a time.
 
 Each line begins with its checksums, in 64 hexadecimal digits under the key ``chain``: the first 32
 are the link, a digest of the link of the line before and of this line's other words; the last 32 a
@@ -147,8 +147,8 @@ class Journal:
         if not _is_at(self._path, self._fd):
             os.fsync(self._fd)
             raise RecordError(
-                f'{self._path}: was moved, deleted or replaced while it was written; what was '
-                'recorded is in the file that was moved'
+                f'{self._path}: was moved, deleted or replaced while being written; its records '
+                'are in the moved file'
             )
 
     def sync(self) -> None:
@@ -191,7 +191,7 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     """What is wrong with a journal that ended there once, or ''."""
     if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
-        return f'{lost} of the {ended.lines} lines that it had are missing at its end'
+        return f'{lost} of its {ended.lines} lines are missing at its end'
     if content.links[ended.lines] not in ('', ended.link):
         return f'its first {ended.lines} lines are not those that it had'
     return ''
@@ -200,8 +200,8 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
 def damaged_line(path: Path, number: int, why: str) -> UsageError:
     """The error for a line of a journal that is not as it was written, or says what cannot be."""
     return UsageError(
-        f'{path}:{number}: damaged line ({why}); what is left and how to mend it says: '
-        f'taxinet doctor {path.parent}'
+        f'{path}:{number}: damaged line ({why}); check and repair with: taxinet doctor '
+        f'{path.parent}'
     )
 
 
@@ -253,7 +253,7 @@ def _sound_events(path: Path, content: JournalContent) -> list[dict[str, Any]]:
     if content.unprotected:
         warn_once(
             f'{path}: its first {content.unprotected} lines were written by an earlier version '
-            'without checksums, so it is unprotected: damage to them is not always noticed'
+            'without checksums, so it is unprotected: damage to them may go unnoticed'
         )
     return [line.event for line in content.lines if line.event is not None]
 
@@ -269,7 +269,7 @@ def _parsed(line: bytes) -> JournalLine:
         return _unchained(line)
     link, own, body = found[1], found[2], b'{' + found[3]
     if _digest(link + body).encode() != own:
-        return JournalLine(event=None, trouble='its checksum is another')
+        return JournalLine(event=None, trouble='its checksum differs')
     try:
         return JournalLine(event=load_json(body), link=link.decode())
     except ValueError as error:
@@ -297,7 +297,7 @@ def _unchained(line: bytes) -> JournalLine:
 def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> JournalLine:
     """A line that is sound by itself, with what is wrong with its place."""
     if not line.link:
-        why = 'it has no checksum, and lines before it have; was it written by an earlier version?'
+        why = 'it has no checksum, but earlier lines have; was it written by an earlier version?'
         return JournalLine(event=line.event, trouble=why)
     body = b'{' + raw[len(b'{"chain":"",') + 2 * _DIGITS:]
 
@@ -307,11 +307,11 @@ def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> Jou
     if follows(links[at]) or not links[at]:
         return line
     if line.link in links[:at + 1]:
-        why = f'it is there twice, first as line {links.index(line.link)}'
+        why = f'it occurs twice, first as line {links.index(line.link)}'
     elif follows(_START):
-        why = 'it was the first line: something has got before it'
+        why = 'it was the first line: something was inserted before it'
     elif (other := next((n for n, link in enumerate(links) if follows(link)), None)) is not None:
-        why = f'it belongs after line {other}: lines are missing or in another order'
+        why = f'it belongs after line {other}: lines are missing or reordered'
     else:
         why = 'lines before it are missing'
     return JournalLine(event=line.event, link=line.link, trouble=why)
@@ -344,7 +344,7 @@ def open_journal(path: Path, command: str) -> Journal:
     try:
         return Journal(path)
     except BlockingIOError as error:
-        raise UsageError(f'{path}: another {command} is at work on it') from error
+        raise UsageError(f'{path}: in use by another {command}') from error
     except OSError as error:
         raise disk_error(path, error) from error
 

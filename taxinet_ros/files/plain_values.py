@@ -1,4 +1,4 @@
-"""Strict JSON and YAML: plain values out of texts that may come from anywhere, and their kinds.
+"""Strict parsing of JSON and YAML from untrusted texts into plain values, with type checks.
 
 What such a text can do beyond being wrong is to grow when it is read (YAML's aliases and merge
 keys), to be nested deeper than Python's stack, or to take minutes. None of it gets so far here.

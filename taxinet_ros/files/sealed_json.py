@@ -1,4 +1,4 @@
-"""A JSON file with a checksum of itself, which vouches for other files in or below its folder.
+"""JSON file with a checksum of itself and of other files in or below its folder.
 
 Beside its values it has, under ``seal``, digests of whole files and the ends of journals, and as
 its last line, under ``checksum``, the SHA-256 of all its text before. Files of earlier versions
@@ -54,7 +54,7 @@ class SealedJson:
         if path.name not in self.files:
             return False
         if file_sha256(path) != self.files[path.name]:
-            raise UsageError(f'{path}: is not as it was written (its SHA-256 is another); {mend}')
+            raise UsageError(f'{path}: was modified (its SHA-256 differs); {mend}')
         return True
 
 
@@ -96,7 +96,7 @@ def read_sealed(path: Path) -> SealedJson:
     data = path.read_bytes()
     found = _END.search(data)
     if found and hashlib.sha256(data[:found.start()]).hexdigest().encode() != found[1]:
-        raise _damaged(path, 'its checksum is another')
+        raise _damaged(path, 'its checksum differs')
     try:
         values = load_json(data)
         if not isinstance(values, dict):
@@ -105,7 +105,7 @@ def read_sealed(path: Path) -> SealedJson:
             if _SEAL in values or _CHECKSUM in values:
                 raise ValueError('its checksum is damaged')
             warn_once(
-                f'{path}: unverified, for it was written by an earlier version without a checksum'
+                f'{path}: unverified, since it was written by an earlier version without a checksum'
             )
             return SealedJson(values=values, sealed=False)
         del values[_CHECKSUM]
@@ -116,7 +116,7 @@ def read_sealed(path: Path) -> SealedJson:
         }
         paths = [Path(name) for name in (*files, *journals)]
         if any(path.is_absolute() or '..' in path.parts for path in paths):
-            raise ValueError('it vouches for files elsewhere')
+            raise ValueError('it lists files outside its folder')
         return SealedJson(values=values, files=files, journals=journals)
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, str(error)) from error
@@ -130,6 +130,6 @@ def file_sha256(path: Path) -> str:
 
 def _damaged(path: Path, why: str) -> UsageError:
     return UsageError(
-        f'{path}: damaged or edited ({why}); restore it, or see what mends it: '
-        f'taxinet doctor {path.parent}'
+        f'{path}: damaged or edited ({why}); restore it, or check it with: taxinet doctor '
+        f'{path.parent}'
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import importlib
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -25,11 +25,11 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from taxinet_ros.bag.cdr.decode import definition_hash, with_present_names
+from taxinet_ros.bag.cdr.decode import definition_hash, present_bytes, with_present_names
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, TF, is_of_frames, is_topic
-from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
+from taxinet_ros.bag.topics import TopicInfo, message_definition, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -46,8 +46,11 @@ _POLICIES: dict[str, Any] = {
 }
 
 
-def message_class(topic: TopicInfo) -> type[Any] | None:
-    """Message class of a topic, or None if its package is not installed.
+_Bytes = Callable[[bytes], bytes]
+
+
+def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
+    """Message class of a topic, and present bytes by recorded ones; None if not installed.
 
     Only packages that provide this message definition are imported.
 
@@ -58,13 +61,16 @@ def message_class(topic: TopicInfo) -> type[Any] | None:
         installed = type_hash(topic.type)
     except UsageError:
         return None
+    converted: _Bytes | None = bytes
     if topic.type_hash and topic.type_hash != installed and not _renamed(topic, installed):
+        converted = present_bytes(topic, message_definition(topic.type))
+    if converted is None:
         raise UsageError(
             f'{topic.name}: {topic.type} has another version than the installed one; leave it '
             f'out: exclude:=["{topic.name}"]'
         )
     package, _, name = topic.type.split('/')
-    return getattr(importlib.import_module(f'{package}.msg'), name)
+    return getattr(importlib.import_module(f'{package}.msg'), name), converted
 
 
 def _renamed(topic: TopicInfo, installed: str) -> bool:
@@ -331,12 +337,12 @@ class BagPlayer(Node):
 
     def _speak(self) -> dict[str, Publisher]:
         """Create publishers by recorded name; topics of types not installed are skipped."""
-        publishers, self._latched = {}, set()
+        publishers, self._latched, self._present = {}, set(), {}
         for topic in self._info.topics:
             if topic.name in self._excluded:
                 continue
-            kind = message_class(topic)
-            if kind is None:
+            found = message_class(topic)
+            if found is None:
                 self.get_logger().warning(
                     f'skipping {topic.name}: {topic.type} is not installed'
                 )
@@ -344,6 +350,7 @@ class BagPlayer(Node):
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 self._latched.add(topic.name)
+            kind, self._present[topic.name] = found
             publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
         if not publishers:
             raise UsageError(f'bag_player: no playable topics left in {self._info.path} to play')
@@ -449,7 +456,7 @@ class BagPlayer(Node):
                 waited += self._deliver(*self._under_way)
                 self._under_way.clear()
             publisher = self._publishers_by_topic[name]
-            publisher.publish(message.cdr)
+            publisher.publish(self._present[name](message.cdr))
             if name in self._transforms:
                 self._transforms[name].follow(message.cdr)
             self._count += 1

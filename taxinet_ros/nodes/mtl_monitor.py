@@ -16,7 +16,7 @@ from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.judging import Judging, StopOn
-from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
+from taxinet_ros.core.loop import MAX_GAP_NS, rolling_on, signals
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
@@ -73,7 +73,8 @@ class MtlMonitor(Participant):
         """Create a new monitor for every formula of the run."""
         judging = Judging.from_message(scenario)
         self._specs = judging.parsed_specs
-        self._last_seq = last_step(scenario_of(scenario))
+        scene = scenario_of(scenario)
+        self._last_seq = last_step(scene)
         self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
@@ -85,7 +86,7 @@ class MtlMonitor(Participant):
         self._arrived = {topic.name: -1 for topic in heard}
         self._told_free = (-1, -1)
         self._judged = 0
-        self._command = ROLLING_ON
+        self._command = rolling_on(scene.speed_mps)
         self._readings = ()
 
     def figures(self) -> dict[str, object]:

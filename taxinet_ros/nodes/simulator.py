@@ -23,7 +23,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.loop import ROLLING_ON
+from taxinet_ros.core.controller import STOP
 from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
@@ -123,8 +123,8 @@ _OPTIONS = (
         description='the world that runs take place in',
     ),
     Parameter(
-        name='world_sha256', default='',
-        description='what the package that brings the world has to be; empty: it may be any',
+        name='world_sha256', default='', takes='64 hexadecimal digits, or empty',
+        description="required SHA-256 of the world's package; empty: any",
     ),
 )
 
@@ -201,7 +201,7 @@ class Simulator(Node):
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
         if self._timing.free:
-            self._held: TaxiCommand = ROLLING_ON
+            self._held: TaxiCommand = STOP
             self.create_timer(FREE_TICK_S, self._tick, clock=steady)
 
     def may_leave(self) -> bool:
@@ -439,7 +439,7 @@ class Simulator(Node):
             if topic is topics.ODOMETRY:
                 self._transforms.follow(message)
         if run.free is not None:
-            self._held = run.command or ROLLING_ON
+            self._held = run.command or run.first
             self._say(interface.TIMING, settled_message(run.free, run.run_id))
         if begun_s:
             self._health.frames.took(time.perf_counter() - begun_s)

@@ -8,6 +8,7 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import command_cdr
 from taxinet_ros.core.controller import (
     GAIN_RANGES,
@@ -91,7 +92,7 @@ class SteeringController(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
-        self._controller.begin()
+        self._controller.begin(scenario_of(scenario))
 
     def _answer(self, estimate: StepMessage) -> None:
         command = self._controller.command(estimate.value)

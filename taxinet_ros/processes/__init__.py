@@ -1,1 +1,1 @@
-"""Processes of the program: children, pools, signals and ends."""
+"""Process handling: children, pools, signals and exit codes."""

@@ -1,4 +1,4 @@
-"""Child processes: how they are started, limited, watched, and ended.
+"""Child processes: start, limit, watch and end them.
 
 Limits of the operating system (setrlimit(2)) hold in native code, too, which no timer of Python's
 interrupts. A process sets them before it touches what it is to be protected from. A child can ask
@@ -33,7 +33,7 @@ _LAST_BYTES = 4096
 
 
 def module_command(module: str, *words: str) -> list[str]:
-    """What runs a module of this package with this Python."""
+    """Command line of a module of this package with this Python."""
     # -P: a random.py in the user's folder must not become the standard library's.
     return [sys.executable, '-P', '-m', module, *words]
 
@@ -52,7 +52,7 @@ def child_environment() -> dict[str, str]:
 
 
 class ChildProcess:
-    """A process that this one has started; a context manager that leaves nothing of it behind.
+    """A child process; a context manager that leaves nothing behind.
 
     It leads a session of its own: Ctrl-C in the terminal is for this process, which then ends what
     it has started, in order.
@@ -183,7 +183,7 @@ class ChildProcess:
 
 
 def end_all(children: Iterable[ChildProcess], ladder: Ladder = SOFT) -> list[str]:
-    """Have processes end, with signal after signal, and SIGKILL in the end: no orphans.
+    """End processes with a sequence of signals, finally SIGKILL, leaving no orphans.
 
     Args:
         children: all that are to end.
@@ -214,7 +214,7 @@ def _outlasting(children: list[ChildProcess], grace_s: float) -> list[ChildProce
 
 
 def exit_words(code: int) -> str:
-    """How a process has ended, by its exit code, which is negative for a signal."""
+    """Text on how a process ended, by its exit code (negative for a signal)."""
     return f'killed by {signal_name(-code)}' if code < 0 else f'exit code {code}'
 
 
@@ -240,12 +240,12 @@ def fill_standard_descriptors() -> None:
 
 
 def limit_memory(most_bytes: int) -> None:
-    """Let this process have at most so much address space; beyond it, asking for more fails."""
+    """Limit the address space of this process; allocations beyond it fail."""
     _lower(resource.RLIMIT_AS, most_bytes)
 
 
 def limit_cpu(most_s: int) -> None:
-    """Let this process take at most so much processor time in all; SIGXCPU ends it then."""
+    """Limit the processor time of this process; SIGXCPU ends it then."""
     _lower(resource.RLIMIT_CPU, most_s)
 
 
@@ -260,12 +260,12 @@ _prctl = ctypes.CDLL(None).prctl
 
 
 def die_with_parent(number: signal.Signals) -> None:
-    """Have this process sent a signal once its parent has gone; not if it went before."""
+    """Make Linux signal this process when its parent, still alive now, dies (PR_SET_PDEATHSIG)."""
     _prctl(_PR_SET_PDEATHSIG, number)
 
 
 def adopt_orphans() -> None:
-    """Have whatever this process's descendants leave behind become its children, not init's."""
+    """Become the reaper of orphaned descendants (PR_SET_CHILD_SUBREAPER)."""
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 

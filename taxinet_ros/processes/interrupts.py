@@ -1,4 +1,4 @@
-"""Interrupts and exit codes: Ctrl-C, SIGTERM and a closed terminal, and who may end the process.
+"""Interrupts (Ctrl-C, SIGTERM, closed terminal) and their exit codes.
 
 The first interrupt asks for an end in order, the second for an end now. An exit code is a verdict:
 0 says that every run satisfied its specifications. So where somebody's code runs, nobody but us
@@ -23,7 +23,7 @@ from taxinet_ros.errors import ExitCode, warn_once
 exit_now: Callable[[int], NoReturn] = os._exit
 """``os._exit`` as it is, for us."""
 RECEIVED_STOPS: list[int] = []
-"""Numbers of the signals that came and asked this process to end, oldest first."""
+"""Signals received that ask this process to end, oldest first."""
 _EXITS = ('_exit', 'execv', 'execve')
 _FORKED = ('multiprocessing.popen_fork', 'multiprocessing.forkserver')
 """Who ends, by ``os._exit``, a child in which somebody's code is loaded: it is at its end."""
@@ -36,7 +36,7 @@ class ToldInterrupt(KeyboardInterrupt):
 
 
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
-    """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
+    """Handle a signal like Ctrl-C, by KeyboardInterrupt, so that everything is cleaned up.
 
     While a library in C++ is being loaded, or calls from a destructor, the signal is put off: C++
     lets no exception out of there, and would abort the process for it.
@@ -75,7 +75,7 @@ def _must_not_raise(frame: FrameType | None) -> bool:
 
 
 def refuse_exits() -> None:
-    """From now on, have Python's ways to end this process at once raise SystemExit instead.
+    """Replace functions that end the process immediately, so that they raise SystemExit.
 
     Its children may end as they like. A Ctrl-C is noted from now on, wherever it is handled.
     """
@@ -98,7 +98,7 @@ def _refusing(name: str, end: Callable[..., NoReturn]) -> Callable[..., NoReturn
             end(*words, **named)
         called = f'os.{name}({", ".join(map(repr, words))})'
         if threading.current_thread() is not threading.main_thread():  # where it would be silent
-            warn_once(f"{called}: refused, in a thread of somebody's code")
+            warn_once(f'{called}: refused in a thread of user code')
         raise SystemExit(called)
 
     return refuse
@@ -115,7 +115,7 @@ def interrupts(
     first: Callable[[], None], second: Callable[[], bool] = lambda: False,
     gone_s: float | None = None,
 ) -> Iterator[None]:
-    """Within the ``with``, have the first interrupt call ``first``, and the next one ``second``.
+    """Context in which the first interrupt calls ``first`` and the next one ``second``.
 
     Where that helps nothing, for somebody's code does not come back, the process is ended after
     :data:`_STUCK_S`.
@@ -160,7 +160,7 @@ def interrupts(
 def signals_handled(
     handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
 ) -> Iterator[None]:
-    """Within the ``with``, have signals handled; under ``nohup`` no closed terminal is one."""
+    """Context in which signals are handled; under ``nohup``, SIGHUP is not."""
     before = handle_signals(handle, numbers)
     try:
         yield
@@ -180,7 +180,7 @@ def handle_signals(
 
 @contextlib.contextmanager
 def lost_interrupts_resent() -> Iterator[None]:
-    """Within the ``with``, have an interrupt come again that Python could not raise.
+    """Context that resends an interrupt that Python could not raise.
 
     In a destructor, or in a callback of the import system, it would be printed and forgotten.
     """

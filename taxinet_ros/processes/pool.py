@@ -1,4 +1,4 @@
-"""A pool of worker processes for functions; it ends with its parent, and when that is interrupted.
+"""Pool of worker processes for functions; ends with its parent or on an interrupt.
 
 The workers are spawned: a fork would copy the threads of torch and onnxruntime badly.
 """
@@ -26,7 +26,7 @@ SPAWN = multiprocessing.get_context('spawn')
 
 
 class ProcessPool(ProcessPoolExecutor):
-    """Whose workers never hear of Ctrl-C: their parent does, and ends them."""
+    """Process pool whose workers ignore Ctrl-C: the parent handles it and ends them."""
 
     def submit(
         self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs

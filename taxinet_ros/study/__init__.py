@@ -1,1 +1,1 @@
-"""The paper's case study as one command: its stages, how they are resumed, and what they say."""
+"""The paper's case study as one command: stages, resumption and report."""

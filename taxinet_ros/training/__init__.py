@@ -1,1 +1,1 @@
-"""Training of the network on rendered scenes, and measuring how well it sees."""
+"""Training and evaluation of the network on rendered scenes."""

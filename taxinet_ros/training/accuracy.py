@@ -1,4 +1,4 @@
-"""How well a network does: its figures epoch by epoch, and its errors on a dataset."""
+"""Accuracy of a network: values per epoch, and errors on a dataset."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taxinet_ros.training.data.dataset import Dataset
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Epoch:
-    """One pass over all the training pictures, and a look at the validation pictures after it.
+    """One epoch: a pass over the training images and its validation.
 
     Attributes:
         number: from 1.

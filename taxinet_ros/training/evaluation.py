@@ -1,4 +1,4 @@
-"""How well a perception sees: in its own world, and where falsification looks for its gaps."""
+"""Evaluate a perception on single frames, by light and position."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ def image_perception(word_or_file: str) -> Perception:
     perception = make_perception(word_or_file)
     if not perception.needs_image:
         raise UsageError(
-            f'evaluate: perception {word_or_file!r} does not look at images; name taxinet or a '
-            'file of weights'
+            f'evaluate: perception {word_or_file!r} uses no camera image; name taxinet or a '
+            'weights file'
         )
     return perception
 

@@ -1,4 +1,4 @@
-"""What a training is asked to do, checked before any work goes into it."""
+"""Options of a training, validated before any work."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class TrainOptions:
             both = self.program is not None
             raise UsageError(
                 f'train: {"both" if both else "neither"} a program {"and" if both else "nor"} '
-                '--data given; name one of them to train on'
+                '--data given; give exactly one'
             )
         if self.program is None:
             self._check_data()
@@ -166,11 +166,11 @@ class TrainOptions:
         if out.suffix != SUFFIX:
             raise UsageError(f'train: --out {out}: has to end in {SUFFIX}')
         if not out.parent.is_dir():
-            raise UsageError(f'train: --out {out}: {out.parent} is no folder; make it first')
+            raise UsageError(f'train: --out {out}: {out.parent} is not a folder; make it first')
         if not os.access(out.parent, os.W_OK | os.X_OK):
             raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
         for path in (out, card_path(out), self.curves_path, self.history_path):
             if path.is_dir() or (path.exists() and not self.overwrite):
                 raise UsageError(
-                    f'train: --out {path}: exists; name another file or say --overwrite'
+                    f'train: --out {path}: already exists; choose another file or use --overwrite'
                 )

@@ -1,4 +1,4 @@
-"""The network as torch trains it, with batch normalisation that is gone afterwards.
+"""Torch version of the network for training, with batch normalisation folded in afterwards.
 
 Normalised channels train faster and to a better end (Ioffe and Szegedy, ICML 2015). Once
 trained, each normalisation is an affine map of the convolution before it and is folded into

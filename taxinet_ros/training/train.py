@@ -144,8 +144,8 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     left = len(dataset) - options.validation
     if left < 1:
         raise UsageError(
-            f'train: --validation {options.validation} leaves nothing of {len(dataset)} images to '
-            'train on; hold fewer back'
+            f'train: --validation {options.validation} leaves none of {len(dataset)} images to '
+            'train on; use fewer'
         )
     _check_batch(options, left)
     order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))

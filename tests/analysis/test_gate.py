@@ -110,7 +110,7 @@ def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_a
     assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
     nothing = gate_result(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
     assert nothing.verdict is Verdict.INCONCLUSIVE
-    assert nothing.criteria[0].sentence == 'no run was judged: all good, 72 would do'
+    assert nothing.criteria[0].sentence == 'no run was judged: 72 runs, all good, would suffice'
 
 
 def test_given_runs_without_a_result_then_the_reader_is_told():

@@ -40,7 +40,7 @@ def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and
 
 
 def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
-    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 11
+    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 18
 
 
 @pytest.mark.parametrize(
@@ -62,6 +62,15 @@ def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
         ({'aircraft': 'b747'}, "aircraft is 'b747'"),
         ({'date': 'tomorrow'}, "date is 'tomorrow', not YYYY-MM-DD"),
         ({'cross_track': True}, 'cross_track_m needs a number, got True'),
+        ({'wind_direction': 90}, 'wind_direction_deg has no effect without wind_speed_mps'),
+        ({'gust_seed': 1}, 'gust_seed has no effect without gust_mps'),
+        ({'gust': 2, 'gust_seed': 1.5}, 'gust_seed is 1.5, not a whole number'),
+        ({'wind_speed': 31}, 'wind_speed_mps is 31, outside 0..30 m/s'),
+        ({'speed': 0}, 'speed_mps is 0, outside 1..10 m/s'),
+        ({'slope': 6}, 'slope_percent is 6, outside -5..5 %'),
+        ({'aircraft': 'c172p', 'wind_speed': 3, 'gust': 1},
+         'aircraft c172p: wind_speed_mps + 3 gust_mps is 6, more than 5'),
+        ({'runway_state': 'snow'}, "runway_state is 'snow', not one of dry, wet, icy, auto"),
     ],
 )
 def test_given_a_bad_value_then_one_line_says_which_and_what_is_allowed(values, words):

@@ -18,6 +18,7 @@ from taxinet_ros.core.scenario_fields import (
     PARAMETERS,
     PLANE_KEYS,
     RAIN_CLOUDS,
+    RUNWAY_STATES,
     SCENARIO_FIELDS,
     SHORT_FORMS,
     Kind,
@@ -32,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
 WORLD = ROOT / 'scenarios/runway_world.scenic'
 TYPES = {Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool'}
-UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%'}
+UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%', 'm/m': '%', '1': ''}
 """Units of the message by what people type; a duration is in seconds either way."""
 
 NUMBERS = [field for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
@@ -69,7 +70,7 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
         assert all(word in comment for word in field.words), field.key
         if field.kind is Kind.NUMBER:
             unit = re.match(r'\[(.+?)\]', comment)[1]
-            assert UNITS[unit] == field.unit or unit == field.unit, field.key
+            assert unit == field.unit or UNITS[unit] == field.unit, field.key
 
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
@@ -90,6 +91,7 @@ def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_ty
 def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_properties():
     text = WORLD.read_text(encoding='utf-8')
     assert f'\nCLOUDS = {CLOUDS!r}\n' in text
+    assert all(word in text for word in RUNWAY_STATES)
     assert f'\nRAIN_CLOUDS = {RAIN_CLOUDS!r}\n' in text
     properties = re.findall(r'^    (\w+)\[dynamic, final\]:', text, re.MULTILINE)
     short = [key for key in SHORT_FORMS if SHORT_FORMS[key] in PLANE_KEYS]
@@ -97,7 +99,8 @@ def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_prope
     said = re.search(r'may set these parameters: (.*?)\.\n', text, re.DOTALL)[1]
     assert sorted(set(re.findall(r'\w+', said)) & set(BY_KEY)) == sorted(PARAMETERS)
     for field in NUMBERS:
-        assert field.plane or re.search(rf'\b{field.key} \[{field.unit}[],]', said), field.key
+        unit = rf'\[{field.unit}[],]' if field.unit else r'\('
+        assert field.plane or re.search(rf'\b{field.key} {unit}', said), field.key
 
 
 def test_given_the_rows_then_the_pages_list_them_all():
@@ -150,6 +153,8 @@ def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyo
         ('distance_m', 400, '400 m'), ('heading_deg', -20.0, '-20.0 deg'),
         ('rain_percent', 30.0, '30 %'), ('time_of_day_h', 10.55, '10:33'),
         ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration_s', 30.0, '30 s'),
+        ('wind_direction_deg', 270.0, '270 deg'), ('slope_percent', -1.0, '-1.0 %'),
+        ('gust_seed', 7.0, '7'),
     ],
 )
 def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):

@@ -184,7 +184,7 @@ def test_given_a_file_that_was_loaded_then_nothing_of_it_ends_the_process_later(
     assert steering(file(text)).command(SEEN).speed_mps == 1.0
     with pytest.raises(SystemExit, match=re.escape('os._exit(0)')):
         os._exit(0)
-    assert "os._exit(77): refused, in a thread of somebody's code" in capfd.readouterr().err
+    assert 'os._exit(77): refused in a thread of user code' in capfd.readouterr().err
 
 
 def test_given_a_file_that_makes_up_a_ctrl_c_then_it_fails(file):

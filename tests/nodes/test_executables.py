@@ -63,7 +63,7 @@ def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a
     _, errors = node.communicate()
     assert node.returncode == 2, errors
     assert errors == (
-        f"error: ROS_DOMAIN_ID '{domain}': a ROS domain is a whole number from 0 to 232\n")
+        f"error: ROS_DOMAIN_ID '{domain}': a ROS domain is an integer from 0 to 232\n")
 
 
 @pytest.mark.parametrize(

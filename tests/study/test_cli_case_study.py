@@ -67,7 +67,7 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
 
 @pytest.mark.parametrize(('options', 'complaint'), [
     ({'resume': True}, r'--resume: name the case study to continue with --out'),
-    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file, so no case'),
+    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file'),
     ({'report_only': True}, r'--report-only: name the case study with --out'),
     ({'report_only': True, 'out': Path('new')}, r'--report-only: new/study.json: no such file'),
     ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),

@@ -88,7 +88,7 @@ def test_given_a_program_when_measured_then_full_frames_give_the_errors_of_shrun
 
 
 def test_given_a_perception_that_does_not_look_when_chosen_then_it_is_refused() -> None:
-    with pytest.raises(UsageError, match='does not look at images'):
+    with pytest.raises(UsageError, match='uses no camera image'):
         image_perception('truth')
     assert image_perception('taxinet').needs_image
 

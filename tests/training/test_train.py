@@ -176,7 +176,7 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
 
 
 @pytest.mark.parametrize(
-    ('validation', 'batch', 'reason'), [(8, 1, 'leaves nothing of 8'), (4, 5, 'more than 4 images')]
+    ('validation', 'batch', 'reason'), [(8, 1, 'leaves none of 8'), (4, 5, 'more than 4 images')]
 )
 def test_given_too_few_rows_when_trained_then_one_line_says_so(
     validation: int, batch: int, reason: str, tmp_path: Path
@@ -224,8 +224,8 @@ def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so
     ('name', 'reason'),
     [
         ('net.pt', 'has to end in .safetensors'),
-        ('none/net.safetensors', 'is no folder'),
-        ('file/net.safetensors', 'is no folder'),
+        ('none/net.safetensors', 'is not a folder'),
+        ('file/net.safetensors', 'is not a folder'),
         ('old.safetensors', 'exists'),
         ('only_card.safetensors', 'exists'),
         ('only_curves.safetensors', 'exists'),

@@ -18,6 +18,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
 from taxinet_ros.analysis.runs.features import (
     BY_NAME,
     PAPER_FEATURES,
+    PUSHING_FEATURES,
     Feature,
     Floats,
     Mask,
@@ -186,7 +187,8 @@ def _tree(depth: int, runs: int) -> DecisionTreeClassifier:
 def _columns(frame: pd.DataFrame) -> pd.DataFrame:
     """Numbers as they are, kinds of clouds by their rank."""
     columns = {
-        feature.name: ordered_values(feature, frame) for feature in varied(frame, PAPER_FEATURES)
+        feature.name: ordered_values(feature, frame)
+        for feature in varied(frame, (*PAPER_FEATURES, *PUSHING_FEATURES))
     }
     return pd.DataFrame(columns, index=frame.index)
 

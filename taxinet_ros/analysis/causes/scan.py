@@ -50,6 +50,7 @@ from taxinet_ros.analysis.runs.features import (
     DISTANCE,
     HEADING,
     TIME_OF_DAY,
+    WIND_DIRECTION,
     Feature,
     Floats,
     Mask,
@@ -168,7 +169,7 @@ def log_evidence(
 SHUFFLES = 999
 DISCOUNT = 1.2
 """A region of two features must tell a fifth more than one of one, to be named instead."""
-PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0}
+PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0, WIND_DIRECTION.name: 360.0}
 """Features that begin anew."""
 _FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
 _HOPELESS = 3.0

@@ -142,14 +142,46 @@ ABS_HEADING = _either_side(
     ('start heading {} to {}° off, to either side', 'start heading within {}°',
      'start heading {}° or more off, to either side'),
 )
+WIND_SPEED = _feature(
+    fields.WIND_SPEED, step=0.1, widths=(0.5, 1.0, 2.0, 5.0, 10.0, 30.0),
+    words=('wind of {} to {} m/s', 'wind below {} m/s', 'wind above {} m/s'),
+)
+WIND_DIRECTION = _feature(
+    fields.WIND_DIRECTION, widths=(5.0, 10.0, 30.0, 90.0, 360.0),
+    words=('wind from {} to {}°', 'wind from below {}°', 'wind from above {}°'),
+)
+PUSHING_FEATURES = (
+    WIND_SPEED, WIND_DIRECTION,
+    _feature(
+        fields.GUST, step=0.1, widths=(0.5, 1.0, 2.0, 5.0, 10.0),
+        words=('gusts of {} to {} m/s', 'gusts below {} m/s', 'gusts above {} m/s'),
+    ),
+    _feature(fields.RUNWAY_STATE, form=Form.KIND),
+    _feature(
+        fields.SLOPE, step=0.1, widths=(0.5, 1.0, 2.0, 5.0, 10.0),
+        words=('slope of {} to {} %, uphill positive', 'slope below {} %, uphill positive',
+               'slope above {} %, uphill positive'),
+    ),
+    _feature(
+        fields.SPEED, step=0.1, widths=(0.5, 1.0, 2.0, 5.0, 10.0),
+        words=('taxi speed of {} to {} m/s', 'taxi speed below {} m/s', 'taxi speed above {} m/s'),
+    ),
+)
+"""What moves the aircraft; which of all gusts is no property that a failure could have."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND) for one in (fields.AIRCRAFT_MODEL, fields.DATE)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six, as they stand in the table."""
-ALL_FEATURES = (*PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS)
+ALL_FEATURES = (
+    *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
+)
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
+
+_BEFORE = {
+    field.key: field.to_human(field.absent) for field in fields.PUSHING_FIELDS
+}
 
 
 def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
@@ -182,7 +214,9 @@ def ordered_values(feature: Feature, frame: pd.DataFrame) -> npt.NDArray[np.floa
 
 def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
     if feature.source not in table.columns:
-        return np.full(len(table), '', dtype=object)  # a table of before it could be varied
+        # A table of before it could be varied.
+        before = _BEFORE.get(feature.source, '')
+        return np.full(len(table), before, dtype=np.float64 if feature.numeric else object)
     column = table[feature.source]
     if feature in _SWITCHES:
         words = np.where(column.fillna(True).astype(bool), 'on', 'off')

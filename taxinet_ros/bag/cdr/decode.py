@@ -28,9 +28,14 @@ MAX_FIXED_ARRAY = 4096
 MAX_PARTS = 10_000
 """Fields of a type with all within it; nested types could multiply without end."""
 
-_SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
+SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
 _RENAMED = {field.short: field.attribute for field in SCENARIO_FIELDS if field.short}
 _BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(_RENAMED)})\b', re.MULTILINE)
+
+ABSENT = {
+    field.attribute: field.absent for field in SCENARIO_FIELDS if field.absent is not None
+}
+"""What fields of the scenario message are worth that a recording of before does not have."""
 
 
 def decode(topic: TopicInfo, cdr: bytes) -> Any:
@@ -93,9 +98,37 @@ def with_present_names(topic: TopicInfo) -> TopicInfo:
 
     Fields of the scenario message had no unit in their names before; the bytes are the same.
     """
-    if topic.type != _SCENARIO_TYPE:
+    if topic.type != SCENARIO_TYPE:
         return topic
     return replace(topic, definition=_BEFORE_UNITS.sub(_present_name, topic.definition))
+
+
+def present_bytes(topic: TopicInfo, definition: str) -> Callable[[bytes], bytes] | None:
+    """From a message's bytes to those that it would have now; None where that cannot be told.
+
+    Fields of the scenario message that have come since have the values of before there were any.
+
+    Args:
+        topic: as recorded.
+        definition: of its type now.
+
+    Raises:
+        BagForeign: a definition could not be used.
+    """
+    if topic.type != SCENARIO_TYPE:
+        return None
+    now, read = _typestore(topic.type, definition), decoder(topic)
+    old, new = (dict(store.fielddefs[topic.type][1]) for store in (typestore(topic), now))
+    added = {name: value for name, value in ABSENT.items() if name in new.keys() - old.keys()}
+    if not added or {name: kind for name, kind in new.items() if name not in added} != old:
+        return None
+
+    def converted(cdr: bytes) -> bytes:
+        said = read(cdr)
+        message = now.types[topic.type](**{name: getattr(said, name) for name in old}, **added)
+        return bytes(now.serialize_cdr(message, topic.type))
+
+    return converted
 
 
 def _present_name(field: re.Match[str]) -> str:

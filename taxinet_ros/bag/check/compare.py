@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import is_of_frames
@@ -172,8 +172,10 @@ def _differences(
         yield 'log time', (f'{a.stamp_ns} ns', f'{b.stamp_ns} ns'), math.nan
     one = dict(_leaves('', decode(a.topic, a.cdr)))
     other = dict(_leaves('', decode(b.topic, b.cdr)))
+    # What a recording of before could not say yet was so.
+    unsaid = ABSENT if a.topic.type == b.topic.type == SCENARIO_TYPE else {}
     for path in dict.fromkeys([*one, *other]):
-        x, y = one.get(path, _ABSENT), other.get(path, _ABSENT)
+        x, y = (leaves.get(path, unsaid.get(path, _ABSENT)) for leaves in (one, other))
         if isinstance(x, np.ndarray) and isinstance(y, np.ndarray):
             yield from _array_difference(path, x, y)
         elif isinstance(x, float) and isinstance(y, float):

@@ -11,11 +11,11 @@ import math
 from typing import Any
 
 from taxinet_ros.core.judge import Judgement
-from taxinet_ros.core.loop import ROLLING_ON, signals
+from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, ScenarioField
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, ScenarioField
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
@@ -77,10 +77,15 @@ def command_of(message: Any) -> TaxiCommand:
 class HeldCommand:
     """In a free run frames may have no command: the last one holds, as the monitor has it too."""
 
-    def __init__(self, *, free: bool) -> None:
-        """``free``: it is a free run, else one of the lockstep."""
+    def __init__(self, scenario: Any, *, free: bool) -> None:
+        """Begin a run.
+
+        Args:
+            scenario: its message.
+            free: it is a free run, else one of the lockstep.
+        """
         self._free = free
-        self._held: Any = None
+        self._held: Any = rolling_on(float(_value(scenario, SPEED)))
 
     def at(self, command: Any) -> Any:
         """What holds at a frame.
@@ -93,7 +98,7 @@ class HeldCommand:
         """
         if not self._free:
             return command
-        self._held = command or self._held or ROLLING_ON
+        self._held = command or self._held
         return self._held
 
 

@@ -30,7 +30,7 @@ from taxinet_ros.core.world import Observation
 _STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
 _STEP = (*_STAMP, 'seq')
 _KEPT = 256
-"""Templates of a kind that are kept: more than a run has formulas, which take turns."""
+"""Cache size of templates per kind: more than the formulas of a run."""
 _PROGRESS_STATE = 1
 """``NodeStatus.PROGRESS``."""
 
@@ -39,7 +39,7 @@ Values = Mapping[str, Any]
 
 
 def header_values(stamp_ns: int, frame_id: str = MAP_FRAME) -> Values:
-    """A header at simulated time ``stamp_ns``."""
+    """Header at simulated time ``stamp_ns``."""
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
     return {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': frame_id}
 
@@ -84,7 +84,7 @@ def camera_info_cdr(stamp_ns: int) -> bytes:
 
 
 def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
-    """The true state: pose in map, velocity in base_link."""
+    """True state: pose in map, velocity in base_link."""
     return _odometry().filled(
         *divmod(stamp_ns, NS_PER_S), state.x_m, state.y_m, state.z_m,
         *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
@@ -93,7 +93,7 @@ def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
 
 
 def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """Truth or estimate."""
+    """True or estimated tracking error."""
     return _error(run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
     )
@@ -107,7 +107,7 @@ def command_cdr(command: TaxiCommand, run_id: str, seq: int, stamp_ns: int) -> b
 
 
 def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """One formula's reading."""
+    """Current robustness of one formula."""
     return _robustness(spec.name, spec.text, run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq, reading.lower, reading.upper, reading.verdict,
         reading.final, reading.valid, reading.samples, reading.rejected, reading.trusted,
@@ -117,14 +117,14 @@ def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns
 def progress_cdr(
     node: str, implementation: str, fingerprint: str, run_id: str, seq: int, stamp_ns: int
 ) -> bytes:
-    """The status of a node of the lockstep that has come as far as ``seq``.
+    """Status of a lockstep node with progress up to ``seq``.
 
     Args:
         node: its name.
-        implementation: which of the exchangeable kinds it is.
+        implementation: name of its implementation.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
         run_id: its run.
-        seq: the last control step that it is done with.
+        seq: the last control step it has finished.
         stamp_ns: simulated time of that [ns].
     """
     return _progress(node, implementation, fingerprint, run_id).filled(
@@ -133,11 +133,11 @@ def progress_cdr(
 
 
 def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic, bytes]]:
-    """The serialised messages of a control step, in the order in which they are published.
+    """Serialised messages of a control step, in order of publication.
 
     Args:
-        now: what there is to know.
-        run_id: the run that it belongs to.
+        now: the observation.
+        run_id: the run it belongs to.
     """
     stamp_ns = now.stamp_ns
     yield topics.CLOCK, clock_cdr(stamp_ns)

@@ -17,7 +17,7 @@ from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.loop import ROLLING_ON, LateCommands
+from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
 from taxinet_ros.core.world import ChosenWorld, Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
@@ -70,8 +70,9 @@ def _held(
 ) -> Callable[[int], TaxiCommand | None]:
     """Which command held from each step to the next; None where the bag does not tell."""
     path = recording.path
+    first = rolling_on(run.request.scenario.speed_mps)
     if not run.timing.free:
-        late = LateCommands(run.timing, run.request.seed, run.request.index)
+        late = LateCommands(run.timing, run.request.seed, run.request.index, first)
         return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
     account = free_account(recording.info)
     if account is None:
@@ -80,7 +81,7 @@ def _held(
             'end in order', path=path,
         )
     applied = account.applied
-    known = {**commands, -1: ROLLING_ON}
+    known = {**commands, -1: first}
 
     def held(seq: int) -> TaxiCommand | None:
         return known.get(applied[seq]) if seq < len(applied) else None

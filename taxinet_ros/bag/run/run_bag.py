@@ -57,13 +57,13 @@ _TOPICS = (*topics.TOPICS, *topics.TRANSFORMS)
 
 
 def bag_name(topic: Topic) -> str:
-    """Name of a topic in a bag: the graph's own, whatever namespace the graph ran in."""
+    """Name of a topic in a bag, independent of the graph's namespace."""
     return '/' + topic.name.lstrip('/')
 
 
 @functools.cache
 def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
-    """The recorded topics of the graph, as a bag describes them.
+    """Recorded topics of the graph, as bag topic descriptions.
 
     Args:
         images: whether camera frames are among them.

@@ -13,13 +13,14 @@ run that was stepping then.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
-from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.cdr.decode import decode, typestore
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import Contents, StoredMessage
 from taxinet_ros.bag.run.topics import (
@@ -41,6 +42,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.core.topics import RECORDER, SIMULATOR
 from taxinet_ros.core.types import NS_PER_S
 
 _ORDER = (
@@ -107,12 +109,15 @@ class RunsWithin:
         runs: in the order in which they were first heard of.
         plain: whether it is one run and nothing else, logged as our recorder does.
         owners: for each message on a topic of a run, which run it belongs to, -1 for none.
+        reports: what stands for some of these messages, by their places: our recorder files the
+            reports of a run's nodes by name.
         broken: the messages that are not what their topics say.
     """
 
     runs: tuple[RunPart, ...]
     plain: bool
     owners: Sequence[int]
+    reports: Mapping[int, bytes]
     broken: tuple[BagError, ...]
 
 
@@ -139,7 +144,7 @@ def tell_runs_apart(contents: Contents) -> RunsWithin:
 
 
 def messages_of_runs(
-    messages: Iterable[StoredMessage], owners: Sequence[int],
+    messages: Iterable[StoredMessage], within: RunsWithin,
     wanted: Callable[[int, str], bool] = lambda run, topic: True,
 ) -> Iterator[tuple[int, StoredMessage]]:
     """The messages of all runs in the order of the recording, as our recorder would have them.
@@ -149,7 +154,7 @@ def messages_of_runs(
 
     Args:
         messages: of the recording; those on topics of others are passed over.
-        owners: see :class:`RunsWithin`.
+        within: what was found about that recording.
         wanted: whether a run, by its number, needs a topic, by its relative name.
 
     Yields:
@@ -160,11 +165,11 @@ def messages_of_runs(
         relative, _ = topic_parts(stored.topic.name)
         if not relative:
             continue
-        owner = owners[place]
+        owner, cdr = within.owners[place], within.reports.get(place, stored.cdr)
         place += 1
         if owner != _NO_RUN and wanted(owner, relative):
-            stamp_ns = 0 if relative in (SCENARIO, NODE_STATUS) else stamp_of_cdr(stored.cdr)
-            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, stored.cdr)
+            stamp_ns = 0 if relative in (SCENARIO, NODE_STATUS) else stamp_of_cdr(cdr)
+            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, cdr)
 
 
 class _RunsReader:
@@ -176,7 +181,7 @@ class _RunsReader:
         self.broken: set[int] = set()
         self._current: dict[tuple[str, str], int] = {}
         self._stretches: dict[tuple[str, str], list[_Stretch]] = {}
-        self._ready: set[tuple[int, str]] = set()
+        self._ready: dict[int, dict[str, tuple[int, bytes]]] = {}
         self._restamped = False
         self._named = False
 
@@ -229,6 +234,7 @@ class _RunsReader:
         return RunsWithin(
             runs=tuple(runs), broken=broken,
             owners=[numbers.get(owner, _NO_RUN) for owner in self.owners],
+            reports=dict(chain.from_iterable(map(_filed, self._ready.values()))),
             plain=len(runs) == 1 and not (self._restamped or self._named or others or stray),
         )
 
@@ -246,10 +252,14 @@ class _RunsReader:
         if relative == SCENARIO:
             run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
         elif relative == NODE_STATUS:
-            report = (number, str(getattr(message, 'node', '')))
-            if getattr(message, 'state', None) != NODE_READY or report in self._ready:
+            node, reports = str(getattr(message, 'node', '')), self._ready.setdefault(number, {})
+            if getattr(message, 'state', None) != NODE_READY or node in reports:
                 return False
-            self._ready.add(report)
+            says = any(getattr(message, word, '') for word in ('implementation', 'detail'))
+            if node == SIMULATOR and not says:
+                return False  # As our recorder: every answer takes effect at once, in our world.
+            cdr = _without_topics(stored, message) if node == RECORDER else stored.cdr
+            reports[node] = len(self.owners) - 1, cdr
         elif relative == RUN_STATUS:
             if getattr(message, 'state', None) != RUN_ENDED:
                 return False
@@ -299,6 +309,20 @@ class _Stretch:
 def _overlap(first: int, last: int, run: RunPart) -> int:
     """How many places of the recording two stretches share; negative: how far they are apart."""
     return min(last, run.last) - max(first, run.first)
+
+
+def _without_topics(stored: StoredMessage, report: Any) -> bytes:
+    """The recorder's report as it files it: which topics it hears is left to the bag to tell."""
+    if not isinstance(getattr(report, 'listens', None), list):
+        return stored.cdr
+    report = dataclasses.replace(report, listens=[])
+    return bytes(typestore(stored.topic).serialize_cdr(report, stored.topic.type))
+
+
+def _filed(reports: Mapping[str, tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """The reports of a run's nodes by name, in the places that they have in the recording."""
+    places = sorted(place for place, _ in reports.values())
+    return zip(places, (reports[node][1] for node in sorted(reports)), strict=True)
 
 
 def _name_runs(runs: Sequence[RunPart]) -> None:

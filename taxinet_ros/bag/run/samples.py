@@ -308,7 +308,7 @@ class _SamplesReader:
         )
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
-        commands = HeldCommand(free=self.free)
+        commands = HeldCommand(self.scenario, free=self.free)
         samples = [self._sample(stamp, commands) for stamp in stamps]
         if self.free:  # What a frame lacks is no loss: nobody answered it.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)

@@ -197,7 +197,7 @@ class StoredRuns:
         for _, error in damage:
             text = str(error)
             if isinstance(error, BagTruncated | BagCorrupt):
-                text = f'{text}; {count} sound messages before'
+                text = f'{text}; {count} intact messages before'
             raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
 
     def messages_of_runs(
@@ -211,7 +211,7 @@ class StoredRuns:
             whole: whether pictures are not cut short, which takes a pass over the files.
         """
         messages = self.all_messages() if whole else self._contents.messages
-        return messages_of_runs(messages, self._apart.owners, wanted)
+        return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
         """Every sound message, whoever's, in the order of the recording; pictures take a pass.
@@ -236,7 +236,7 @@ class StoredRuns:
             return stored_messages(self.path, wanted)
         whole, number = self._within.whole, self._within.number
         mine = messages_of_runs(
-            stored_messages(self.path), whole._apart.owners,
+            stored_messages(self.path), whole._apart,
             lambda run, topic: run == number and wanted(f'/{topic}'),
         )
         return (stored for _, stored in mine)

@@ -43,7 +43,8 @@ class RunRow:
         free: of a free run how it went, by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
-            crossing, aircraft, duration_s: the scenario, see
+            crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
+            runway_state, slope_percent, speed_mps, duration_s: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
@@ -90,6 +91,13 @@ class RunRow:
     shadows: bool | None = None
     crossing: bool | None = None
     aircraft: str = ''
+    wind_speed_mps: float | None = None
+    wind_direction_deg: float | None = None
+    gust_mps: float | None = None
+    gust_seed: float | None = None
+    runway_state: str = ''
+    slope_percent: float | None = None
+    speed_mps: float | None = None
     duration_s: float | None = None
     kind: str = ''
     who: str = ''
@@ -281,8 +289,8 @@ class RunRow:
         # Rows from before there was a key have its value of then, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
-            known.key: known.absent if drawn else None for known in SCENARIO_FIELDS
-            if known.absent is not None
+            known.key: known.to_human(known.absent) for known in SCENARIO_FIELDS
+            if drawn and known.absent is not None
         }
         try:
             if stray := values.keys() & ON_DISK.keys():

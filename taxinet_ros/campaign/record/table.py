@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -199,9 +200,25 @@ def read_any_table(path: Path) -> pd.DataFrame:
     kinds = _kinds(_specs_of(frame), dimensions, figures)
     # A table from before a column was thought of is still a table.
     try:
-        return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+        frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
     except (ValueError, TypeError, OverflowError) as error:
         raise _damaged(path, error) from error
+    _add_what_was_so(frame)
+    return frame
+
+
+def _add_what_was_so(frame: pd.DataFrame) -> None:
+    """Columns of a scene that could not be varied yet: their value of then, if there is a scene."""
+    for before, field in pairwise(SCENARIO_FIELDS):
+        if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
+            continue
+        value, nothing = field.to_human(field.absent), '' if field.words else None
+        drawn = frame[SCENARIO_FIELDS[0].key].notna()
+        frame.insert(
+            list(frame.columns).index(before.key) + 1, field.key,
+            [value if there else nothing for there in drawn],
+        )
+        frame[field.key] = frame[field.key].astype(field.column_type)  # type: ignore[call-overload]
 
 
 def _specs_of(frame: pd.DataFrame) -> list[str]:

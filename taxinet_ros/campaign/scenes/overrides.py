@@ -12,11 +12,16 @@ from typing import Any
 
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    GUST,
+    GUST_SEED,
     HEADING,
     RAIN,
     RAIN_CLOUDS,
     SKY,
     TIME_OF_DAY,
+    WIND_DIRECTION,
+    WIND_SPEED,
     by_key,
 )
 from taxinet_ros.core.world import last_step
@@ -25,6 +30,13 @@ from taxinet_ros.errors import UsageError
 WEATHER = (SKY.key, RAIN.key)
 """The two keys that bind each other: rain falls from rain clouds only."""
 
+_BOUND = (
+    WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
+    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
+)
+"""Keys that bind each other."""
+_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
+"""Beside these every value of another key can be."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
@@ -42,8 +54,8 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     """
     overrides = by_key(overrides)
     for key, value in overrides.items():
-        # Rain is checked under a sky that allows it; the pair follows below.
-        _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
+        # Each among others that allow it, as rain under a sky; the pair follows below.
+        _build({**_ALLOWING, key: value}, f'override {key}={value}')
     if all(key in overrides for key in WEATHER):
         given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
         _build(overrides, f'override {given}')
@@ -132,13 +144,24 @@ def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     return found
 
 
+def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
+    """Keys of values that no scenario could have together, though each of them alone."""
+    found: set[str] = set()
+    for keys in _BOUND:
+        try:
+            scenario_from_human({key: values[key] for key in keys if key in values})
+        except UsageError:
+            found.update(keys)
+    return found
+
+
 def check_value(key: str, value: Any) -> None:
     """See that a scenario could have this value, whatever the others were.
 
     Raises:
         UsageError: none could.
     """
-    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
+    last_step(scenario_from_human({**_ALLOWING, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

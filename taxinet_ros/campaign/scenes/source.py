@@ -20,6 +20,7 @@ from taxinet_ros.campaign.scenes.overrides import (
     Contradiction,
     apply_overrides,
     check_overrides,
+    contradicting_keys,
     impossible_keys,
 )
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
@@ -246,7 +247,7 @@ class SceneSource:
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & set(WEATHER))  # two that contradict each other
+        return bool(drawn & contradicting_keys(values))
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else be rejected for an override that a person can mend.
@@ -385,11 +386,12 @@ def accepted_scene(
     )
 
 
-def first_duration_s(source: SceneSource) -> float:
-    """Length of a program's first scene that is accepted [s], the usual one where none is.
+def first_scene(source: SceneSource) -> Scenario:
+    """A program's first scene that is accepted, the usual one where none is.
 
     Raises:
-        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+        UsageError: as :meth:`SceneSource.scene`, or its length is no whole number of
+            control periods.
     """
     first = apply_overrides({}, source.fixed_length, source.program.name)
     for index in range(_FIRST_SCENES):
@@ -399,7 +401,7 @@ def first_duration_s(source: SceneSource) -> float:
         if source.fixed_length:
             break
     last_step(first)
-    return first.duration_s
+    return first
 
 
 def sample_scenarios(

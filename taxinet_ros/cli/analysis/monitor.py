@@ -31,7 +31,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs
+from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs, describe_specs
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
@@ -313,7 +313,8 @@ class _RequirementNotes:
 def _gains(bag: Path) -> SteeringGains | None:
     """Controller gains recorded in a bag; None if the bag does not say which controller ran."""
     try:
-        return SteeringGains(**open_recording(bag).run.gains)
+        run = open_recording(bag).run
+        return bounding_gains(SteeringGains(**run.gains), run.request.scenario)
     except (BagError, UsageError):
         return None
 

@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
@@ -224,17 +224,20 @@ def run_up(options: UpOptions) -> int:
         Exit code: that of the interrupt that stopped it; 4 if it could not be kept up.
     """
     view = UpView(Console(highlight=False), options)
-    stops: list[Callable[[], None]] = []
+    started: list[Supervisor] = []
 
     def stop() -> None:
-        if not stops:
+        if not started:
             raise KeyboardInterrupt
-        stops[-1]()
+        started[-1].stop()
+
+    def abort() -> bool:
+        return bool(started) and started[-1].abort()
 
     # Every node dies with this process, so nothing is lost if DDS shuts down slowly.
-    with interrupts(stop, gone_s=_GONE_S):
+    with interrupts(stop, abort, gone_s=_GONE_S):
         try:
-            run_standing_graph(options, view, stops.append)
+            run_standing_graph(options, view, started.append)
             view.say('ended')
         except KeyboardInterrupt:
             view.say('killed')

@@ -75,7 +75,7 @@ class GraphDisplay(Protocol):
 
 
 def run_standing_graph(
-    options: UpOptions, shown: GraphDisplay, on_stop: Callable[[Callable[[], None]], None]
+    options: UpOptions, shown: GraphDisplay, on_start: Callable[[Supervisor], None]
 ) -> None:
     """Start a graph and supervise it until stopped.
 
@@ -84,7 +84,7 @@ def run_standing_graph(
     Args:
         options: options of the graph.
         shown: the display.
-        on_stop: called with the function that ends the graph in order, once it exists.
+        on_start: called with the supervisor, which can stop the graph, once it exists.
 
     Raises:
         UsageError: bad input, or the domain belongs to another graph.
@@ -102,7 +102,7 @@ def run_standing_graph(
             cli_args=options.ros_arguments,
         )
         spinning.add(supervisor)
-        on_stop(supervisor.stop)
+        on_start(supervisor)
         with shown.watching(supervisor, domain):
             spin_until(spinning.executor, supervisor.ended)
 

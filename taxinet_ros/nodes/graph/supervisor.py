@@ -357,6 +357,7 @@ class Supervisor(Node):
         self.ready = False
         self.ended = Future()
         self._end_by_s: float | None = None
+        self._aborted = False
         self._strangers: list[str] = []
         now_s = time.monotonic()
         for watched in self.nodes:
@@ -367,11 +368,23 @@ class Supervisor(Node):
         """End the current run in order, if any; then ``ended`` is done."""
         self._end_by_s = time.monotonic() + (_END_OF_RUN_S if self.runs.interrupt() else 0.0)
 
+    def abort(self) -> bool:
+        """Have ``ended`` raise KeyboardInterrupt soon. False if it is done already.
+
+        For signal handlers: raised in a callback, rclpy would print it with a traceback, and the
+        lock of ``ended`` may be held by the code that the signal interrupted.
+        """
+        self._aborted = True
+        return not self.ended.done()
+
     def close(self) -> None:
         """Release the node."""
 
     def _tick(self) -> None:
         if self.ended.done():
+            return
+        if self._aborted:
+            self.ended.set_exception(KeyboardInterrupt())
             return
         try:
             self._look(time.monotonic())

@@ -17,7 +17,7 @@ from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import check_specs
 from taxinet_ros.core.judging import Judging, StopOn
-from taxinet_ros.core.loop import LateCommands
+from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
@@ -121,7 +121,8 @@ class ActiveRun:
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario.duration_s)
         self.world = make_world(scenario)
-        self.commands = LateCommands(timing, message.seed, message.index)
+        self.first = rolling_on(scenario.speed_mps)
+        self.commands = LateCommands(timing, message.seed, message.index, self.first)
         may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(

@@ -1,1 +1,1 @@
-"""Retraining on counterexamples, round by round, and whether a round is kept."""
+"""Retraining on counterexamples in rounds, with acceptance tests."""

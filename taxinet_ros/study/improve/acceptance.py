@@ -1,4 +1,4 @@
-"""Whether a retrained network replaces the one before it, judged on the same unseen scenes.
+"""Acceptance test of a retrained network against its predecessor on the same unseen scenes.
 
 It has to be better in something, and *not worse* in failures anywhere that was looked at. That few
 failures more were seen proves nothing of that: it has to be shown that failures did not become more
@@ -44,7 +44,7 @@ _DARK = ('broken', 'overcast', 'stratus')
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """What the runs say.
+    """Result of the acceptance test.
 
     Attributes:
         accepted: whether the candidate is the network from now on.
@@ -118,7 +118,7 @@ def decide(
     refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
     why = refusal if better or satisfied.second < satisfied.first else ''
     return Decision(
-        accepted=bool(better) and not refusal, why=why or better or 'not better beyond doubt',
+        accepted=bool(better) and not refusal, why=why or better or 'not significantly better',
         pairs=satisfied.pairs, failed_before=satisfied.pairs - satisfied.first,
         failed_now=satisfied.pairs - satisfied.second,
         only_before=satisfied.only_second, only_now=satisfied.only_first,
@@ -131,12 +131,12 @@ def decide(
 
 
 def _better(found: ArmComparison, alpha: float) -> str:
-    """In what the candidate is better beyond doubt, or ''."""
+    """In what the candidate is significantly better, or ''."""
     satisfied, rho = found.satisfied, found.rho
     if satisfied.second > satisfied.first and satisfied.p_value <= alpha:
         return f'fails less often (p {satisfied.p_value:.2g})'
     if satisfied.second >= satisfied.first and rho.change.value > 0 and rho.p_value <= alpha:
-        return f'fails no more often and keeps nearer to the centreline (p {rho.p_value:.2g})'
+        return f'does not fail more often and stays closer to the centreline (p {rho.p_value:.2g})'
     return ''
 
 
@@ -151,15 +151,15 @@ def _refusal(
     if satisfied.second < satisfied.first:
         return 'fails more often'
     if more >= margin:
-        return (f'may fail up to {100 * more:.1f} points more often by {satisfied.pairs} scenes, '
-                f'and {100 * margin:g} is the margin')
+        return (f'may fail up to {100 * more:.1f} points more often on {satisfied.pairs} scenes; '
+                f'the margin is {100 * margin:g}')
     # Where failures became fewer beyond doubt, so did the worst of them, unless one sees otherwise.
     if satisfied.p_value > alpha and more_off >= margin:
-        return (f'may leave the runway up to {100 * more_off:.1f} points more often by '
-                f'{satisfied.pairs} scenes, and {100 * margin:g} is the margin')
+        return (f'may leave the runway up to {100 * more_off:.1f} points more often on '
+                f'{satisfied.pairs} scenes; the margin is {100 * margin:g}')
     if worse:
         most = max(worse, key=lambda name: worse[name])
-        others = f', and in {len(worse) - 1} places more' if len(worse) > 1 else ''
+        others = f', and in {len(worse) - 1} more places' if len(worse) > 1 else ''
         return (f'may fail up to {100 * worse[most]:.1f} points more often where it is about '
                 f'"{most}"{others}')
     return ''

@@ -1,4 +1,4 @@
-"""Falsify, learn from the failures, judge, and keep what is better: the paper's loop, repeated.
+"""Improvement loop: falsify, retrain on failures, evaluate, keep if better.
 
 The paper went round it once and left further rounds to future work (its conclusion). Here each
 round looks for failures of the best network so far, trains it further on places along the
@@ -188,7 +188,7 @@ class Round:
 
 
 class Improvement:
-    """The loop. What is done is not done again, so the same call goes on where one stopped."""
+    """The loop. Finished stages are kept, so the same call continues an interrupted loop."""
 
     def __init__(
         self, out: Path, options: ImproveOptions, ledger: RoundLedger, run_stages: RunStages,
@@ -211,7 +211,7 @@ class Improvement:
         self._incumbent = START
 
     def run(self) -> int:
-        """Go round until the rounds are over, or no run fails any more.
+        """Run rounds until all are done or no run fails.
 
         Returns:
             Exit code: 0 done, else that of the stage that stopped.

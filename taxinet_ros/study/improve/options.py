@@ -1,4 +1,4 @@
-"""What ``taxinet improve`` is asked to do, checked before any work goes into it."""
+"""Options of ``taxinet improve``, validated before any work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the stages of a study have found, read back from their folders."""
+"""Results of the stages of a study, read from their folders."""
 
 from __future__ import annotations
 
@@ -269,8 +269,10 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
     table = read_table(path)
     runs = runs_of(table, path)
     if runs.weighting is not Weighting.DRAWN:
-        raise UsageError(f'{path}: its runs were chosen by a sampler, and a study judges networks '
-                         'on scenes that were drawn at random; evaluate with --sampler random')
+        raise UsageError(
+            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
+            'evaluate with --sampler random'
+        )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []
     some = ids[:: max(1, -(-len(ids) // SETTLED_RUNS))]
@@ -294,8 +296,8 @@ def _pair(first: Network, second: Network) -> Pair:
     for name in _SCENE:
         if not one[name].equals(other[name]):
             raise UsageError(
-                f'{first.runs.path} and {second.runs.path}: have not the same {name}; evaluate '
-                'both networks on one program with one seed'
+                f'{first.runs.path} and {second.runs.path}: differ in {name}; evaluate both '
+                'networks on one program with one seed'
             )
     return Pair(first=first.name, second=second.name, frame=pd.DataFrame({
         'distance_m': one['distance_m'],
@@ -310,7 +312,7 @@ def _json_values(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise UsageError(f'{path}: cannot be read ({error}); do its stage again') from error
+        raise UsageError(f'{path}: cannot be read ({error}); repeat its stage') from error
     return dict(values)
 
 
@@ -321,7 +323,7 @@ def _sealed_values(path: Path) -> dict[str, Any] | None:
     found = read_sealed(path)
     for name in found.files:
         if (table := path.with_name(name)).is_file():
-            found.check_file(table, 'do its stage again')
+            found.check_file(table, 'repeat its stage')
     return found.values
 
 

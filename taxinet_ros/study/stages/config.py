@@ -1,4 +1,4 @@
-"""The numbers of a case study: checked, scaled, and read from and written to files.
+"""Configuration of a case study: validate, scale, read and write.
 
 YAML for people (``scenarios/case_study.yaml``), JSON for a study begun. Every complaint is one
 line with the file, the key, and what is expected there.
@@ -208,7 +208,7 @@ def read_study(out: Path, option: str) -> StudyConfig:
         return StudyConfig(**{**values, **lists})
     except FileNotFoundError:
         raise UsageError(
-            f'{option}: {path}: no such file, so no case study was begun there; '
+            f'{option}: {path}: no such file, so there is no case study; '
             f'{"leave --resume out" if option == "--resume" else "name its folder with --out"}'
         ) from None
     except (OSError, ValueError, TypeError, KeyError) as error:
@@ -257,8 +257,8 @@ class _Values:
                 for seed in own if other < place else ():
                     if seed in others:
                         raise self._sections[''].wrong(
-                            f'is {seed}, as {other} is; give it another, or a network is judged on '
-                            'scenes that it has seen', place,
+                            f'is {seed}, as {other} is; choose another, or a network is evaluated '
+                            'on scenes it was trained on', place,
                         )
 
     def _program(self, given: Section, key: str) -> str:
@@ -302,7 +302,7 @@ def _samplers(given: Section, key: str) -> tuple[str, ...]:
     words = tuple(one.text(key) for one in given.several(key))
     for word in words:
         if word not in _LEARNERS:
-            what = f'expected one that tells what it learned ({", ".join(_LEARNERS)})'
+            what = f'expected a sampler that learns a distribution ({", ".join(_LEARNERS)})'
             raise given.wrong(f'{what}, got {word}', key)
     return words
 

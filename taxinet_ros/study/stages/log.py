@@ -1,4 +1,4 @@
-"""What became of the stages of a study: ``stages.jsonl``, append-only and flushed to the disk."""
+"""Log of the stages of a study: ``stages.jsonl``, append-only and flushed to disk."""
 
 from __future__ import annotations
 

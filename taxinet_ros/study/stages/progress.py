@@ -1,4 +1,4 @@
-"""How far a study is: what is done, what has to be done again, how long the rest takes.
+"""Progress of a study: finished and outdated stages, and remaining time.
 
 And the lines that say so: headings of stages, the list of them, times.
 """
@@ -114,7 +114,7 @@ def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> 
 
 def time_line(elapsed_s: float, left_s: float) -> str:
     """Time since the command was started, and about how much there is to come."""
-    return f'{clock(elapsed_s)} gone, about {rough_duration(left_s)} to go'
+    return f'{clock(elapsed_s)} elapsed, about {rough_duration(left_s)} left'
 
 
 def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""How training pictures are made to differ: domain randomisation and augmentation.
+"""Domain randomisation and augmentation of training images.
 
 Domain randomisation is done once, when a scene is rendered: mount, lens and exposure vary. A
 network that has seen only one look of the world learns that look; training on many, none of

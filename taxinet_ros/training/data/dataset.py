@@ -30,7 +30,7 @@ _Labelled = tuple[NDArray[np.uint8], float, float]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Dataset:
-    """Pictures and what a perfect network would say to them.
+    """Images and their labels.
 
     Attributes:
         pictures: what the network sees, (N, 64, 192) uint8.
@@ -52,7 +52,7 @@ class Dataset:
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
-    """Progress that no one wants to see."""
+    """Progress callback that does nothing."""
 
 
 SAMPLERS = ('random', 'halton', 'sobol', 'grid')
@@ -98,7 +98,7 @@ def draw_scenes(
 def _scene_drawer(
     source: SceneSource, sampler: str, seed: int, images: int
 ) -> Callable[[int], Scenario]:
-    """What gives the scene of a number, from 0 on."""
+    """Function that returns the scene of a number, from 0 on."""
     if sampler == 'random':
         return source.scene
     points = make_sampler(sampler, source.space(), seed, images)
@@ -121,7 +121,7 @@ def make_dataset(
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> Dataset:
-    """Photograph scenes. The result does not depend on the number of worker processes.
+    """Render scenes. The result does not depend on the number of worker processes.
 
     Args:
         scenes: what to photograph; the place of one in the sequence is its number.

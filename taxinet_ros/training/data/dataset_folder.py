@@ -215,7 +215,7 @@ def _check_new(out: Path) -> None:
     try:
         if out.exists() and (not out.is_dir() or {path.name for path in out.iterdir()} - {_DRAFT}):
             begun = (out / REQUEST).is_file()
-            mend = 'say --resume, or name another' if begun else 'name another'
+            mend = 'use --resume, or choose another' if begun else 'choose another'
             raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
     except OSError as error:
         raise _unwritable_error(out, error) from error
@@ -240,7 +240,8 @@ def _check_request(out: Path, request: Mapping[str, Any]) -> None:
         (out / IMAGES).mkdir(exist_ok=True)
     except FileNotFoundError as error:
         raise UsageError(
-            f'dataset: --resume: {path}: no such file, so nothing was begun; leave --resume out'
+            f'dataset: --resume: {path}: no such file, so there is nothing to resume; leave '
+            '--resume out'
         ) from error
     except OSError as error:
         raise UsageError(
@@ -251,7 +252,7 @@ def _check_request(out: Path, request: Mapping[str, Any]) -> None:
         if before != value:
             raise UsageError(
                 f'dataset: --resume: {out} was begun with {name} {before}, not {value}; repeat its '
-                'options, or name another --out'
+                'options, or choose another --out'
             )
 
 
@@ -350,8 +351,8 @@ def _write_once(path: Path, data: bytes) -> None:
 
 def _differs_error(path: Path) -> UsageError:
     return UsageError(
-        f'dataset: {path}: is not what these options make, and nothing is replaced; move it away '
-        'and say --resume'
+        f'dataset: {path}: differs from what these options make and is not replaced; move it away '
+        'and use --resume'
     )
 
 
@@ -361,5 +362,5 @@ def _unwritable_error(out: Path, error: OSError) -> UsageError:
 
 def _record_error(out: Path, error: OSError) -> RecordError:
     return RecordError(
-        f'dataset: {out}: cannot be written ({error.strerror}); mend that and say --resume'
+        f'dataset: {out}: cannot be written ({error.strerror}); fix that and use --resume'
     )

@@ -38,7 +38,7 @@ _Row = tuple[int, Mapping[str, object]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ImageFolder:
-    """A folder whose labels are checked, and whose images are known to be there.
+    """A folder with checked labels and existing images.
 
     Attributes:
         path: of the folder.
@@ -168,16 +168,18 @@ def _table(folder: Path) -> Path:
         raise UsageError(f'{folder}: no such folder; name one with images and their labels')
     if (folder / REQUEST).exists() and not (folder / FACTS).exists():
         raise UsageError(
-            f'{folder}: this dataset is not finished; continue it with taxinet dataset --resume'
+            f'{folder}: this dataset is unfinished; continue it with taxinet dataset --resume'
         )
     found = [folder / name for name in (LABELS, FOREIGN_LABELS) if (folder / name).is_file()]
     if not found:
         raise UsageError(
-            f'{folder}: holds no {LABELS} and no {FOREIGN_LABELS}; write one with the columns '
+            f'{folder}: contains neither {LABELS} nor {FOREIGN_LABELS}; write one with the columns '
             'image,cte_m,heading_error_deg'
         )
     if len(found) > 1:
-        raise UsageError(f'{folder}: holds {LABELS} and {FOREIGN_LABELS}; keep only one of them')
+        raise UsageError(
+            f'{folder}: contains both {LABELS} and {FOREIGN_LABELS}; keep only one of them'
+        )
     if (folder / FACTS).exists():
         _check_digest(folder, found[0])
     return found[0]

@@ -1,4 +1,4 @@
-"""Labelled pictures: scenes as the camera sees them at the start of a run.
+"""Labelled images: camera frames of scenes at the start of a run.
 
 Many are rendered by several processes; how many does not show in the result.
 """

@@ -13,7 +13,6 @@ from rosbags.typesys import Stores, get_typestore
 from taxinet_ros.bag.cdr.alignment import Canonical, Trail, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.reader import read_info, stored_messages
-from taxinet_ros.bag.run.run_bag import bag_topics
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = [
@@ -84,8 +83,7 @@ def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes
 
 def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     bag = GOLDEN / 'taxinet-midday'
-    topics = bag_topics(True)
-    canonical = Canonical(topics)
+    canonical = Canonical(read_info(bag).topics)
     stored = list(stored_messages(bag))
     assert len(stored) == sum(read_info(bag).counts.values()) > 500
     for one in stored:
@@ -97,7 +95,7 @@ def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     lambda cdr: b'\x00\x00' + cdr[2:], lambda cdr: cdr[:4] + b'\xff' * (len(cdr) - 4),
 ])
 def test_given_bytes_that_are_no_message_then_the_error_names_the_topic(spoil):
-    canonical = Canonical(bag_topics(True))
+    canonical = Canonical(read_info(GOLDEN / 'truth-nominal').topics)
     one = next(m for m in stored_messages(GOLDEN / 'truth-nominal') if m.topic.name == '/scenario')
     with pytest.raises(BagCorrupt, match=r'/scenario: .* bytes are no message of it'):
         canonical.message('/scenario', spoil(one.cdr))

@@ -122,12 +122,12 @@ def test_f2_given_any_flipped_bit_of_the_ledger_then_no_line_of_it_is_taken_for_
 @pytest.mark.parametrize(('change', 'said'), [
     (lambda lines: lines.pop(3), ':4: damaged line (lines before it are missing)'),
     (lambda lines: lines.pop(0), ':1: damaged line (lines before it are missing)'),
-    (lambda lines: lines.insert(4, lines[3]), ':5: damaged line (it is there twice, first as'),
-    (lambda lines: lines.append(lines[2]), ':10: damaged line (it is there twice, first as'),
+    (lambda lines: lines.insert(4, lines[3]), ':5: damaged line (it occurs twice, first as'),
+    (lambda lines: lines.append(lines[2]), ':10: damaged line (it occurs twice, first as'),
     (lambda lines: lines.__setitem__(slice(3, 5), lines[4:2:-1]), ':4: damaged line (it belongs'),
     (lambda lines: lines.pop(), 'missing at its end'),
-    (lambda lines: lines.__delitem__(slice(5, None)), '4 of the 9 lines that it had are missing'),
-    (lambda lines: lines.__delitem__(slice(0, None)), '9 of the 9 lines that it had are missing'),
+    (lambda lines: lines.__delitem__(slice(5, None)), '4 of its 9 lines are missing'),
+    (lambda lines: lines.__delitem__(slice(0, None)), '9 of its 9 lines are missing'),
 ])
 def test_f2_given_lines_lost_doubled_or_in_another_order_then_that_is_said(
     campaign, taxinet, change, said
@@ -248,7 +248,7 @@ def test_doctor_given_another_journal_then_its_damage_is_found_and_mended(tmp_pa
     assert not examine(tmp_path).findings
     path.write_bytes(path.read_bytes().replace(b'"s1"', b'"s9"'))
     (found,) = examine(tmp_path).findings
-    assert (found.where, found.what) == (f'{path}:2', 'its checksum is another')
+    assert (found.where, found.what) == (f'{path}:2', 'its checksum differs')
     (done,) = mend(tmp_path)
     assert done.endswith('lost: line 2')
     assert not examine(tmp_path).findings
@@ -613,7 +613,7 @@ def test_doctor_given_a_damaged_line_then_it_is_put_aside_and_its_bag_has_the_ve
     path.write_bytes(b''.join(lines))
     code, out, _ = taxinet('doctor', campaign)
     assert code == 3
-    assert f'BAD     {path}:{number + 1}: its checksum is another' in out
+    assert f'BAD     {path}:{number + 1}: its checksum differs' in out
     assert f'{campaign / lost["run_id"]}: a bag without a result' in out
     assert f'it says {lost["outcome"]} (tight {lost["rho"]["tight"]:+.3f})' in out
     code, out, _ = taxinet('doctor', campaign, '--mend')

@@ -46,7 +46,9 @@ def test_given_scenes_when_drawn_in_another_order_and_process_then_they_are_the_
     ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', ':3: invalid syntax'),
     ('import os\nmodel runway_world\nprint("{}")\nos._exit(3)\n',
      ': the Scenic process ended with status 3'),
-    (PLANE + 'param wind = 3\n', ':3: param wind: unknown, so it has no effect; known: clouds'),
+    (PLANE + 'param fog = 3\n', ':3: param fog: unknown, so it has no effect; known: clouds'),
+    (PLANE + 'param wind_direction = 90\n',
+     ': scene 0: wind_direction_deg has no effect without wind_speed_mps'),
     (PLANE + 'param rain = 30\n', ': scene 0: rain needs clouds'),
 ], ids=lambda cause: cause[1][:30])
 def test_given_a_bad_program_when_used_then_one_line_says_what_and_where(
@@ -167,6 +169,17 @@ def test_given_a_parent_that_is_killed_when_its_child_is_in_a_loop_then_the_chil
         ended = select.select([child], [], [])[0]
     os.close(child)
     assert ended
+
+
+def test_given_overrides_that_need_others_when_all_are_there_then_the_scenes_have_them() -> None:
+    wind = {'wind_speed': '6', 'wind_direction': '324', 'gust': '1', 'gust_seed': '4'}
+    for one in sample_scenarios('nominal', 1, 2, {**wind, 'slope': '-1', 'runway_state': 'icy'}):
+        assert (one.wind_speed_mps, one.gust_mps, one.gust_seed) == (6.0, 1.0, 4.0)
+        assert (one.wind_direction_rad, one.slope_fraction) == (np.radians(324), -0.01)
+        assert one.surface == 'icy'
+    for alone in ('wind_direction', 'gust_seed'):
+        with pytest.raises(UsageError, match=rf'scene 0: {alone}.* has no effect without'):
+            sample_scenarios('nominal', 1, 1, {alone: wind[alone]})
 
 
 def test_given_overrides_when_drawn_then_only_they_differ() -> None:
@@ -305,7 +318,7 @@ def test_s5_attack_the_length_is_known_where_the_first_scene_is_rejected(
             try:
                 source.scene(0)
             except Rejected:
-                assert scene_source.first_duration_s(source) == length_s
+                assert scene_source.first_scene(source).duration_s == length_s
                 return
     pytest.fail('no first scene was rejected')
 

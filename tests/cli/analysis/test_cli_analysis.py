@@ -182,7 +182,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     trials.write_bytes(b''.join(whole.splitlines(keepends=True)[:-1]))
     done = taxinet('doctor', 'l', cwd=folder)
     trials.write_bytes(whole)
-    assert (done.returncode, '1 of the 5 lines that it had are missing' in done.stdout) == (3, True)
+    assert (done.returncode, '1 of its 5 lines are missing' in done.stdout) == (3, True)
 
 
 def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder):

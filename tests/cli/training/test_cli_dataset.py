@@ -98,7 +98,7 @@ BAD = {
     ),
     'measuring nothing': (['evaluate'], 'either a program or --data'),
     'measuring the truth': (
-        ['evaluate', 'nominal', '--perception', 'truth'], 'does not look at images',
+        ['evaluate', 'nominal', '--perception', 'truth'], 'uses no camera image',
     ),
 }
 

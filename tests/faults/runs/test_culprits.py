@@ -102,8 +102,8 @@ def test_r8_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, 
 
 
 @pytest.mark.parametrize(('participants', 'words'), [
-    ((), 'a run needs perception, steering_controller, mtl_monitor too, not only nobody'),
-    ((PERCEPTION, 'recorder'), 'a run needs steering_controller, mtl_monitor too, not only '
+    ((), 'a run needs perception, steering_controller, mtl_monitor as well, got only nobody'),
+    ((PERCEPTION, 'recorder'), 'a run needs steering_controller, mtl_monitor as well, got only '
      'perception, recorder'),
 ])
 def test_r8_given_too_few_participants_then_the_goal_is_refused_with_who_is_missing(

@@ -26,6 +26,11 @@ SCENES = [
         'cross_track': -6.5, 'heading': 20, 'distance': 1400, 'time_of_day': 15.2,
         'clouds': 'overcast', 'rain': 60, 'duration': 6,
     }),
+    scenario_from_human({
+        'cross_track': 2.5, 'heading': -8, 'distance': 900, 'time_of_day': 10, 'clouds': 'broken',
+        'rain': 30, 'wind_speed': 9, 'wind_direction': 300, 'gust': 3, 'gust_seed': 7,
+        'runway_state': 'auto', 'slope': -1.5, 'speed': 7.5, 'duration': 6,
+    }),
 ]
 STEPS = 61
 
@@ -90,7 +95,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
 
 
 def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_in_it(tmp_path):
-    first, second = requests()
+    first, _, second = requests()
     options = GraphOptions(perception='truth', out=tmp_path / 'both')
     run_graph(composed_graph(options), [first, second])
     options = GraphOptions(perception='truth', out=tmp_path / 'alone')

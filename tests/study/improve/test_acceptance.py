@@ -53,7 +53,7 @@ def test_given_as_many_failures_and_a_better_robustness_then_it_is_accepted():
     made = decide(rows(*before), rows(*now), ALPHA)
     assert made.accepted
     assert 0 < made.rho_low <= made.rho_change <= made.rho_high
-    assert 'nearer to the centreline' in made.why
+    assert 'closer to the centreline' in made.why
     assert not decide(rows(*now), rows(*before), ALPHA).accepted
 
 

@@ -130,7 +130,7 @@ def test_given_no_candidate_that_is_better_then_the_network_stays_what_it_was(be
                for kind in ('falsify', 'incumbent', 'candidate')}
     code, rounds = go(options, out, Bench(out, failing))
     assert code == 0
-    assert [one.decision.why for one in rounds] == ['not better beyond doubt'] * 2
+    assert [one.decision.why for one in rounds] == ['not significantly better'] * 2
     start = load_model(options.start_path).fingerprint
     assert load_model(out / BEST).fingerprint == start == rounds[1].incumbent
 
@@ -243,7 +243,7 @@ def test_given_a_program_by_its_path_then_it_is_found_from_any_folder(tmp_path, 
 def test_given_a_folder_that_is_worked_on_then_another_command_is_refused(
     kind, command, tmp_path
 ):
-    with kind(tmp_path), pytest.raises(UsageError, match=f'another {command} is at work on it'):
+    with kind(tmp_path), pytest.raises(UsageError, match=f'in use by another {command}'):
         kind(tmp_path)
     with kind(tmp_path):
         pass

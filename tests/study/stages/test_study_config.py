@@ -69,8 +69,8 @@ def test_given_programs_beside_the_file_then_they_are_found_from_anywhere(tmp_pa
     ('evaluation: {program: s_false}', "evaluation.program: program 's_false': no such file"),
     ('debugging: {experiments: {moon: 3}}', "debugging.experiments.moon: experiment 'moon'"),
     ('debugging: {experiments: {off: 3}}', 'debugging.experiments: expected words as keys, got F'),
-    ('learning: {sampler: random}', 'learning.sampler: expected one that tells what it learned'),
-    ('learning: {sampler: [ce, random]}', 'learning.sampler: expected one that tells what it'),
+    ('learning: {sampler: random}', 'learning.sampler: expected a sampler that learns a'),
+    ('learning: {sampler: [ce, random]}', 'learning.sampler: expected a sampler that learns'),
     ('learning: {sampler: []}', 'learning.sampler: expected one or several, each once, got []'),
     ('learning: {seed: [3, 3]}', 'learning.seed: expected one or several, each once, got [3, 3]'),
     ('learning: {seed: [3, x]}', 'learning.seed: expected a whole number, 0 to '),
@@ -133,5 +133,5 @@ def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     (tmp_path / 'study.json').write_text('{"images": 3}')
     with pytest.raises(UsageError, match=r'study.json: cannot be read .*; name another --out'):
         read_study(tmp_path, '--resume')
-    with pytest.raises(UsageError, match=r'--report-only: .*no case study was begun there'):
+    with pytest.raises(UsageError, match=r'--report-only: .*there is no case study'):
         read_study(tmp_path / 'elsewhere', '--report-only')

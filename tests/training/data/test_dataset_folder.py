@@ -162,7 +162,7 @@ def test_given_a_strange_file_among_the_images_when_resumed_then_it_is_refused_a
     with pytest.raises(KeyboardInterrupt):
         write_dataset(options(out), interrupt_after(4))
     (out / 'images' / name).write_text('mine')
-    with pytest.raises(UsageError, match=f'{name}: is not what') as caught:
+    with pytest.raises(UsageError, match=f'{name}: differs from what') as caught:
         write_dataset(options(out, resume=True))
     assert '\n' not in str(caught.value)
     assert (out / 'images' / name).read_text() == 'mine'
@@ -171,7 +171,7 @@ def test_given_a_strange_file_among_the_images_when_resumed_then_it_is_refused_a
 @pytest.mark.parametrize(
     ('change', 'reason'),
     [
-        ({'resume': False}, 'say --resume'),
+        ({'resume': False}, 'use --resume'),
         ({'seed': 5}, 'begun with seed 4, not 5'),
         ({'count': 7}, 'begun with count 6, not 7'),
         ({'varied': True}, 'begun with varied False, not True'),
@@ -196,7 +196,7 @@ def test_given_a_folder_with_other_things_when_made_then_it_is_refused_and_kept(
     tmp_path: Path,
 ) -> None:
     (tmp_path / 'notes.txt').write_text('mine')
-    with pytest.raises(UsageError, match='not empty; name another'):
+    with pytest.raises(UsageError, match='not empty; choose another'):
         write_dataset(options(tmp_path))
     with pytest.raises(UsageError, match='nothing was begun'):
         write_dataset(options(tmp_path, resume=True))

@@ -1,0 +1,75 @@
+"""Every key of a scenario is a feature that failures may be explained by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from taxinet_ros.analysis.runs.features import (
+    ALL_FEATURES,
+    BY_NAME,
+    PUSHING_FEATURES,
+    feature_columns,
+    varied,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import table
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.scenario_fields import (
+    DURATION,
+    GUST_SEED,
+    PUSHING_FIELDS,
+    SCENARIO_FIELDS,
+)
+
+PUSHED = {
+    'wind_speed_mps': 8.0, 'wind_direction_deg': 270.0, 'gust_mps': 2.0, 'gust_seed': 3.0,
+    'runway_state': 'icy', 'slope_percent': -1.5, 'speed_mps': 3.0,
+}
+
+
+def runs(*scenes: dict[str, object]) -> pd.DataFrame:
+    return table([
+        RunRow(
+            run_id=f'run-{index}', index=index, program='p', seed=0, perception='truth',
+            outcome=Outcome.INFRA_ERROR, **scenario_from_human(scene).to_human(),
+        ) for index, scene in enumerate(scenes)
+    ])
+
+
+def test_given_the_rows_then_each_is_a_feature_but_length_and_which_gusts():
+    sources = {feature.source for feature in ALL_FEATURES}
+    assert sources == {field.key for field in SCENARIO_FIELDS if field not in (DURATION, GUST_SEED)}
+
+
+def test_given_runs_that_are_pushed_alike_then_no_feature_says_so():
+    frame = feature_columns(runs(PUSHED, PUSHED))
+    assert varied(frame) == ()
+    assert frame['wind_direction_deg'].tolist() == [270.0, 270.0]
+    assert frame['runway_state'].tolist() == ['icy', 'icy']
+
+
+@pytest.mark.parametrize('feature', PUSHING_FEATURES, ids=lambda feature: feature.name)
+def test_given_runs_that_one_thing_pushes_then_it_alone_is_left(feature):
+    other = PUSHED | {feature.name: 'wet' if feature.name == 'runway_state' else 1.0}
+    assert varied(feature_columns(runs(PUSHED, other))) == (feature,)
+
+
+def test_given_a_table_of_before_when_read_then_nothing_pushed():
+    whole = runs({}, {})
+    before = whole.drop(columns=[field.key for field in PUSHING_FIELDS])
+    frame = feature_columns(before)
+    pd.testing.assert_frame_equal(frame, feature_columns(whole))
+    for feature in PUSHING_FEATURES:
+        if feature.numeric:
+            assert frame[feature.name].dtype == np.float64, feature.name
+
+
+def test_given_an_interval_then_it_reads_as_people_say_it():
+    assert BY_NAME['wind_speed_mps'].interval_words(8.0, 12.5) == 'wind of 8.0 to 12.5 m/s'
+    assert BY_NAME['slope_percent'].interval_words(None, -1.0) == (
+        'slope below −1.0 %, uphill positive'
+    )
+    assert BY_NAME['gust_mps'].interval_words(2.0, None) == 'gusts above 2.0 m/s'
