@@ -76,7 +76,7 @@ from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signa
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
 from taxinet_ros.core.world import ChosenWorld, find_world
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
@@ -183,6 +183,7 @@ class Run:
 
         Raises:
             UsageError: the run has no such step.
+            InfraError: its world, a package's, is not the same when driven again.
         """
         if not 0 <= seq < len(self.steps):
             raise UsageError(f'run: no control step {seq}; it has 0 to {len(self.steps) - 1}')
@@ -215,6 +216,7 @@ class Run:
 
         Raises:
             UsageError: there is something at ``path``, or its name can be none of a run.
+            InfraError: as of :meth:`frame`.
             BagError: the disk refuses; nothing is left of the bag then.
         """
         folder = Path(path)
@@ -244,6 +246,12 @@ class Run:
         commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
+            if repr(now.state) != repr(step.observation.state):  # a NaN is like itself there
+                raise InfraError(
+                    InfraKind.SIM, topics.SIMULATOR, now.seq,
+                    f'world {self.world.name} is elsewhere when the same run is driven again, so '
+                    'there are no pictures of it',
+                )
             yield now.seq, now.image
             if step is not self.steps[-1]:
                 world.advance(commands.at(now.seq, step.command))
