@@ -23,7 +23,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from taxinet_ros.arguments import is_number, told
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, typed_place
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.errors import UsageError
 
@@ -149,7 +149,7 @@ class ScenarioField:
                 raise _outside(self.key, number, low / self.si, high / self.si, unit)
             return number * self.si
         if self.kind is Kind.PLACE:
-            return typed_place(str(value)).text
+            return load_place(value)
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def to_human(self, value: Any) -> Any:

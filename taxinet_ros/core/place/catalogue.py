@@ -44,7 +44,7 @@ def find_place(text: str) -> Place:
         return read_place(_FOLDER / f'{text}.yaml', shipped=True)
     raise UsageError(
         f'scenario: place is {text!r:.60}, not one of {", ".join(SHIPPED_PLACES)}, '
-        'nor a YAML file of a place'
+        'nor a YAML file of a place (in Python: load_place)'
     )
 
 
@@ -70,6 +70,18 @@ def typed_place(text: str) -> Place:
             )
         return _known[text]
     return find_place(text)
+
+
+def load_place(word: str) -> str:
+    """A place as a scenario has it: ``Scenario(place=load_place('mine.yaml'))``.
+
+    Args:
+        word: a shipped name, a YAML file, or ``apt.dat:ICAO/RUNWAY`` (docs/world.md).
+
+    Raises:
+        UsageError: it is none of these, or the file is not as it should be.
+    """
+    return typed_place(str(word)).text
 
 
 @lru_cache(maxsize=8)
