@@ -170,7 +170,7 @@ PUSHING_FEATURES = (
 """What moves the aircraft; which of all gusts is no property that a failure could have."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
-    _feature(one, form=Form.KIND) for one in (fields.AIRCRAFT_MODEL, fields.DATE)
+    _feature(one, form=Form.KIND) for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six, as they stand in the table."""
@@ -180,7 +180,7 @@ ALL_FEATURES = (
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
-    field.key: field.to_human(field.absent) for field in fields.PUSHING_FIELDS
+    field.key: field.to_human(field.absent) for field in (*fields.PUSHING_FIELDS, fields.PLACE)
 }
 
 
