@@ -75,7 +75,7 @@ def told(value: object) -> str:
     return f'a {type(value).__name__}'
 
 
-def is_number(value: object) -> bool:
+def is_number(value: Any) -> bool:
     """Whether it is a real number that fits a float, NaN among them; True and False are none."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False

@@ -131,6 +131,62 @@ def test_given_a_world_whose_pictures_are_no_frames_then_the_run_is_none(
         tx.run(tx.Scenario(duration_s=0.5), perception='original', world='elsewhere')
 
 
+
+def lay_down_world(site: Path, body: str, first: str = '') -> None:
+    """A package's world: the simulated one, but for ``body``; ``now`` is what that one observes."""
+    lay_down(site, 'our-world', (
+        'import dataclasses, sys\nimport numpy as np\n'
+        'from taxinet_ros.core.world import SimulatedWorld\n'
+        f'{first}\n'
+        'class Elsewhere(SimulatedWorld):\n'
+        '    def observe(self, *, picture=True):\n'
+        '        now = super().observe(picture=picture)\n'
+        f'        {body}\n'
+    ), worlds='elsewhere = Elsewhere')
+
+
+@pytest.mark.parametrize(('body', 'words'), [
+    ('return dataclasses.replace(now, stamp_ns=2 * now.stamp_ns)', 'observed stamp 200000000 ns'),
+    ('return dataclasses.replace(now, state=(1, 2, 3))', 'the state is tuple'),
+    ('return dataclasses.replace(now, seq=None)', 'observed step None, expected 0'),
+    ('sys.exit(0)', 'SystemExit: 0'),
+    ('raise KeyboardInterrupt', 'KeyboardInterrupt'),
+])
+def test_given_a_world_that_breaks_its_contract_then_the_run_fails_and_the_process_goes_on(
+    site: Path, body: str, words: str
+) -> None:
+    lay_down_world(site, body)
+    with pytest.raises(InfraError, match=words):
+        tx.run(tx.Scenario(duration_s=0.5), world='elsewhere')
+
+
+def test_given_a_world_that_paints_over_its_picture_then_each_frame_of_a_run_stays_its_own(
+    site: Path,
+) -> None:
+    lay_down_world(
+        site, 'SHEET[:] = now.seq\n        return dataclasses.replace(now, image=SHEET)',
+        'SHEET = np.zeros((200, 360, 3), np.uint8)',
+    )
+    run = tx.run(tx.Scenario(duration_s=0.3), specs='phi_always', world='elsewhere')
+    assert [frame[0, 0, 0] for frame in list(run.frames())] == [0, 1, 2, 3]
+
+
+def test_given_a_world_that_is_another_each_time_then_no_picture_is_taken_for_one_of_the_run(
+    site: Path, tmp_path: Path
+) -> None:
+    lay_down_world(
+        site, 'state = dataclasses.replace(now.state, y_m=float(next(NUMBERS)))\n'
+        '        return dataclasses.replace(now, state=state)',
+        'import itertools\nNUMBERS = itertools.count()',
+    )
+    run = tx.run(tx.Scenario(duration_s=0.3), specs='phi_always', world='elsewhere')
+    for ask in (lambda: run.frame(1), lambda: list(run.frames()),
+                lambda: run.save_bag(tmp_path / 'saved')):
+        with pytest.raises(InfraError, match='is elsewhere when the same run is driven'):
+            ask()
+    assert not list(tmp_path.glob('*saved*'))
+
+
 UNKNOWN = {
     'perceptions': lambda: make_perception('nobody'),
     'controllers': lambda: make_controller('nobody', None),

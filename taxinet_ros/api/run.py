@@ -11,9 +11,11 @@ import inspect
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -50,6 +52,7 @@ from taxinet_ros.core.controller import (
     SteeringLaw,
     UserController,
     make_controller,
+    read_command,
 )
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
@@ -74,14 +77,16 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
+from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.core.world import ChosenWorld, find_world
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
     import pandas as pd
 
+CALLER = 4
+"""Frames from a warning to the caller, over those that check arguments and words."""
 _MOST_S = 1e9
 _DRAWS = 0, 0
 """Seed and index by which a run that nobody numbers draws its latencies."""
@@ -183,6 +188,7 @@ class Run:
 
         Raises:
             UsageError: the run has no such step.
+            InfraError: its world, a package's, is not the same when driven again.
         """
         if not 0 <= seq < len(self.steps):
             raise UsageError(f'run: no control step {seq}; it has 0 to {len(self.steps) - 1}')
@@ -215,6 +221,7 @@ class Run:
 
         Raises:
             UsageError: there is something at ``path``, or its name can be none of a run.
+            InfraError: as of :meth:`frame`.
             BagError: the disk refuses; nothing is left of the bag then.
         """
         folder = Path(path)
@@ -244,6 +251,12 @@ class Run:
         commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
+            if repr(now.state) != repr(step.observation.state):  # a NaN is like itself there
+                raise InfraError(
+                    InfraKind.SIM, topics.SIMULATOR, now.seq,
+                    f'world {self.world.name} is elsewhere when the same run is driven again, so '
+                    'there are no pictures of it',
+                )
             yield now.seq, now.image
             if step is not self.steps[-1]:
                 world.advance(commands.at(now.seq, step.command))
@@ -310,6 +323,10 @@ def run(
     Returns:
         The run with its trace, robustness and outcome.
 
+    Warns:
+        UserWarning: what a requirement says is likely not what is meant, or the run broke a bound
+            or rate.
+
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
             function answered something else.
@@ -323,7 +340,9 @@ def run(
     )
     timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
     asked = judging.parsed_specs
-    check_specs(asked, scenario.duration_s)
+    gains = hands.gains if isinstance(hands, SteeringLaw) else None
+    for line in check_specs(asked, scenario.duration_s, gains).warnings:
+        warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 
     def keep(step: Step) -> None:
@@ -334,6 +353,12 @@ def run(
         scenario, eyes, specs=asked, controller=hands, stop_on=judging.stop_on,
         assumptions=assumptions, on_step=keep, timing=timing, draws=_DRAWS, make_world=chosen.make,
     )
+    broken = (step for step in steps if not all(reading.trusted for reading in step.readings))
+    for step in islice(broken, 1):
+        warnings.warn(
+            f'bounds, rates: broken at {step.observation.stamp_ns / NS_PER_S:g} s; from there on '
+            'intervals are those without them', stacklevel=CALLER,
+        )
     return Run(
         scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, judging=judging,
         timing=timing, steps=tuple(steps), judgement=judgement, world=chosen,
@@ -401,8 +426,8 @@ def render(
     Raises:
         UsageError: the pose is outside what a scenario may start from, or time is negative.
     """
-    if not 0 <= t_s < math.inf:
-        raise UsageError(f'render: t_s is {t_s:g}; expected 0 or more seconds')
+    if not 0 <= t_s <= _MOST_S:
+        raise UsageError(f'render: t_s is {t_s:g}; expected 0 to {_MOST_S:g} seconds')
     if not isinstance(pose, AircraftState):
         start = scenario
         if pose is not None:
@@ -411,7 +436,10 @@ def render(
                 scenario, distance_m=x_m, cross_track_m=cte_m, heading_rad=he_rad
             )
         pose = Aircraft(start).state
-    return Camera(scenario).render(pose, round(t_s * NS_PER_S))
+    try:
+        return Camera(scenario).render(pose, round(t_s * NS_PER_S))
+    except ValueError as error:
+        raise UsageError(f'render: {error}') from error
 
 
 @takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
@@ -597,11 +625,10 @@ class _FunctionController(_Function, Controller):
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """What it answers."""
         answer = getattr(self._given, 'command', self._given)(estimate)
-        pair = (answer.steering_rad, answer.speed_mps) if isinstance(answer, TaxiCommand) \
-            else pair_of_numbers(answer)
-        if pair is None or not (math.isfinite(pair[0]) and 0 <= pair[1] < math.inf):
+        found = read_command(answer)
+        if found is None:
             raise UsageError(
                 f'controller: answered {answer!r:.60}; expected (steering_rad, speed_mps), finite '
                 'and speed not negative'
             )
-        return TaxiCommand(steering_rad=pair[0], speed_mps=pair[1])
+        return found

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.api.campaign import Campaign, open_campaign
-from taxinet_ros.api.run import spec_texts
+from taxinet_ros.api.run import CALLER, spec_texts
 from taxinet_ros.arguments import (
     FLAG,
     FROM_0,
@@ -33,9 +33,6 @@ from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
-
-_CALLER = 4
-"""Frames from a warning to the caller, over those that check arguments and words."""
 
 
 @takes(
@@ -98,7 +95,7 @@ def falsify(
     )
     with search:
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
-            warnings.warn(python_words(line), stacklevel=_CALLER)
+            warnings.warn(python_words(line), stacklevel=CALLER)
         sha256 = search.book.facts['controller_sha256']
         command = loop_worker_command(
             search.options.campaign, sha256, recorded_world(search.book.facts)[1]

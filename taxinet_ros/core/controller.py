@@ -214,15 +214,20 @@ class UserController(Controller):
         self._run.begin()
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """Return its command; the simulator refuses non-finite numbers."""
-        return self._run.answer(estimate, _read_command, 'a pair (steering_rad, speed_mps)')
+        """Return its command."""
+        return self._run.answer(
+            estimate, read_command, 'a pair (steering_rad, speed_mps), finite, speed not negative'
+        )
 
 
-def _read_command(answer: Any) -> TaxiCommand | None:
+def read_command(answer: Any) -> TaxiCommand | None:
+    """The command that a function of somebody's answered; None where no aircraft can follow it."""
     if isinstance(answer, TaxiCommand):
-        return answer
+        answer = answer.steering_rad, answer.speed_mps
     pair = pair_of_numbers(answer)
-    return TaxiCommand(steering_rad=pair[0], speed_mps=pair[1]) if pair is not None else None
+    if pair is None or not (math.isfinite(pair[0]) and 0 <= pair[1] < math.inf):
+        return None
+    return TaxiCommand(steering_rad=pair[0], speed_mps=pair[1])
 
 
 def make_controller(word: str, gains: SteeringGains) -> Controller:

@@ -91,11 +91,12 @@ class Scenario:
         PLACE.checked(self.place)
         runway = self.runway
         limits = {
-            CROSS_TRACK: (-runway.farthest_start_m, runway.farthest_start_m),
-            DISTANCE: (0.0, runway.last_start_m),
+            CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
+            DISTANCE.key: (0.0, runway.last_start_m),
         }
         for field in SCENARIO_FIELDS:
-            object.__setattr__(self, field.attribute, self._checked(field, limits.get(field)))
+            value = self._checked(field, limits.get(field.key))
+            object.__setattr__(self, field.attribute, value)
         if not runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:

@@ -150,13 +150,8 @@ class UserCode:
             process.
             KeyboardInterrupt: a signal asked this process to end.
         """
-        with _held():
-            heard = len(RECEIVED_STOPS)
-            try:
-                yield
-            except BaseException as error:
-                _let_pass(error, heard)
-                raise failed(self.failure(error)) from error
+        with contained(lambda error: failed(self.failure(error))):
+            yield
 
     def failure(self, error: BaseException) -> str:
         """Error message for an exception of the file, with its line if known."""
@@ -376,6 +371,30 @@ def _same_place() -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
+
+
+@contextlib.contextmanager
+def contained(
+    failed: Callable[[BaseException], Exception], passing: tuple[type[Exception], ...] = ()
+) -> Iterator[None]:
+    """Context in which user code runs: whatever it raises or calls, the process goes on.
+
+    Args:
+        failed: converts any exception, including ``SystemExit``, to the one to raise.
+        passing: exceptions that are raised as they are.
+
+    Raises:
+        KeyboardInterrupt: a signal asked this process to end.
+    """
+    with _held():
+        heard = len(RECEIVED_STOPS)
+        try:
+            yield
+        except passing:
+            raise
+        except BaseException as error:
+            _let_pass(error, heard)
+            raise failed(error) from error
 
 
 @contextlib.contextmanager

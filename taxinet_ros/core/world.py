@@ -19,6 +19,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
@@ -202,29 +203,38 @@ class _PluginWorld(World):
         if not isinstance(now, Observation):
             raise self._broken(f'observed {type(now).__name__}, expected an Observation')
         if now.seq != self._seq:
-            raise self._broken(f'observed step {now.seq}, expected {self._seq}')
-        image, frame = now.image, (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
+            raise self._broken(f'observed step {now.seq!r}, expected {self._seq}')
+        stamp_ns = self._seq * CONTROL_PERIOD_NS
+        if now.stamp_ns != stamp_ns:
+            raise self._broken(f'observed stamp {now.stamp_ns!r} ns, expected {stamp_ns}')
+        if not isinstance(now.state, AircraftState):
+            raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
+        return Observation(
+            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image)
+        )
+
+    def _picture(self, image: Any) -> NDArray[np.uint8] | None:
+        frame = IMAGE_HEIGHT, IMAGE_WIDTH, 3
         if image is None:
-            return now
+            return None
         if not isinstance(image, np.ndarray):
             raise self._broken(f'the picture is {type(image).__name__}, no array')
         if image.shape != frame or image.dtype != np.uint8:
             # A network would produce an estimate from any array.
             got = f'{image.shape} {image.dtype}'
             raise self._broken(f'the picture is {got}, not {frame} uint8')
-        return now
+        return np.array(image, order='C')  # the package may paint the next one over it
 
     def advance(self, command: TaxiCommand) -> None:
         self._call(lambda: self._world.advance(command))
         self._seq += 1
 
     def _call(self, work: Callable[[], _T]) -> _T:
-        try:
+        with contained(
+            lambda error: self._broken(str(self._extension.failure(error))),
+            passing=(InfraError, UsageError),
+        ):
             return work()
-        except (InfraError, UsageError):
-            raise
-        except Exception as error:
-            raise self._broken(str(self._extension.failure(error))) from error
 
     def _broken(self, detail: str) -> InfraError:
         return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)

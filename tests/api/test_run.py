@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,3 +197,34 @@ def test_given_no_number_of_runs_then_a_search_is_refused_before_it_begins(tmp_p
         with pytest.raises(tx.UsageError, match='runs: got'):
             tx.falsify('s_falsif', runs=runs, out=tmp_path / 'never')
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(('given', 'words'), [
+    ({'specs': 'late=always[0:60](cte <= 3)'}, r'late: always\[0:60\] ends at 60 s, after the run'),
+    ({'specs': 'turn=always(abs(he) <= 12)'}, 'turn: no run can violate it.*did you mean 12 deg'),
+    ({'specs': 'phi_always', 'bounds': 'cte=-1:1'}, 'bounds, rates: broken at 0 s; from there on'),
+    ({'specs': 'phi_always', 'rates': 'cte=0.001'}, 'bounds, rates: broken at 0.[1-9] s; from'),
+])
+def test_given_what_may_not_be_meant_or_does_not_hold_then_the_caller_is_warned(given, words):
+    with pytest.warns(UserWarning, match=words) as warned:
+        tx.run(SHORT, **given)
+    assert {Path(one.filename).name for one in warned} == {'test_run.py'}
+
+
+def test_given_a_command_of_a_file_that_no_aircraft_can_follow_then_its_line_says_so(tmp_path):
+    file = tmp_path / 'mine.py'
+    for answer in ('float("nan"), 5.0', '0.0, -1.0', '0.0, float("inf")'):
+        file.write_text(f'def steer(estimate): return {answer}\n')
+        with pytest.raises(tx.UserCodeError, match=r'mine\.py: steer returned .*, speed not neg'):
+            tx.run(SHORT, controller=f'{file}:steer')
+
+
+@pytest.mark.parametrize(('given', 'words'), [
+    ({'t_s': 1e300}, 'render: t_s is 1e.300; expected 0 to 1e.09 seconds'),
+    ({'t_s': -1.0}, 'render: t_s is -1; expected'),
+    ({'pose': replace(tx.run(SHORT, specs='phi_always').steps[0].observation.state, z_m=-5.0)},
+     'render: camera: .* the aircraft is not on its wheels'),
+])
+def test_given_what_no_camera_can_see_then_one_line_says_so(given, words):
+    with pytest.raises(tx.UsageError, match=words):
+        tx.render(SHORT, **given)

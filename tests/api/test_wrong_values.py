@@ -137,7 +137,7 @@ def test_given_an_object_of_ones_own_then_its_methods_answer():
     (lambda: tx.run(SHORT, stop_on='tired'), 'stop_on tired: unknown'),
     (lambda: tx.run(SHORT, specs=['usable', 'usable']), 'specs: usable is given twice'),
     (lambda: tx.run(SHORT, specs='no.yaml'), 'specs no.yaml: cannot be read'),
-    (lambda: tx.falsify('s_falsif', resume=True), 'resume: say with out which campaign'),
+    (lambda: tx.falsify('s_falsif', resume=True), 'resume: name the campaign to continue with out'),
     (lambda: tx.falsify('s_falsif', until='tired'), 'until tired: expected'),
     (lambda: tx.falsify('s_falsif', workers=99), 'workers 99: needs to be within'),
     (lambda: tx.falsify('s_falsif', settings={'steering.x': 1}), 'settings steering.x: unknown'),

@@ -19,10 +19,10 @@ from typing import Any, ClassVar
 
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import STEEPEST_DEG, make_place
+from taxinet_ros.core.place.runway import FOOT_M
 from taxinet_ros.core.place.runway_frame import GeodeticPose, RunwayFrame
 from taxinet_ros.errors import UsageError
 
-FOOT_M = 0.3048
 VERSIONS = range(1000, 1201)
 
 _AIRPORT, _END = (b'1', b'16', b'17'), b'99'

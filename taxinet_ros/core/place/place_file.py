@@ -30,7 +30,6 @@ from taxinet_ros.files.plain_values import (
     expected,
     is_number,
     load_json,
-    parse_yaml,
     read_yaml,
 )
 
@@ -78,11 +77,6 @@ def place_from_document(document: str) -> Place:
     except ValueError as error:
         raise UsageError(f'place: neither a name nor JSON of a place: {error}') from None
     return make_place(values, _FROM_SCENARIO)
-
-
-def place_from_yaml(data: bytes, path: Path) -> Place:
-    """The place in the bytes of a YAML file; errors as for :func:`read_place`."""
-    return make_place(parse_yaml(path, data), path)
 
 
 def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
