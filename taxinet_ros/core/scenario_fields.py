@@ -293,12 +293,12 @@ WIND_SPEED = ScenarioField(
 )
 WIND_DIRECTION = ScenarioField(
     key='wind_direction_deg', short='wind_direction', attribute='wind_direction_rad',
-    title='direction that the wind blows from', unit='°', si=math.pi / 180, form='{:.0f}',
+    title='wind from', unit='°', si=math.pi / 180, form='{:.0f}',
     low=0.0, high=2 * math.pi, si_unit='rad', counted=' from true north, clockwise',
     absent=0.0,
 )
 GUST = ScenarioField(
-    key='gust_mps', short='gust', attribute='gust_mps', title='gusts, standard deviation',
+    key='gust_mps', short='gust', attribute='gust_mps', title='gusts (standard deviation)',
     unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0,
 )
 GUST_SEED = ScenarioField(
@@ -306,7 +306,7 @@ GUST_SEED = ScenarioField(
     form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
 )
 RUNWAY_STATE = ScenarioField(
-    key='runway_state', attribute='runway_state', title='friction of the runway', kind=Kind.WORD,
+    key='runway_state', attribute='runway_state', title='runway friction', kind=Kind.WORD,
     words=RUNWAY_STATES, absent='dry',
 )
 SLOPE = ScenarioField(
