@@ -64,6 +64,7 @@ RESERVED = frozenset({'external', 'python', 'onnx', 'weights'})
 """Words that mean something else where a name is given or recorded."""
 
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')
+_CODE = ('.py', '.so', '.pyd')
 _SAID_CHARACTERS = 300
 _T = TypeVar('_T')
 
@@ -102,18 +103,15 @@ class Extension:
 
         Nothing is imported for it.
         """
-        import importlib.util
+        return _place(self._module)
 
-        with contextlib.suppress(ImportError, ValueError, AttributeError):
-            spec = importlib.util.find_spec(self.target.partition(':')[0].partition('.')[0])
-            if spec is not None and spec.origin is not None:
-                origin = Path(spec.origin)
-                return origin.parent if origin.name == '__init__.py' else origin
-        return None
+    @property
+    def _module(self) -> str:
+        return self.target.partition(':')[0].partition('.')[0]
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of its distribution's name and version and all files of its package.
+        """SHA-256 of its distribution's name and version and all files of its packages.
 
         Raises:
             UsageError: the package is not there, or cannot be read.
@@ -121,18 +119,16 @@ class Extension:
         package = self.package
         if package is None:
             raise UsageError(f'{self.words}: {self.target}: no such package')
-        files = sorted(
-            path for path in (package.rglob('*') if package.is_dir() else [package])
-            if path.is_file() and path.suffix != '.pyc'
-        )
+        beside = map(_place, sorted(_top_level(self.distribution) - {self._module}))
         digest = hashlib.sha256(f'{self.distribution} {self.version}\n'.encode())
-        for path in files:
-            try:
-                content = path.read_bytes()
-            except OSError as error:
-                raise UsageError(f'{self.words}: {path}: {error.strerror}') from error
-            name = path.relative_to(package.parent).as_posix()
-            digest.update(f'{name} {hashlib.sha256(content).hexdigest()}\n'.encode())
+        for place in (package, *filter(None, beside)):
+            for path in _files(place):
+                try:
+                    content = path.read_bytes()
+                except OSError as error:
+                    raise UsageError(f'{self.words}: {path}: {error.strerror}') from error
+                name = path.relative_to(place.parent).as_posix()
+                digest.update(f'{name} {hashlib.sha256(content).hexdigest()}\n'.encode())
         return digest.hexdigest()
 
     def load(self) -> Any:
@@ -163,6 +159,41 @@ class Extension:
         said = type(error).__name__ + (f': {text}' if text else '')
         cut = f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
         return UsageError(plain_line(f'{self.words}: {self.target}: {cut}'))
+
+
+def _place(module: str) -> Path | None:
+    """Folder, or only file, of a top-level module, without importing it; None where it is not."""
+    import importlib.util
+
+    with contextlib.suppress(ImportError, ValueError, AttributeError):
+        spec = importlib.util.find_spec(module)
+        if spec is not None and spec.origin is not None:
+            origin = Path(spec.origin)
+            return origin.parent if origin.name == '__init__.py' else origin
+    return None
+
+
+def _files(place: Path) -> list[Path]:
+    return sorted(
+        path for path in (place.rglob('*') if place.is_dir() else [place])
+        if path.is_file() and path.suffix != '.pyc'
+    )
+
+
+def _top_level(distribution: str) -> set[str]:
+    """All modules and packages that a distribution brings, as far as its record tells."""
+    from importlib import metadata
+
+    try:
+        found = metadata.distribution(distribution)
+    except metadata.PackageNotFoundError:
+        return set()
+    told = (found.read_text('top_level.txt') or '').split()  # an editable one records no files
+    installed = (
+        file.parts[0].partition('.')[0] for file in found.files or ()
+        if file.suffix in _CODE and not file.name.startswith('__editable__')
+    )
+    return {name for name in (*told, *installed) if name.isidentifier()}
 
 
 def find(kind: str, name: str) -> Extension | None:

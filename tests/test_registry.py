@@ -103,6 +103,27 @@ def test_given_a_changed_package_when_fingerprinted_then_it_is_another_one(site:
     assert check_perception('mine') != before
 
 
+@pytest.mark.parametrize(('record', 'text'), [
+    ('RECORD', 'our_parts.py,,\nhelp.py,,\nour_parts-1.2.dist-info/METADATA,,\n../../bin/x,,\n'),
+    ('top_level.txt', 'help\nour_parts\n'),
+])
+def test_given_a_second_module_of_a_package_when_it_changes_then_the_fingerprint_does(
+    site: Path, record: str, text: str
+) -> None:
+    code = 'from our_help import look\n'
+    lay_down(site, 'our-parts', code, perceptions='mine = look')
+    (site / 'our_help.py').write_text('def look(image):\n    return 1, 0.1\n')
+    alone = registry.find('perceptions', 'mine').fingerprint
+    (site / 'our_parts-1.2.dist-info' / record).write_text(text.replace('help', 'our_help'))
+    before = check_perception('mine')
+    assert before != alone
+    with (site / 'our_help.py').open('a') as file:
+        file.write('# changed\n')
+    assert check_perception('mine') != before
+    lay_down(site, 'unrelated', '')
+    assert registry.find('perceptions', 'mine').fingerprint == check_perception('mine')
+
+
 def test_given_a_file_of_weights_when_a_package_names_it_then_it_is_the_network(
     site: Path,
 ) -> None:
