@@ -158,7 +158,7 @@ def test_given_more_runs_than_were_planned_at_first_then_the_bounds_hold_at_any_
 
 def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
     stopped = [row(0, Outcome.FAIL, left=None)]
-    with pytest.raises(UsageError, match='1 of 1 runs were stopped before'):
+    with pytest.raises(UsageError, match='1 of 1 runs were stopped too early'):
         gate_result(stopped, GateOptions(max_off_runway=0.1))
     assert gate_result(stopped, GateOptions(min_satisfaction=0.5)).judged == 1
 

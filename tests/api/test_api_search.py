@@ -80,7 +80,7 @@ def test_given_a_function_that_fails_then_its_runs_are_infrastructure_errors(tmp
     ({'until': 'tired'}, 'tired'),
     ({'workers': 0}, 'workers'),
     ({'specs': ()}, 'no requirement'),
-    ({'resume': True}, 'nothing was begun'),
+    ({'resume': True}, 'nothing to resume'),
 ])
 def test_given_what_cannot_be_then_one_line_says_so_and_nothing_is_written(asked, words, tmp_path):
     with pytest.raises(tx.UsageError, match=words):

@@ -249,7 +249,7 @@ def test_f1_given_an_arm_that_broke_then_no_other_is_begun_and_resumed_it_is_as_
         bench.broken, bench.done = {(arm, index) for index in range(4, RUNS)}, []
         capsys.readouterr()
         assert run(out, resume=arm != ARMS[0]) == 4
-        assert 'broken by the bench; --resume goes on' in capsys.readouterr().out
+        assert 'broken by the bench; continue with --resume' in capsys.readouterr().out
         assert {name for name, _ in bench.done} <= set(ARMS[:ARMS.index(arm) + 1])
         assert bench.reports == 1, 'nothing is compared before all is there'
     bench.broken, bench.done = set(), []

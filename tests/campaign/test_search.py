@@ -324,7 +324,7 @@ OTHERS = {
     'specs': ({'specs': ('phi_always',)}, 'begun with specs'),
     'overrides': ({'overrides': {'rain': '0'}}, 'begun with overrides'),
     'weights': ({'perception': 'original'}, 'begun with perception "truth", not "original"'),
-    'fewer runs': ({'runs': 5}, '--runs 5: 20 were begun'),
+    'fewer runs': ({'runs': 5}, '--runs 5: 20 were started'),
 }
 
 

@@ -199,7 +199,7 @@ def test_people2_attack_given_a_negative_angle_when_told_then_its_degrees_are_ne
 
 def test_people2_given_a_window_beyond_a_short_run_when_looked_at_then_it_warns() -> None:
     assert warned('phi_eventually', 2.0) == [
-        'phi_eventually: eventually[0:10] ends at 10 s, after the run of 2 s; only what lies '
+        'phi_eventually: eventually[0:10] ends at 10 s, after the run of 2 s; only the part '
         'within the run is evaluated'
     ]
 

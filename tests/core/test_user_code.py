@@ -271,7 +271,7 @@ def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
 @pytest.mark.parametrize(('text', 'complaint'), [
     ('import nosuchmodule\ndef make(x): pass', r'mine\.py:1: ModuleNotFoundError: No module'),
     ('def make():\n    return 1 / 0', r'mine\.py:2: ZeroDivisionError: division by zero'),
-    ('def make(): return 3', r'mine\.py: make\(\) gave int, which cannot be called'),
+    ('def make(): return 3', r'mine\.py: make\(\) returned int, which cannot be called'),
     ('make = 3', r'mine\.py: make is int; expected a function or class'),
     ('raise SystemExit(0)\ndef make(x): pass', r'mine\.py:1: SystemExit: 0'),
     ('def make(): raise GeneratorExit', r'mine\.py:1: GeneratorExit$'),
@@ -285,16 +285,16 @@ def test_given_a_file_that_fails_when_loaded_then_one_line(file, text, complaint
 @pytest.mark.parametrize(('text', 'complaint'), [
     ('def make(x):\n    return x.nothing', r'mine\.py:2: AttributeError: '),
     ('def make(x):\n    raise SystemExit(1)', r'mine\.py:2: SystemExit: 1'),
-    ('def make(x): return 3', r'mine\.py: make answered 3; expected a pair \(steering_rad, '),
+    ('def make(x): return 3', r'mine\.py: make returned 3; expected a pair \(steering_rad, '),
     ('def make(x):\n    raise GeneratorExit', r'mine\.py:2: GeneratorExit$'),
     ('class Odd(BaseException):\n    def __str__(self): return 1 / 0\ndef make(x): raise Odd',
      r'mine\.py:3: Odd: <Odd whose str\(\) fails: ZeroDivisionError>$'),
     ('class Odd:\n    def __repr__(self): return 1 / 0\ndef make(x): return Odd()',
-     r'mine\.py: make answered <Odd whose repr\(\) fails: ZeroDivisionError>; expected a pair'),
+     r'mine\.py: make returned <Odd whose repr\(\) fails: ZeroDivisionError>; expected a pair'),
     ('class Odd:\n    def __iter__(self): raise SystemExit(0)\ndef make(x): return Odd()',
-     r'mine\.py: make answered <.*Odd object at .*; expected a pair'),
-    ('def make(x): return "left", 1', r"make answered \('left', 1\); expected a pair"),
-    ('def make(x): return None', r'make answered None; expected a pair'),
+     r'mine\.py: make returned <.*Odd object at .*; expected a pair'),
+    ('def make(x): return "left", 1', r"make returned \('left', 1\); expected a pair"),
+    ('def make(x): return None', r'make returned None; expected a pair'),
 ])
 def test_given_an_answer_that_is_none_then_it_says_where(file, text, complaint):
     with pytest.raises(UserCodeError, match=complaint):
@@ -313,7 +313,7 @@ def test_given_a_node_elsewhere_then_it_is_for_graphs_only(check):
 
 
 def test_given_another_controller_then_gains_of_the_law_are_refused():
-    with pytest.raises(UsageError, match=r'steering\.heading_gain: .*--controller external takes'):
+    with pytest.raises(UsageError, match=r'steering\.heading_gain: .*not to --controller external'):
         check_controller('external', {'heading_gain': 1.0}, graph=True)
     with pytest.raises(UsageError, match="controller: 'pid' is unknown; known: steering, or FILE"):
         check_controller('pid')

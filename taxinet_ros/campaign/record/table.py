@@ -209,6 +209,8 @@ def read_any_table(path: Path) -> pd.DataFrame:
 
 def _add_what_was_so(frame: pd.DataFrame) -> None:
     """Columns of a scene that could not be varied yet: their value of then, if there is a scene."""
+    if SCENARIO_FIELDS[0].key not in frame.columns:
+        return
     for before, field in pairwise(SCENARIO_FIELDS):
         if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
             continue

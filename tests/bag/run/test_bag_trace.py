@@ -170,7 +170,7 @@ def test_given_a_message_that_cannot_be_decoded_when_read_then_the_error_names_i
         for count, stored in enumerate(stored_messages(tmp_path / 'run'))
     )
     assert isinstance(error, BagCorrupt)
-    assert re.search(r'at 0 ns: topic .*; 4 sound messages', str(error))
+    assert re.search(r'at 0 ns: topic .*; 4 intact messages', str(error))
     assert len(found) == error.recovered == 4
 
 

@@ -50,7 +50,7 @@ def test_given_no_ros2_mcap_when_read_then_the_error_says_what_it_is(
 def test_given_no_bag_when_read_then_the_error_says_what_is_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match='no such bag'):
         list(read_messages(tmp_path / 'nothing'))
-    with pytest.raises(BagEmpty, match=r'holds no \.mcap'):
+    with pytest.raises(BagEmpty, match=r'contains no \.mcap'):
         read_info(tmp_path)
     (tmp_path / 'run_0.db3').touch()
     with pytest.raises(BagForeign, match='ros2 bag convert'):

@@ -321,7 +321,7 @@ def test_f2_given_a_row_that_is_there_twice_then_the_table_is_refused(campaign, 
     frame = read_table(campaign)
     frame.loc[1, column] = frame.loc[0, column]
     frame.to_parquet(tmp_path / 'forged.parquet')
-    with pytest.raises(UsageError, match=f'row 2: its {column} is there twice'):
+    with pytest.raises(UsageError, match=f'row 2: its {column} occurs twice'):
         read_table(tmp_path / 'forged.parquet')
 
 
@@ -661,7 +661,7 @@ def test_doctor_given_a_bag_that_is_gone_or_damaged_then_it_is_named(campaign):
     mcap.write_bytes(data[:3000] + bytes([data[3000] ^ 1]) + data[3001:])
     found = {Path(one.where).name: one.what for one in examine(campaign).findings}
     assert set(found) == {first, second}
-    assert 'is not there' in found[first]
+    assert 'is missing' in found[first]
 
 
 def test_doctor_given_somebody_at_work_then_nothing_is_mended(campaign, taxinet):

@@ -123,7 +123,7 @@ def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_
     assert list(near['index']) == list(far['index']) == [0, 1, 2, 3]
     assert near['time_of_day_h'].nunique() == 4
     assert list(near['time_of_day_h']) == list(far['time_of_day_h'])
-    assert list(near['u_time_of_day']) == list(far['u_time_of_day'])
+    assert list(near['u_time_of_day_h']) == list(far['u_time_of_day_h'])
     assert set(far['cross_track_m']) == {4.0}
     assert set(near['cross_track_m']) == {0.0}
     assert set(near['shadows']) == {True} != set(far['shadows'])

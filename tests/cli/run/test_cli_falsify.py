@@ -176,7 +176,7 @@ BAD = {
     'unknown sampler': (['--sampler', 'luck'], "sampler 'luck' is unknown; known: random"),
     'unknown option': (['--sampler-option', 'seed=1'], 'sampler ce: unknown option seed'),
     'unknown rule': (['--until', 'bored'], '--until bored: expected failures=K'),
-    'resume of nothing': (['--resume', '--out', 'c'], 'nothing was begun'),
+    'resume of nothing': (['--resume', '--out', 'c'], 'nothing to resume'),
 }
 
 

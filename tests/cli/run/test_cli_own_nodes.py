@@ -181,15 +181,15 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    (('run', '--from', 'n/nominal-s0-00000'), "own perception is 'bright paint', not one of ours"),
+    (('run', '--from', 'n/nominal-s0-00000'), "own perception is 'bright paint', not a shipped one"),
     (('run', '--from', 'n/nominal-s0-00000', '--perception', 'truth'),
      "own controller is 'proportional'; name one with --controller"),
     (('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller'),
      "own controller is 'python' of sha256"),
-    (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not one of ours"),
+    (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not a shipped one"),
     (('evaluate', 'nominal', '--perception', 'external'), 'is a node of a graph'),
     (('run', 'nominal', '--perception', 'truth', '--perception-cmd', 'x'),
-     '--perception: not with --perception-cmd'),
+     '--perception: cannot be combined with --perception-cmd'),
     (('run', 'nominal', '--perception-cmd', 'no_such_program'),
      'perception: no_such_program: no such program'),
     (('run', 'nominal', '--controller', 'mine.py:steer', '--set', 'steering.heading_gain=1'),

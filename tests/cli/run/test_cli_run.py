@@ -97,7 +97,7 @@ BAD = {
     'unknown command': (['fly'], 'fly'),
     'unknown node': (['node', 'pilot'], "unknown node 'pilot'; known: simulator"),
     'training into nowhere': (
-        ['train', 'nominal', '--out', 'no/where/net.safetensors'], 'no folder',
+        ['train', 'nominal', '--out', 'no/where/net.safetensors'], 'is not a folder',
     ),
     'folder that cannot be made': (
         ['run', 'nominal', '--perception', 'truth', '--out', '/proc/nope/c'], 'cannot be written',

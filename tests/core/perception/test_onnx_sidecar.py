@@ -143,7 +143,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ('outputs.0.unit', 'ft', "outputs[0].unit: expected m, got 'ft'"),
     ('outputs.1.unit', 'm', "outputs[1].unit: expected one of deg, rad, got 'm'"),
     ('outputs.0.positive', 'east', "outputs[0].positive: expected one of left, right, got 'east'"),
-    ('outputs.0.scale', 0, 'outputs[0].scale: makes the network say nothing'),
+    ('outputs.0.scale', 0, 'outputs[0].scale: makes the output constant'),
     ('outputs.0.scale', math.inf, 'outputs[0].scale: expected a number, -1e+06 to 1e+06, got inf'),
     ('outputs.0.quantity', 'ignore', 'outputs[0].unit: has no meaning for an ignored'),
     ('outputs.1', CTE, 'outputs: has 2 entries with quantity cte; the steering needs one'),

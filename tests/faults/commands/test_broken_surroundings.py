@@ -36,7 +36,8 @@ DOES_NOTHING = {
     'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
-    'monitor': ['nowhere'], 'node': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
+    'monitor': ['nowhere'], 'node': ['nothing'], 'place': ['show', 'nowhere'],
+    'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')

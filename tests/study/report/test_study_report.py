@@ -153,7 +153,7 @@ def test_given_other_scenes_then_the_networks_are_not_compared(tmp_path):
     table = pd.read_parquet(path)
     table.loc[7, 'distance_m'] += 1
     table.to_parquet(path)
-    with pytest.raises(UsageError, match='have not the same distance_m; evaluate both networks'):
+    with pytest.raises(UsageError, match='differ in distance_m; evaluate both networks'):
         gather_findings(config, tmp_path)
 
 

@@ -74,11 +74,11 @@ def test_given_programs_beside_the_file_then_they_are_found_from_anywhere(tmp_pa
     ('learning: {sampler: []}', 'learning.sampler: expected one or several, each once, got []'),
     ('learning: {seed: [3, 3]}', 'learning.seed: expected one or several, each once, got [3, 3]'),
     ('learning: {seed: [3, x]}', 'learning.seed: expected a whole number, 0 to '),
-    ('learning: {seed: [3, 1]}', 'is 1, as learning.seed is; give it another'),
+    ('learning: {seed: [3, 1]}', 'is 1, as learning.seed is; choose another'),
     ('iteration: {share: 0}', 'iteration.share: expected a number above 0, at most 10, got 0'),
     ('iteration: {share: .nan}', 'iteration.share: expected a number above 0'),
     ('best: worst', "best: perception: 'worst' is unknown; known: truth, "),
-    ('evaluation: {seed: 1}', 'is 1, as evaluation.seed is; give it another'),
+    ('evaluation: {seed: 1}', 'is 1, as evaluation.seed is; choose another'),
     ('workers: 9', 'workers: expected a whole number, 1 to 8, got 9'),
     ('workers: 1\nworkers: 2', 'line 2, column 1: workers is given twice'),
 ])

@@ -212,7 +212,7 @@ def test_given_a_study_when_interrupted_then_its_stage_ends_in_order_and_is_resu
 def test_given_a_study_at_work_when_another_begins_in_its_folder_then_that_is_refused(tmp_path):
     with (
         StageLog(tmp_path),
-        pytest.raises(UsageError, match='another taxinet case-study or improve is at work'),
+        pytest.raises(UsageError, match='in use by another taxinet case-study or improve'),
     ):
         StageLog(tmp_path)
 
