@@ -5,11 +5,13 @@ looks along the runway and grows counter-clockwise, that is with the nose to the
 taxinet_ros has cross-track error positive to the LEFT, so `cross_track_m` is minus x. Distance and
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
-A program may set these parameters: time_of_day_h [h, local standard time], clouds (a word),
+A program may set these parameters: time_of_day_h [h, by the clocks there], clouds (a word),
 rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
-positive], speed_mps [m/s], duration_s [s]. Short forms without the unit (time_of_day, rain, duration) mean the same.
+positive], speed_mps [m/s], duration_s [s], place (a shipped one by its name, such as
+'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
+mean the same.
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.controller import SteeringGains, SteeringLaw
     from taxinet_ros.core.mtl.specs import Spec
     from taxinet_ros.core.outcome import Outcome
+    from taxinet_ros.core.place.catalogue import load_place
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.core.user_code import UserCodeError
@@ -48,6 +49,7 @@ __all__ = [
     'UserCodeError',
     'falsify',
     'load_perception',
+    'load_place',
     'open_campaign',
     'open_recording',
     'render',
@@ -66,6 +68,7 @@ _MODULES = {
     'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
     'taxinet_ros.core.mtl.specs': ('Spec',),
     'taxinet_ros.core.outcome': ('Outcome',),
+    'taxinet_ros.core.place.catalogue': ('load_place',),
     'taxinet_ros.core.scenario': ('Scenario',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
     'taxinet_ros.core.user_code': ('UserCodeError',),

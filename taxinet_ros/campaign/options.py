@@ -35,8 +35,9 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import by_key
+from taxinet_ros.core.scenario_fields import PLACE, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -187,7 +188,9 @@ class CampaignOptions:
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
-        found = check_specs(self.judging.parsed_specs, first.duration_s, gains)
+        place = self.overrides.get(PLACE.key)
+        runway = typed_place(place).runway if place else None
+        found = check_specs(self.judging.parsed_specs, first.duration_s, gains, runway)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
@@ -375,13 +378,14 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, or a key is given twice.
+        UsageError: one is neither, a key is given twice, or a place is none.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
-            overrides[key] = value
+            # A file may change: what the campaign is, and whether it goes on, has its digest.
+            overrides[key] = typed_place(value).reference if key == PLACE.key else value
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)

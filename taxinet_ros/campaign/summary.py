@@ -16,6 +16,7 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import free_run_line
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario_fields import clock_words, pushing_words
 from taxinet_ros.registry import KMWH
 
@@ -93,10 +94,11 @@ def scene_words(row: RunRow) -> str:
     if row.time_of_day_h is None or row.rain_percent is None:
         return ''
     rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
+    place = '' if row.place in ('', DEFAULT_PLACE) else f'  {row.place}'
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
         f'at {row.distance_m:.0f} m  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
-        f'{pushing_words(row.scene)}'
+        f'{pushing_words(row.scene)}{place}'
     )
 
 

@@ -42,6 +42,7 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     learned,
+    place_app,
     plugins,
     run,
     shrink,
@@ -137,6 +138,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(place_app, name='place')
 app.add_typer(bag_app, name='bag')
 
 

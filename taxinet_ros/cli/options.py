@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +19,47 @@ def given_options(context: typer.Context) -> dict[str, Any]:
         name: value for name, value in context.params.items()
         if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
     }
+
+
+_APT_DAT = (
+    '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
+    '~/X-Plane 12/Global Scenery/Global Airports/Earth nav data/apt.dat',
+    '~/X-Plane 11/Custom Scenery/Global Airports/Earth nav data/apt.dat',
+)
+
+
+def with_airport(
+    settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None
+) -> list[str]:
+    """What ``--set`` gives, with the place that ``--airport`` and the like mean.
+
+    Raises:
+        UsageError: one of them is missing, there is a place already, or no apt.dat is found.
+    """
+    given = list(settings or ())
+    if airport is None:
+        if runway is not None or apt_dat is not None:
+            raise UsageError('--runway and --apt-dat: only with --airport')
+        return given
+    return [*given, f'place={airport_place(airport, runway, apt_dat)}']
+
+
+def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
+    """The place of an airport's runway, as ``--set place=`` takes it.
+
+    Raises:
+        UsageError: no runway is named, or no apt.dat is found.
+    """
+    if runway is None:
+        raise UsageError(f'--airport {airport}: name the end to taxi from, as --runway 04')
+    told = apt_dat or os.getenv('TAXINET_APT_DAT')
+    known = [path for path in (Path(name).expanduser() for name in _APT_DAT) if path.is_file()]
+    found = [told] if told else known
+    if not found:
+        raise UsageError(
+            f'--airport {airport}: no apt.dat found; name one with --apt-dat or TAXINET_APT_DAT'
+        )
+    return f'{found[0]}:{airport}/{runway}'
 
 
 def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> bool:
@@ -120,6 +162,20 @@ SetOption = Annotated[
         '--set', metavar='KEY=VALUE',
         help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
         'duration_s=10, …) or a gain (steering.heading_gain=1.2); repeatable',
+    ),
+]
+AirportOption = Annotated[
+    str | None,
+    typer.Option(metavar='ICAO', help='run at this airport of an apt.dat; needs --runway'),
+]
+RunwayOption = Annotated[
+    str | None, typer.Option(metavar='NUMBER', help='end to taxi from, as 04 or 16R')
+]
+AptDatOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar='FILE', help='apt.dat or apt.dat.gz of X-Plane or FlightGear (default: '
+        'TAXINET_APT_DAT, else where these put it)',
     ),
 ]
 SpecOption = Annotated[

@@ -16,7 +16,7 @@ from pathlib import Path
 import jsbsim
 
 from taxinet_ros.core.gusts import M_PER_FT, Gusts
-from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
@@ -185,23 +185,36 @@ MODELS = {
 """Models by the word of ``Scenario.aircraft``."""
 
 
-def _with_slope(models: Path, name: str, scratch: Path) -> Path:
-    """A folder of one model: that of ``models``, with a force that :func:`_pull_down` sets.
+def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bool) -> Path:
+    """A folder of one model: that of ``models``, with what only some runs need.
 
-    JSBSim's ground is level and its gravity straight down, and forces are added to no model that
-    is loaded.
+    Nothing can be added to a model that is loaded, and each step would pay for it.
+
+    Args:
+        models: folder of model folders.
+        name: of the model.
+        scratch: where it is written to, and what is returned.
+        windy: with what ``wind.xml`` beside the model adds to its aerodynamics.
+        sloping: with a force that :func:`_pull_down` sets, for JSBSim's ground is level and its
+            gravity straight down.
     """
     tree = ET.parse(models / name / f'{name}.xml')
     root = tree.getroot()
-    forces = root.find('external_reactions')
-    if forces is None:
-        forces = ET.SubElement(root, 'external_reactions')
-    force = ET.SubElement(forces, 'force', name='slope', frame='LOCAL')
-    ET.SubElement(force, 'location', unit='IN')
-    ET.SubElement(force, 'direction')
-    for part in force:
-        for axis in 'xyz':
-            ET.SubElement(part, axis).text = '0'
+    wind = models / name / 'wind.xml'
+    for axis in ET.parse(wind).getroot() if windy and wind.is_file() else ():
+        there = root.find(f'aerodynamics/axis[@name="{axis.get("name")}"]')
+        assert there is not None, f'{wind}: {axis.get("name")} is no axis of {name}'
+        there.extend(axis)
+    if sloping:
+        forces = root.find('external_reactions')
+        if forces is None:
+            forces = ET.SubElement(root, 'external_reactions')
+        force = ET.SubElement(forces, 'force', name='slope', frame='LOCAL')
+        ET.SubElement(force, 'location', unit='IN')
+        ET.SubElement(force, 'direction')
+        for part in force:
+            for letter in 'xyz':
+                ET.SubElement(part, letter).text = '0'
     (scratch / name).mkdir()
     tree.write(scratch / name / f'{name}.xml')
     return scratch
@@ -211,7 +224,7 @@ def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> Non
     """Have gravity act as on a runway that climbs: its part along it, at the centre of gravity.
 
     Args:
-        fdm: with a model of :func:`_with_slope`.
+        fdm: with a model of :func:`_adapted`.
         slope_rad: of the runway, uphill positive [rad].
         along_rad: true heading uphill [rad].
     """
@@ -240,7 +253,6 @@ class Wind:
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
         """Let it blow."""
-        fdm['aero/at-any-angle'] = 1.0  # of the caravan alone; JSBSim's own models have no such
         fdm['atmosphere/wind-north-fps'] = self._north_mps / M_PER_FT
         fdm['atmosphere/wind-east-fps'] = self._east_mps / M_PER_FT
 
@@ -269,7 +281,7 @@ class Aircraft:
 
     def __init__(
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
-        model: AircraftModel | None = None, runway: Runway = KMWH_04,
+        model: AircraftModel | None = None, runway: Runway | None = None,
     ) -> None:
         """Load a model and set it on the runway.
 
@@ -277,7 +289,7 @@ class Aircraft:
             scenario: start pose and kind of aircraft.
             period_ns: control period [ns], a whole number of physics steps.
             model: that takes the place of the scenario's.
-            runway: that it is set on.
+            runway: that takes the place of the scenario's.
 
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
@@ -288,13 +300,13 @@ class Aircraft:
             raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
         self._period_s = period_ns / NS_PER_S
         self._step = -1
-        self._frame = runway_frame(runway)
+        self._frame = runway_frame(runway or scenario.runway)
         self._model = model or MODELS[scenario.aircraft]
         self.max_steering_rad = self._model.max_steering_rad
         self._hold = SpeedHold(self._model.speed_gains)
-        self._fdm = self._load(self._model.name, sloping=scenario.slope_fraction != 0)
-        along_rad = self._place(scenario)
         self._wind = Wind(scenario) if scenario.wind_speed_mps or scenario.gust_mps else None
+        self._fdm = self._load(self._model.name, scenario=scenario)
+        along_rad = self._place(scenario)
         self._start_rolling(scenario, along_rad)
         self._step = 0
         self._state = self._measure()
@@ -331,13 +343,15 @@ class Aircraft:
             return all(run() for _ in range(self._steps))
         return all(run() for _ in self._wind.gusts(self._fdm, self._steps))
 
-    def _load(self, name: str, *, sloping: bool) -> jsbsim.FGFDMExec:
+    def _load(self, name: str, *, scenario: Scenario) -> jsbsim.FGFDMExec:
         with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
             folder = self._model.folder
-            if sloping:
-                folder = _with_slope(folder or Path(fdm.get_aircraft_path()), name, Path(scratch))
+            windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
+            if windy or sloping:
+                models = folder or Path(fdm.get_aircraft_path())
+                folder = _adapted(models, name, Path(scratch), windy=windy, sloping=sloping)
             if folder is not None:
                 fdm.set_aircraft_path(str(folder))
             self._attempt(lambda: fdm.load_model(name), f'loading {name}', log)

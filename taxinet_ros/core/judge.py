@@ -19,10 +19,13 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M, Runway
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 
 _OVERSHOOT = 1.5
 """Upper bound of the speed, as a factor on the commanded or initial speed."""
@@ -43,7 +46,8 @@ class SpecCheck:
 
 
 def check_specs(
-    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None
+    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
+    runway: Runway | None = None,
 ) -> SpecCheck:
     """Check requirements for a run of the simulator.
 
@@ -51,21 +55,39 @@ def check_specs(
         specs: the requirements.
         duration_s: length of the run [s].
         gains: gains of the shipped controller; None for any other controller.
+        runway: runway of the run, None if unknown.
 
     Raises:
-        UsageError: a window can hold no sample of such a run.
+        UsageError: a window can hold no sample of such a run, or ``on_runway`` is asked of a runway
+            of another width.
     """
     for spec in specs:
         check_windows(spec, round(duration_s * NS_PER_S), CONTROL_PERIOD_NS)
-    return describe_specs(specs, duration_s, gains)
+        if runway is not None:
+            check_edge(spec, runway.half_width_m)
+    return describe_specs(specs, duration_s, gains, runway)
+
+
+def check_edge(spec: Spec, half_width_m: float) -> None:
+    """See that ``on_runway``, which is about the paper's runway, is asked of none of another width.
+
+    Raises:
+        UsageError: it is.
+    """
+    if spec == SHIPPED['on_runway'] and half_width_m != KMWH_HALF_WIDTH_M:
+        raise UsageError(
+            f'{spec.name}: its edges are those of a runway {2 * KMWH_HALF_WIDTH_M:g} m wide, here '
+            f'it is {2 * half_width_m:g} m; write inside=always(abs(cte) <= {half_width_m:g})'
+        )
 
 
 def describe_specs(
-    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None
+    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
+    runway: Runway | None = None,
 ) -> SpecCheck:
     """The same for finished runs, where undecidable windows are not refused."""
     setting = Setting(
-        units=SIGNALS, ranges=signal_ranges(duration_s, gains),
+        units=SIGNALS, ranges=signal_ranges(duration_s, gains, runway),
         horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
     )
     return SpecCheck(
@@ -86,12 +108,15 @@ def bounding_gains(gains: SteeringGains, scenario: Scenario) -> SteeringGains | 
     return replace(gains, speed_mps=max(gains.speed_mps, scenario.speed_mps))
 
 
-def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapping[str, Range]:
+def signal_ranges(
+    duration_s: float, gains: SteeringGains | None = None, runway: Runway | None = None
+) -> Mapping[str, Range]:
     """Conservative ranges of the signals of a run, by name.
 
     Args:
         duration_s: length of the run [s].
         gains: gains of the shipped controller; None for any other.
+        runway: runway of the run; None for KMWH 04.
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
@@ -101,8 +126,9 @@ def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapp
         return ranges
     fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps)
     way_m = fastest_mps * duration_s
-    for name, start in (('cte', CROSS_TRACK), ('x', DISTANCE)):
-        ranges[name] = start.low - way_m, start.high + way_m
+    side_m = runway.farthest_start_m if runway else CROSS_TRACK.high
+    ranges['cte'] = -side_m - way_m, side_m + way_m
+    ranges['x'] = DISTANCE.low - way_m, way_m + (runway.last_start_m if runway else DISTANCE.high)
     ranges['speed'] = -fastest_mps, fastest_mps
     ranges['steering'] = -gains.max_steering_rad, gains.max_steering_rad
     return ranges
@@ -134,6 +160,7 @@ class Judge:
     def __init__(
         self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int,
         stop_on: StopOn = StopOn.NEVER, assumptions: Assumptions = NO_ASSUMPTIONS,
+        half_width_m: float = KMWH_HALF_WIDTH_M,
     ) -> None:
         """Start a run.
 
@@ -143,12 +170,15 @@ class Judge:
             max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
             stop_on: what ends the run before its horizon.
             assumptions: assumptions of the user.
+            half_width_m: half the runway's width [m].
 
         Raises:
-            UsageError: a formula has a window beyond the end of the run.
+            UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is asked
+                of a runway of another width.
         """
         for spec in specs:
             check_windows(spec, horizon_ns)
+            check_edge(spec, half_width_m)
         self._monitors = [
             Monitor(
                 spec, horizon_ns, assumptions.bounds, assumptions.rates, max_gap_ns=max_gap_ns
@@ -157,7 +187,7 @@ class Judge:
         self._readings: tuple[Reading, ...] = ()
         self._stop_on = stop_on
         self._breaches: set[str] = set()
-        self._collector = RunStatisticsCollector()
+        self._collector = RunStatisticsCollector(half_width_m)
         read = {name for spec in specs for name in signal_names(spec.formula)}
         watched = not read.isdisjoint(EstimateWatch.NAMES)
         self._watch = EstimateWatch(horizon_ns, CONTROL_PERIOD_NS) if watched else None

@@ -131,7 +131,9 @@ def run_closed_loop(
     world = make_world(scenario, pictures=perception.needs_image)
     commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
-    judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
+    judge = Judge(
+        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.runway.half_width_m
+    )
     while True:
         now = world.observe()
         estimate = perception.estimate(now.image, now.state.tracking_error)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 
 _SCALE = 2.0**-64
@@ -39,6 +39,7 @@ class RunStatistics:
         cte_error: of the estimated cross-track error [m].
         he_error: of the estimated heading error [rad].
         unusable_estimates: frames without one.
+        half_width_m: of the runway [m].
     """
 
     max_cross_track_m: float = math.nan
@@ -46,18 +47,20 @@ class RunStatistics:
     cte_error: ErrorStatistics = ErrorStatistics()
     he_error: ErrorStatistics = ErrorStatistics()
     unusable_estimates: int = 0
+    half_width_m: float = KMWH_HALF_WIDTH_M
 
     @property
     def left_runway(self) -> bool:
         """Whether the reference point was beyond the runway's edge at some sample."""
-        return self.max_cross_track_m > HALF_WIDTH_M
+        return self.max_cross_track_m > self.half_width_m
 
 
 class RunStatisticsCollector:
     """Takes the samples of one run in order; constant work and memory for each."""
 
-    def __init__(self) -> None:
-        """Begin a run."""
+    def __init__(self, half_width_m: float = KMWH_HALF_WIDTH_M) -> None:
+        """Begin a run on a runway of this half width [m]."""
+        self._half_width_m = half_width_m
         self._max_cross_track_m = 0.0
         self._settled_ns: int | None = None
         self._cte, self._he = _ErrorSum(), _ErrorSum()
@@ -89,6 +92,7 @@ class RunStatisticsCollector:
             cte_error=self._cte.statistics,
             he_error=self._he.statistics,
             unusable_estimates=self._unusable,
+            half_width_m=self._half_width_m,
         )
 
 

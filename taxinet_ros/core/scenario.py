@@ -11,11 +11,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
+    CROSS_TRACK,
+    CROSSING,
+    DISTANCE,
     HUMAN_KEYS,
+    PLACE,
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
+    ScenarioField,
     by_key,
 )
 from taxinet_ros.core.types import NS_PER_S
@@ -37,11 +44,11 @@ class Scenario:
         clouds: one of ``scenario_fields.CLOUDS``.
         rain_fraction: intensity, 0..1; more than 0 only under
             ``scenario_fields.RAIN_CLOUDS``.
-        time_of_day_s: local standard time (UTC-8) after midnight [s].
+        time_of_day_s: after midnight, as the clocks of the place have it [s].
         date: ISO date of the sun's position; near an equinox 6-18 h is daylight.
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
-        crossing: whether the other runway is there that crosses this one near 1,450 m; without it
-            pavement and paint go on as elsewhere.
+        crossing: whether the other runway is there that crosses this one (KMWH: near 1,450 m);
+            without it pavement and paint go on as elsewhere. Never, where nothing crosses.
         aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: which it blows from [rad], from true north, clockwise.
@@ -53,6 +60,8 @@ class Scenario:
         speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
             ``speed_mps`` is another than the usual.
         duration_s: length of the run [s], a multiple of the control period.
+        place: where it takes place: a shipped name, or the whole place as JSON, see
+            :mod:`taxinet_ros.core.place.catalogue`.
 
     Raises:
         UsageError: a value is out of range, not finite, or of an unknown word.
@@ -76,11 +85,20 @@ class Scenario:
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
     duration_s: float = 30.0
+    place: str = DEFAULT_PLACE
 
     def __post_init__(self) -> None:
+        PLACE.checked(self.place)
+        runway = self.runway
+        limits = {
+            CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
+            DISTANCE.key: (0.0, runway.last_start_m),
+        }
         for field in SCENARIO_FIELDS:
-            given = getattr(self, field.attribute)
-            object.__setattr__(self, field.attribute, field.checked(given))
+            value = self._checked(field, limits.get(field.key))
+            object.__setattr__(self, field.attribute, value)
+        if not runway.crossings:
+            object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
@@ -96,6 +114,19 @@ class Scenario:
             )
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
+
+    def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
+        try:
+            return field.checked(getattr(self, field.attribute), limits)
+        except UsageError as error:
+            if limits is None or self.place == DEFAULT_PLACE:
+                raise
+            raise UsageError(f'{error}, at {find_place(self.place).reference}') from None
+
+    @property
+    def runway(self) -> Runway:
+        """The runway of its place."""
+        return find_place(self.place).runway
 
     @property
     def duration_ns(self) -> int:
@@ -137,6 +168,11 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     unknown = [key for key in values if key not in BY_KEY]
     if unknown:
         raise UsageError(f'scenario: unknown key {unknown[0]!r}; known: {", ".join(HUMAN_KEYS)}')
-    return Scenario(**{
+    scenario = Scenario(**{
         BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
     })
+    wanted = CROSSING.from_human(values.get(CROSSING.key, False))
+    if wanted and not scenario.crossing:
+        place = find_place(scenario.place).reference
+        raise UsageError(f'scenario: crossing has no effect at {place}: no runway crosses it')
+    return scenario

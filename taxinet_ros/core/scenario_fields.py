@@ -23,6 +23,8 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from taxinet_ros.arguments import is_number, told
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
+from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -32,7 +34,7 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
-RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
@@ -49,19 +51,23 @@ class Kind(Enum):
     WORD = 'word'
     DATE = 'date'
     SWITCH = 'switch'
+    PLACE = 'place'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
+    Kind.PLACE: (str, 'a place'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
+    Kind.PLACE: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
+    Kind.PLACE: 'string',
 }
 
 
@@ -79,7 +85,9 @@ class ScenarioField:
         unit: in which people type and read it, '' for words.
         si: how much one ``unit`` is in SI units.
         si_unit: as it follows a number in SI units.
-        low, high: least and greatest number in SI units, both allowed.
+        low, high: least and greatest number in SI units, both allowed; of what depends on the
+            place, at the paper's.
+        anywhere: the same at some place at least, where it depends on the place.
         counted: from where and in which direction, as it follows either unit.
         form: format of a number for people.
         words: all that there are, in their order.
@@ -98,6 +106,7 @@ class ScenarioField:
     si: float = 1.0
     low: float = -math.inf
     high: float = math.inf
+    anywhere: tuple[float, float] | None = None
     si_unit: str = ''
     counted: str = ''
     form: str = '{:g}'
@@ -129,22 +138,32 @@ class ScenarioField:
         """A value that a person typed, in SI units.
 
         Raises:
-            UsageError: it is no number within the range, or no switch, where there should be one.
+            UsageError: it is no number within the range, no switch or no place, where there should
+                be one.
         """
         if self.kind is Kind.NUMBER:
             number = self._number(value)
-            if not self._within(number * self.si):
+            low, high = self.anywhere or (self.low, self.high)
+            if not _within(number * self.si, low, high):
                 unit = f'{self.unit_mark}{self.counted}'
-                raise _outside(self.key, number, self.low / self.si, self.high / self.si, unit)
+                raise _outside(self.key, number, low / self.si, high / self.si, unit)
             return number * self.si
+        if self.kind is Kind.PLACE:
+            return load_place(value)
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
+        if self.kind is Kind.PLACE:
+            return find_place(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
-    def checked(self, value: Any) -> Any:
+    def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
         """A value in SI units as plain Python, if it is of its kind and possible.
+
+        Args:
+            value: to be checked.
+            limits: least and greatest number in place of the row's own.
 
         Raises:
             UsageError: it is of another kind, outside the range, or none of the words.
@@ -157,9 +176,11 @@ class ScenarioField:
             raise UsageError(f'scenario: {self.attribute} is {told(value)}, not {what}')
         # A number of numpy's would take the arithmetic of the run to its own precision.
         value = value if type(value) is expected else expected(value)
-        if self.kind is Kind.NUMBER and not self._within(value):
-            unit = f' {self.si_unit}{self.counted}'
-            raise _outside(self.attribute, value, self.low, self.high, unit)
+        low, high = limits or (self.low, self.high)
+        if self.kind is Kind.NUMBER and not _within(value, low, high):
+            raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
+        if self.kind is Kind.PLACE and find_place(value).text != value:
+            raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
@@ -182,9 +203,6 @@ class ScenarioField:
         unit = 'deg' if self.unit == '°' else self.unit
         return f'{number.removeprefix("+") if value == 0 else number} {unit}'.rstrip()
 
-    def _within(self, value: float) -> bool:
-        return math.isfinite(value) and self.low <= value <= self.high
-
     def _number(self, value: Any) -> float:
         if isinstance(value, bool):
             raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
@@ -199,6 +217,10 @@ class ScenarioField:
         if str(value).lower() not in _SWITCH_WORDS:
             raise UsageError(f'scenario: {self.key} needs on or off, got {value!r}')
         return _SWITCH_WORDS[str(value).lower()]
+
+
+def _within(value: float, low: float, high: float) -> bool:
+    return math.isfinite(value) and low <= value <= high
 
 
 def _outside(name: str, value: float, low: float, high: float, unit: str) -> UsageError:
@@ -228,11 +250,12 @@ CROSS_TRACK = ScenarioField(
     key='cross_track_m', short='cross_track', attribute='cross_track_m',
     title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
     si_unit='m', counted=' left of the centreline (on the runway)', plane=True,
+    anywhere=(-MOST_WIDTH_M / 2, MOST_WIDTH_M / 2),
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
     title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
-    si_unit='m', counted=' past the threshold', plane=True,
+    si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(
     key='heading_deg', short='heading', attribute='heading_rad',
@@ -270,12 +293,12 @@ WIND_SPEED = ScenarioField(
 )
 WIND_DIRECTION = ScenarioField(
     key='wind_direction_deg', short='wind_direction', attribute='wind_direction_rad',
-    title='direction that the wind blows from', unit='°', si=math.pi / 180, form='{:.0f}',
+    title='wind from', unit='°', si=math.pi / 180, form='{:.0f}',
     low=0.0, high=2 * math.pi, si_unit='rad', counted=' from true north, clockwise',
     absent=0.0,
 )
 GUST = ScenarioField(
-    key='gust_mps', short='gust', attribute='gust_mps', title='gusts, standard deviation',
+    key='gust_mps', short='gust', attribute='gust_mps', title='gusts (standard deviation)',
     unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0,
 )
 GUST_SEED = ScenarioField(
@@ -283,7 +306,7 @@ GUST_SEED = ScenarioField(
     form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
 )
 RUNWAY_STATE = ScenarioField(
-    key='runway_state', attribute='runway_state', title='friction of the runway', kind=Kind.WORD,
+    key='runway_state', attribute='runway_state', title='runway friction', kind=Kind.WORD,
     words=RUNWAY_STATES, absent='dry',
 )
 SLOPE = ScenarioField(
@@ -298,19 +321,25 @@ DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
+PLACE = ScenarioField(
+    key='place', attribute='place', title='place', kind=Kind.PLACE, absent=DEFAULT_PLACE,
+)
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """What moves the aircraft and is not in the picture."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """Scenario keys as people type and read them."""
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """What may be typed for a key, and was all that there was in files of before: the key by it."""
+
+BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
+"""Keys whose values depend on what there is at the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)
 """Keys that a Scenic program says by the place of its aircraft, which has these properties."""

@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
+from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.topics import message_definition
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
-from taxinet_ros.nodes.scene_markers import AircraftMarkers, runway_markers
+from taxinet_ros.nodes.scene_markers import AircraftMarkers, other_runway_markers, runway_markers
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -75,7 +78,8 @@ class FoxgloveServer(Observer):
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
         topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
-        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers()), 0)
+        self._runway = default_runway()
+        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers(self._runway)), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
         print(f'listening on ws://{HOST}:{self.port}', flush=True)
@@ -132,6 +136,7 @@ class FoxgloveServer(Observer):
             self._now_ns = stamp_ns
             self._server.broadcast_time(stamp_ns)
         if topic is interface.SCENARIO:
+            self._change_place(cdr)
             # A new run: time jumps back, and the app drops its earlier messages.
             for still in (interface.SCENE_RUNWAY, interface.TF_STATIC):
                 self.repeat(self._channels[still.name].topic())
@@ -139,6 +144,13 @@ class FoxgloveServer(Observer):
         if topic is interface.ODOMETRY:
             markers = self._aircraft.markers(deserialize_message(cdr, Odometry))
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
+
+    def _change_place(self, cdr: bytes) -> None:
+        runway = scenario_of(deserialize_message(cdr, Scenario)).runway
+        if runway != self._runway:
+            self._runway = runway
+            markers = serialize_message(other_runway_markers(runway))
+            self._say(interface.SCENE_RUNWAY, markers, 0)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
         if topic.quality.latched:

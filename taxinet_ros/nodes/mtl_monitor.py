@@ -78,7 +78,7 @@ class MtlMonitor(Participant):
         self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
-            judging.assumptions,
+            judging.assumptions, scene.runway.half_width_m,
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False

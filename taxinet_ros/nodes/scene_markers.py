@@ -18,8 +18,11 @@ from scipy.spatial import ConvexHull
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.camera.airframe import OUTLINE
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import markings
+from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -37,17 +40,28 @@ _PATH_WIDTH_M = 0.3
 Triangle = tuple[tuple[float, float, float], ...]
 
 
-def runway_markers() -> MarkerArray:
-    """Pavement, crossing and all paint, in ``map``."""
+def runway_markers(runway: Runway) -> MarkerArray:
+    """Pavement, what crosses it and all paint, in ``map``."""
     pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
-    pavement.pose.position = Point(x=runway.LENGTH_M / 2, z=-_THICKNESS_M / 2)
-    pavement.scale = Vector3(x=runway.LENGTH_M, y=runway.WIDTH_M, z=_THICKNESS_M)
-    crossing = _marker('crossing', Marker.CUBE, _CONCRETE)
-    crossing.pose.position = Point(x=runway.CROSSING_X_M, z=-_THICKNESS_M)
-    crossing.pose.orientation = _quaternion(*quaternion(0.0, 0.0, runway.CROSSING_YAW_RAD))
-    crossing.scale = Vector3(x=_CROSSING_LENGTH_M, y=runway.CROSSING_WIDTH_M, z=_THICKNESS_M)
-    paint = _triangles('paint', _paint_triangles(), _PAINT)
-    return MarkerArray(markers=[pavement, crossing, paint])
+    pavement.pose.position = Point(x=runway.length_m / 2, z=-_THICKNESS_M / 2)
+    pavement.scale = Vector3(x=runway.length_m, y=runway.width_m, z=_THICKNESS_M)
+    crossings = [_crossing(*numbered) for numbered in enumerate(runway.crossings)]
+    paint = _triangles('paint', _paint_triangles(runway), _PAINT)
+    return MarkerArray(markers=[pavement, *crossings, paint])
+
+
+def other_runway_markers(runway: Runway) -> MarkerArray:
+    """The same, in place of those of another runway."""
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *runway_markers(runway).markers])
+
+
+def _crossing(number: int, crossing: Crossing) -> Marker:
+    marker = _marker('crossing', Marker.CUBE, _CONCRETE)
+    marker.id = number
+    marker.pose.position = Point(x=crossing.x_m, z=-_THICKNESS_M)
+    marker.pose.orientation = _quaternion(*quaternion(0.0, 0.0, crossing.yaw_rad))
+    marker.scale = Vector3(x=_CROSSING_LENGTH_M, y=crossing.width_m, z=_THICKNESS_M)
+    return marker
 
 
 class AircraftMarkers:
@@ -90,11 +104,11 @@ def _triangles(
     return marker
 
 
-def _paint_triangles() -> list[Triangle]:
+def _paint_triangles(runway: Runway) -> list[Triangle]:
     """Each marking as a triangle fan: they are (almost) convex."""
     return [
         tuple((x, y, _PAINT_LIFT_M) for x, y in (marking.polygon[0], left, right))
-        for marking in runway.markings()
+        for marking in markings(runway)
         for left, right in pairwise(marking.polygon[1:])
     ]
 
@@ -119,7 +133,7 @@ USAGE = Usage(
     does='Draws runway, aircraft and path as markers for RViz and other viewers, beside any graph '
     'or bag_player.',
     publishes=published_topics(interface.SCENE_MARKERS),
-    subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name),
+    subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name, interface.SCENARIO.name),
 )
 
 
@@ -135,8 +149,16 @@ class SceneMarkers(Observer):
             for topic in interface.SCENE
         }
         self._aircraft = AircraftMarkers()
-        self._say(interface.SCENE_RUNWAY, runway_markers())
+        self._runway = default_runway()
+        self._say(interface.SCENE_RUNWAY, runway_markers(self._runway))
         self.watch(interface.ODOMETRY, self._draw)
+        self.watch(interface.SCENARIO, self._change_place)
+
+    def _change_place(self, scenario: Any) -> None:
+        runway = scenario_of(scenario).runway
+        if runway != self._runway:
+            self._runway = runway
+            self._say(interface.SCENE_RUNWAY, other_runway_markers(runway))
 
     def _draw(self, odometry: Odometry) -> None:
         self._say(interface.SCENE_AIRCRAFT, self._aircraft.markers(odometry))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -156,3 +158,35 @@ def test_given_a_disk_that_refuses_amid_the_bag_then_nothing_of_it_stays(
     monkeypatch.undo()
     assert len(written) > 5
     assert list(tmp_path.iterdir()) == []
+
+
+OWN_PLACE = json.dumps({
+    'name': 'own_09', 'time_zone': 'UTC+01:00',
+    'runway': {
+        'ends': [
+            {'designation': '09', 'latitude_deg': 50.0, 'longitude_deg': 8.0},
+            {'designation': '27', 'latitude_deg': 50.0, 'longitude_deg': 8.03},
+        ],
+        'width_m': 45, 'elevation_m': 100, 'category': 'visual', 'surface': 'concrete',
+    },
+}, sort_keys=True, separators=(',', ':'))
+
+
+def test_given_a_place_of_ones_own_when_saved_then_the_bag_alone_shows_and_judges_it(tmp_path):
+    there = tx.Scenario(place=OWN_PLACE, cross_track_m=20.0, duration_s=1.0)
+    bag = tx.run(there, specs=SPECS).save_bag(tmp_path / 'run')
+    program = """
+import hashlib, sys
+import taxinet_ros as tx
+recording = tx.open_recording(sys.argv[1])
+first = next(iter(recording.frames()))
+print(hashlib.sha256(first.image.tobytes()).hexdigest(), recording.scenario.runway.width_m)
+print(recording.judge('phi_always').interval.lower)
+"""
+    told = subprocess.run(
+        [sys.executable, '-c', program, str(bag)], capture_output=True, text=True, check=True
+    )
+    shown, rho = told.stdout.splitlines()
+    digest = hashlib.sha256(tx.render(there).tobytes()).hexdigest()
+    assert shown == f'{digest} 45.0'
+    assert float(rho) < -18

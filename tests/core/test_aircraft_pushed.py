@@ -10,11 +10,11 @@ import pytest
 
 from taxinet_ros.core.aircraft import FRICTION, M_PER_FT, MODELS, Aircraft, SpeedGains
 from taxinet_ros.core.controller import SteeringGains, SteeringLaw
-from taxinet_ros.core.place.runway import KMWH_04
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 
-AHEAD = math.degrees(KMWH_04.bearing_rad)
+AHEAD = math.degrees(default_runway().bearing_rad)
 LEFT, RIGHT, BEHIND = AHEAD - 90 + 360, AHEAD + 90, AHEAD + 180
 KINDS = tuple(MODELS)
 GRAVITY = 9.807

@@ -14,16 +14,17 @@ from taxinet_ros.core.camera.camera import WING_MOUNT, Camera, pose
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.core.place.runway import KMWH_04
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
 
+KMWH_04 = default_runway()
 SCENE = Scenario(cross_track_m=3.0, heading_rad=0.2, duration_s=2.0)
 FAR_NORTH = dataclasses.replace(
-    KMWH_04, threshold_deg=(67.0, 18.0), end_deg=(67.0, 18.1), utc_offset_h=1.0,
+    KMWH_04, threshold_deg=(67.0, 18.0), end_deg=(67.0, 18.1), time_zone='UTC+01:00',
     bearing_rad=math.radians(90.0), elevation_m=0.0,
 )
 

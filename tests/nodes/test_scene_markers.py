@@ -17,7 +17,8 @@ from taxinet_msgs.msg import RunStatus
 
 from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import EDGE_STRIPE_WIDTH_M, edge_stripe_y_m
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
@@ -44,19 +45,21 @@ def points_of(marker) -> np.ndarray:
 
 
 def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_it():
-    pavement, crossing, paint = runway_markers().markers
+    runway = default_runway()
+    pavement, crossing, paint = runway_markers(runway).markers
     assert {m.header.frame_id for m in (pavement, crossing, paint)} == {'map'}
-    assert (pavement.scale.x, pavement.scale.y) == (runway.LENGTH_M, runway.WIDTH_M)
-    assert pavement.pose.position.x == runway.LENGTH_M / 2
-    assert crossing.pose.position.x == runway.CROSSING_X_M
+    assert (pavement.scale.x, pavement.scale.y) == (runway.length_m, runway.width_m)
+    assert pavement.pose.position.x == runway.length_m / 2
+    assert crossing.pose.position.x == runway.crossings[0].x_m
     points = points_of(paint)
     assert len(points) % 3 == 0
     assert points[:, 0].min() == 0
-    assert points[:, 0].max() == runway.LENGTH_M
-    assert np.abs(points[:, 1]).max() < runway.HALF_WIDTH_M
-    edges = runway.EDGE_STRIPE_Y_M + runway.STRIPE_WIDTH_M / 2
+    assert points[:, 0].max() == runway.length_m
+    assert np.abs(points[:, 1]).max() < runway.half_width_m
+    edges = edge_stripe_y_m(runway) + EDGE_STRIPE_WIDTH_M / 2
     assert np.abs(points[:, 1]).max() == pytest.approx(edges)
-    in_crossing = np.abs(points[:, 0] - runway.CROSSING_X_M) < runway.CROSSING_CLEAR_HALF_M - 5
+    (other,) = runway.crossings
+    in_crossing = np.abs(points[:, 0] - other.x_m) < other.clear_half_m - 5
     assert not in_crossing.any()
 
 

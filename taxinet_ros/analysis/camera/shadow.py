@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import GAMMA, LUMINANCE, air_mass, scenario_light, sun_position
-from taxinet_ros.core.place.runway import KMWH_04
 from taxinet_ros.core.scenario import scenario_from_human
 
 LINKE_TURBIDITY = 3.3
@@ -119,7 +118,7 @@ def shadow_appearances(
 
 def _look(settings: Mapping[str, object], turbidity: float) -> ShadowAppearance:
     scene = scenario_from_human(settings)
-    azimuth, elevation = sun_position(scene.date, scene.time_of_day_s)
+    azimuth, elevation = sun_position(scene.date, scene.time_of_day_s, scene.runway)
     light, state = scenario_light(scene), Aircraft(scene).state
     dark, lit = (
         _linear(Camera(scenario_from_human({**settings, 'shadows': word})).render(state, 0))
@@ -127,7 +126,7 @@ def _look(settings: Mapping[str, object], turbidity: float) -> ShadowAppearance:
     )
     lost = 1 - dark / np.maximum(lit, 1e-6)
     core = lost > _CORE * np.percentile(lost, 99.9) if lost.max() > 0.01 else lost > 1
-    nose = KMWH_04.bearing_rad - state.yaw_rad
+    nose = scene.runway.bearing_rad - state.yaw_rad
     up = elevation > 0
     direct, diffuse = clear_day(elevation, turbidity) if up else (math.nan, math.nan)
     return ShadowAppearance(

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import clock_words
 
@@ -233,7 +234,7 @@ def camera_sheet(scenes: Sequence[Sequence[Scenario]], path: Path) -> None:
         [[Camera(scene).render(state, 0) for scene in row] for row in scenes],
         [_weather(row[0]) for row in scenes],
         [clock_words(scene.time_of_day_s / 3600) for scene in scenes[0]],
-        path, title=f'Grant County (KMWH) runway 04, {first.date}, {pose_words(first)}',
+        path, title=f'{find_place(first.place).title}, {first.date}, {pose_words(first)}',
     )
 
 

@@ -20,7 +20,7 @@ from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -63,6 +63,7 @@ class Track:
     gains: SteeringGains
     states: dict[int, AircraftState]
     differs: str
+    half_width_m: float = KMWH_HALF_WIDTH_M
 
     @property
     def misled_rad(self) -> Floats:
@@ -73,7 +74,8 @@ class Track:
     @property
     def steps_on_runway(self) -> int:
         """Control steps before the aircraft first leaves the runway, or turns away on it."""
-        away = (np.abs(self.cte_m) > HALF_WIDTH_M) | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
+        beyond = np.abs(self.cte_m) > self.half_width_m
+        away = beyond | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
         return int(away.argmax()) if away.any() else len(away)
 
     @property
@@ -185,6 +187,7 @@ def read_track(
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
         gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
+        half_width_m=recording.scenario.runway.half_width_m,
     )
 
 

@@ -26,7 +26,6 @@ from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
@@ -204,7 +203,7 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
         BagError: it is damaged, foreign, or holds no truth.
     """
     bag, trace, facts = recording.path, recording.columns, recording.facts
-    panel = _draw_panel(trace)
+    panel = _draw_panel(trace, recording.scenario.runway.half_width_m)
     rows = {int(stamp): row for row, stamp in enumerate(trace['t_ns'])}
     shown = 0
     for frame in recording.frames(render=False):
@@ -269,13 +268,13 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return _fonts[size]
 
 
-def _draw_panel(trace: Mapping[str, Column]) -> _Panel:
+def _draw_panel(trace: Mapping[str, Column], half_width_m: float) -> _Panel:
     t_s = np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S
     figure = Figure(figsize=(360 * SCALE / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
     plots = (figure.add_axes((0.07, 0.15, 0.5, 0.72)), figure.add_axes((0.66, 0.15, 0.32, 0.72)))
     spec = next((n for n in trace if n.startswith('rho_upper.')), '').removeprefix('rho_upper.')
-    curves = _draw_errors(plots[0], t_s, trace)
+    curves = _draw_errors(plots[0], t_s, trace, half_width_m)
     if spec:
         curves += _draw_robustness(plots[1], t_s, trace, spec)
     else:
@@ -296,11 +295,13 @@ def _draw_panel(trace: Mapping[str, Column]) -> _Panel:
     )
 
 
-def _draw_errors(plot: Axes, t_s: Column, trace: Mapping[str, Column]) -> list[Any]:
+def _draw_errors(
+    plot: Axes, t_s: Column, trace: Mapping[str, Column], half_width_m: float
+) -> list[Any]:
     limit = CENTRELINE_TOLERANCE_M
     plot.axhspan(-limit, limit, color=_BAND, alpha=0.18, linewidth=0)
-    for edge in (-HALF_WIDTH_M, HALF_WIDTH_M):
-        plot.axhline(edge, color='0.25', linewidth=1.4)
+    for side in (-1, 1):
+        plot.axhline(side * half_width_m, color='0.25', linewidth=1.4)
     estimate = plot.plot(t_s, trace['est_cte_m'], color=_ESTIMATE, linewidth=1.1)
     truth = plot.plot(t_s, trace['cte_m'], color=_TRUTH, linewidth=2.0)
     seen = np.abs(np.concatenate([trace['cte_m'], trace['est_cte_m']]))

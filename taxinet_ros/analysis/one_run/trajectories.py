@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 
 BAND_M = 1.5
 """Half width of the band that the paper's specification asks for (paper, section 3.1)."""
@@ -41,6 +41,7 @@ class Trajectory:
         x_m: position past the threshold [m], (N,).
         cte_m: cross-track error [m], left positive, (N,).
         ok: whether the run satisfied its specification; None if it was not judged.
+        half_width_m: of its runway [m].
     """
 
     label: str
@@ -48,6 +49,7 @@ class Trajectory:
     x_m: NDArray[np.float64]
     cte_m: NDArray[np.float64]
     ok: bool | None
+    half_width_m: float = KMWH_HALF_WIDTH_M
 
     def __post_init__(self) -> None:
         if not self.t_s.shape == self.x_m.shape == self.cte_m.shape or self.t_s.ndim != 1:
@@ -91,12 +93,13 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
 
 
 def _draw(axes: Axes, own: Sequence[Trajectory], along: Sequence[NDArray[np.float64]]) -> None:
-    limit = HALF_WIDTH_M + _BEYOND_EDGE_M
-    axes.axhspan(-limit, -HALF_WIDTH_M, color='0.88', zorder=0)
-    axes.axhspan(HALF_WIDTH_M, limit, color='0.88', zorder=0)
+    edge = max(one.half_width_m for one in own)
+    limit = edge + _BEYOND_EDGE_M
+    axes.axhspan(-limit, -edge, color='0.88', zorder=0)
+    axes.axhspan(edge, limit, color='0.88', zorder=0)
     axes.axhspan(-BAND_M, BAND_M, **_BAND)
-    for edge in (-HALF_WIDTH_M, HALF_WIDTH_M):
-        axes.axhline(edge, **_EDGE)
+    for side in (-edge, edge):
+        axes.axhline(side, **_EDGE)
     # Many passed runs must let one another show through; a failed one must not pale among them.
     alpha = float(np.clip(8 / max(len(own), 1), 0.4, 1.0))
     for one, x in zip(own, along, strict=True):

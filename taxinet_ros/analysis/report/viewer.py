@@ -20,15 +20,10 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import (
-    CROSSING_WIDTH_M,
-    CROSSING_X_M,
-    CROSSING_YAW_RAD,
-    HALF_WIDTH_M,
-    LENGTH_M,
-    Polygon,
-    markings,
-)
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
+from taxinet_ros.core.place.markings import Polygon, markings
+from taxinet_ros.core.place.place import Place
+from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
@@ -37,30 +32,27 @@ _CROSSING_REACH_M = 400.0
 """How far to each side the crossing runway is drawn; runs stay nearer."""
 
 
-def ground_name(*, crossing: bool) -> str:
-    """What runs call the ground that they took place on."""
-    return 'crossed' if crossing else 'plain'
-
-
-def ground_shapes(*, crossing: bool) -> dict[str, Any]:
+def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
     """Polygons in ``map`` [m] as JSON values: pavement and paint, and the tolerated band's half."""
-    runway = ((0.0, -HALF_WIDTH_M), (LENGTH_M, -HALF_WIDTH_M), (LENGTH_M, HALF_WIDTH_M),
-              (0.0, HALF_WIDTH_M))
-    pavement = (runway, _crossing()) if crossing else (runway,)
+    length, half = runway.length_m, runway.half_width_m
+    crossings = runway.crossings if crossing else ()
+    pavement = (
+        ((0.0, -half), (length, -half), (length, half), (0.0, half)), *map(_crossing, crossings),
+    )
     return {
         'pavement': [_corners(polygon) for polygon in pavement],
-        'paint': [_corners(marking.polygon) for marking in markings(crossing=crossing)],
+        'paint': [_corners(marking.polygon) for marking in markings(runway, crossing=crossing)],
         'tolerance': CENTRELINE_TOLERANCE_M,
-        'length': LENGTH_M,
-        'halfWidth': HALF_WIDTH_M,
+        'length': length,
+        'halfWidth': half,
     }
 
 
-def _crossing() -> Polygon:
-    cos, sin = math.cos(CROSSING_YAW_RAD), math.sin(CROSSING_YAW_RAD)
-    half = CROSSING_WIDTH_M / 2
+def _crossing(crossing: Crossing) -> Polygon:
+    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
+    half = crossing.width_m / 2
     return tuple(
-        (CROSSING_X_M + along * cos - across * sin, along * sin + across * cos)
+        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
         for along, across in (
             (-_CROSSING_REACH_M, -half), (_CROSSING_REACH_M, -half),
             (_CROSSING_REACH_M, half), (-_CROSSING_REACH_M, half),
@@ -151,7 +143,8 @@ class RunView:
     Attributes:
         run_id: names it.
         outcome: one of the five words, or ''.
-        crossing: whether the crossing runway was there.
+        place: where it took place.
+        crossing: whether what crosses the runway was there.
         facts: what was asked and what came of it, for people.
         t_s: time of each control step since the start [s].
         curves: by name, a value for each step: metres, m/s, degrees; left positive.
@@ -161,6 +154,7 @@ class RunView:
 
     run_id: str
     outcome: str
+    place: Place
     crossing: bool
     facts: Mapping[str, str]
     t_s: Column
@@ -173,12 +167,19 @@ class RunView:
         """Where and in what weather it was, on one line."""
         return ', '.join(f'{name} {self.facts[name]}' for name in _TELLING if name in self.facts)
 
+    @property
+    def ground_name(self) -> str:
+        """What runs call the ground that they took place on."""
+        kind = 'crossed' if self.crossing else 'plain'
+        place = self.place.reference
+        return kind if place == DEFAULT_PLACE else f'{place} {kind}'
+
     def data(self) -> dict[str, Any]:
         """All of it as JSON values, rounded."""
         return {
             'id': self.run_id,
             'outcome': self.outcome,
-            'ground': ground_name(crossing=self.crossing),
+            'ground': self.ground_name,
             'facts': list(self.facts.items()),
             't': _rounded(self.t_s),
             **{name: _rounded(values) for name, values in self.curves.items()},
@@ -205,6 +206,7 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
     return RunView(
         run_id=run_id, outcome='' if facts is None else facts.outcome,
+        place=typed_place(DEFAULT_PLACE if facts is None else facts.scene['place']),
         crossing=facts is None or bool(facts.scene.get('crossing', True)),
         facts={} if facts is None else _words(facts),
         t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
+from taxinet_ros.core.place.catalogue import SHIPPED_PLACES
 from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
@@ -88,6 +89,9 @@ class Feature:
         return both.format(self.value_words(low), self.value_words(high))
 
 
+_KINDS = {Kind.SWITCH: ('off', 'on'), Kind.PLACE: SHIPPED_PLACES}
+
+
 def _feature(
     field: ScenarioField, *, form: Form = Form.NUMBER, step: float = 1.0,
     words: tuple[str, str, str] = ('', '', ''), widths: tuple[float, ...] = (),
@@ -96,7 +100,7 @@ def _feature(
     return Feature(
         name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
         form=form, step=step, words=words, source=field.key, widths=widths,
-        kinds=('off', 'on') if field.kind is Kind.SWITCH else field.words,
+        kinds=_KINDS.get(field.kind, field.words),
     )
 
 
@@ -170,7 +174,8 @@ PUSHING_FEATURES = (
 """What moves the aircraft; which of all gusts is no property that a failure could have."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
-    _feature(one, form=Form.KIND) for one in (fields.AIRCRAFT_MODEL, fields.DATE)
+    _feature(one, form=Form.KIND)
+    for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six, as they stand in the table."""

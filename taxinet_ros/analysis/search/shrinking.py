@@ -20,7 +20,6 @@ from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.options import ShrinkOptions
 from taxinet_ros.campaign.shrink.shrinking import Report, edge_words, off_nominal
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.files.atomic import write_atomically
@@ -51,7 +50,7 @@ def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
     figure = Figure(figsize=(8.0, 4.4), dpi=110, layout='constrained')
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    _background(axes, _limit(runs))
+    _background(axes, _limit(runs), runs[0].half_width_m)
     for order, (run, style) in enumerate(zip(runs, _STYLES, strict=False)):
         axes.plot(run.t_s, run.cte_m, label=run.label, zorder=3 + order, **style)
         axes.plot(run.t_s[:1], run.cte_m[:1], marker='o', markersize=4, color=style['color'])
@@ -68,16 +67,16 @@ def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
 def _limit(runs: Sequence[Trajectory]) -> float:
     """Half the height shown [m]: all that the runs do, but little more grass than runway."""
     farthest = max(float(np.abs(run.cte_m).max()) for run in runs)
-    return float(np.clip(1.1 * farthest, _LEAST_M, HALF_WIDTH_M + _BEYOND_EDGE_M))
+    return float(np.clip(1.1 * farthest, _LEAST_M, runs[0].half_width_m + _BEYOND_EDGE_M))
 
 
-def _background(axes: Axes, limit: float) -> None:
+def _background(axes: Axes, limit: float, edge: float) -> None:
     axes.axhspan(-BAND_M, BAND_M, color='#009E73', alpha=0.18, linewidth=0, zorder=1,
                  label=f'within {BAND_M:g} m of the centreline')
-    if limit > HALF_WIDTH_M:
+    if limit > edge:
         for side in (-1, 1):
-            axes.axhspan(side * HALF_WIDTH_M, side * limit, color='0.88', zorder=0)
-            axes.axhline(side * HALF_WIDTH_M, color='0.25', linewidth=1.4, zorder=2)
+            axes.axhspan(side * edge, side * limit, color='0.88', zorder=0)
+            axes.axhline(side * edge, color='0.25', linewidth=1.4, zorder=2)
         axes.text(0.01, 0.985, 'off the runway', transform=axes.transAxes, va='top', fontsize=8,
                   color='0.35')
     axes.set_ylim(-limit, limit)
@@ -154,11 +153,13 @@ def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
         # A resumed shrinking rests on runs whose bags may have been deleted since.
         if not row.bag or not (options.campaign.out / row.bag).is_dir():
             continue
-        trace = open_recording(options.campaign.out / row.bag).columns
+        recording = open_recording(options.campaign.out / row.bag)
+        trace = recording.columns
         drawn.append(Trajectory(
             label=f'{name}, rho {row.rho[options.headline]:+.2f}',
             t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
             x_m=trace['x_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
             ok=row.outcome is Outcome.PASS,
+            half_width_m=recording.scenario.runway.half_width_m,
         ))
     return drawn

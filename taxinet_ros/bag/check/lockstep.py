@@ -163,10 +163,13 @@ def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
         record: of the run.
         topics: names of those that speak.
     """
+    truth = any(is_topic(name, TRUTH) for name in record.counts)
+    if record.scenario is None and truth:
+        lost = Finding(where=SCENARIO, what='0 messages, not 1; nothing tells what was run')
+        return Check(name='steps', looked_at='control steps of a run', findings=(lost,))
     if record.scenario is None:
         return Check(name='steps', looked_at='no taxinet_ros scenario in it', skipped=True)
     last = last_seq(record)
-    truth = any(is_topic(name, TRUTH) for name in record.counts)
     if last < 0 and record.ending is None and not truth:
         found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='no control steps')]
         return Check(name='steps', looked_at='no truth', findings=tuple(found))

@@ -19,6 +19,7 @@ from taxinet_ros.core.camera.ground.atlas import ground_atlas
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 
@@ -68,7 +69,8 @@ SUM = 'sum of stages'
 
 def camera_subjects() -> list[Subject]:
     """Frames, whole and by stages, and the making of cameras and textures."""
-    ground_atlas()  # as in every process that photographs; what it costs is measured apart
+    runway = default_runway()
+    ground_atlas(runway)  # as in every process that photographs; what it costs is measured apart
     found = []
     for name, scene in SCENES.items():
         found += _frame(name, scene)
@@ -87,7 +89,7 @@ def _discard(made: object) -> None:
 
 def _make_textures() -> None:
     """Make what every process makes once."""
-    ground_atlas.__wrapped__()
+    ground_atlas.__wrapped__(default_runway())
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:

@@ -40,6 +40,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
@@ -154,6 +155,7 @@ class CampaignBook:
         self._attempts: Counter[int] = Counter()
         self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
+        self._places: set[str] = set()
 
     def check_folder(self) -> None:
         """See that the folder is new, or has a campaign to be resumed; nothing is touched.
@@ -217,6 +219,7 @@ class CampaignBook:
         self.facts = {**facts, STACKS: stacks}
         self.rows.update({row.index: row for row in before.rows})
         self._attempts.update(before.attempts)
+        self._places.update(before.places)
         if before.rows:
             self.warning = stack_difference(before.campaign, str(self._out))
         self._facts_due = True
@@ -246,6 +249,7 @@ class CampaignBook:
         )
         rename_broken(self._out / request.run_id)
         with self._watched():
+            self._write_place(scenario)
             self._ledger.intent(index, request.run_id, scenario_sha256)
         return request
 
@@ -293,6 +297,13 @@ class CampaignBook:
                 self._ledger.result(row)
         finally:
             self._on_row(row)
+
+    def _write_place(self, scenario: Scenario) -> None:
+        """Write down, once, the whole of a place that is not shipped."""
+        place = find_place(scenario.place)
+        if not place.shipped and place.reference not in self._places:
+            self._ledger.place(place.document)
+            self._places.add(place.reference)
 
     def _write_due_facts(self) -> None:
         if not self._facts_due:

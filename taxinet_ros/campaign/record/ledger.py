@@ -19,6 +19,7 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_prese
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
@@ -40,6 +41,7 @@ class LedgerContent:
         finished: whether the campaign has ended in good order since its last line.
         lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
         incomplete: those of them after which something is missing to this day.
+        places: references of the places that it has the whole of.
     """
 
     campaign: Mapping[str, Any]
@@ -51,6 +53,7 @@ class LedgerContent:
     finished: bool = False
     lost: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
+    places: frozenset[str] = frozenset()
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
@@ -86,6 +89,10 @@ class Ledger(JournalOwner):
     def campaign(self, values: Mapping[str, Any]) -> None:
         """Record what the campaign is: program, digest, seed, overrides, perception."""
         self._append({'event': 'campaign', 'campaign': dict(values)})
+
+    def place(self, document: str) -> None:
+        """Record the whole of a place, of which the rows of runs there have the reference."""
+        self._append({'event': 'place', 'place': document})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Record that run ``index`` is about to begin."""
@@ -172,6 +179,7 @@ def ledger_content(
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
         added=found.added,
+        places=frozenset(found.places),
         never_begun=tuple(
             index for index in sorted(set(rows) - set(begun))
             if rows[index].outcome is not Outcome.REJECTED
@@ -246,6 +254,7 @@ class _Events:
         self.rows: dict[int, RunRow] = {}
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
+        self.places: set[str] = set()
         self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
@@ -254,6 +263,9 @@ class _Events:
         match event['event']:
             case 'campaign':
                 self._campaign(event['campaign'])
+            case 'place':
+                # From now on this process knows what the references in the rows stand for.
+                self.places.add(find_place(event['place']).reference)
             case 'intent':
                 self._intent(event)
             case 'result':

@@ -14,6 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.place.catalogue import is_reference
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
@@ -44,7 +45,7 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, duration_s: the scenario, see
+            runway_state, slope_percent, speed_mps, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
@@ -99,6 +100,7 @@ class RunRow:
     slope_percent: float | None = None
     speed_mps: float | None = None
     duration_s: float | None = None
+    place: str = ''
     kind: str = ''
     who: str = ''
     detail: str = ''
@@ -141,12 +143,7 @@ class RunRow:
             raise ValueError(f'index is {self.index}')
         if self.bag and not is_run_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, not a plain name')
-        for known in SCENARIO_FIELDS:
-            value = getattr(self, known.key)
-            if known.words and value and value not in known.words:
-                raise ValueError(
-                    f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
-                )
+        self._check_words()
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
@@ -158,6 +155,16 @@ class RunRow:
         if not all(map(math.isfinite, self.free.values())):
             raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
         self._check_robustness()
+
+    def _check_words(self) -> None:
+        for known in SCENARIO_FIELDS:
+            value = getattr(self, known.key)
+            if known.words and value and value not in known.words:
+                raise ValueError(
+                    f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
+                )
+        if self.place and not is_reference(self.place):
+            raise ValueError(f'place is {self.place!r:.80}, no reference of one')
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: one of them is not."""

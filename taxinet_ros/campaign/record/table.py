@@ -212,7 +212,8 @@ def _add_what_was_so(frame: pd.DataFrame) -> None:
     for before, field in pairwise(SCENARIO_FIELDS):
         if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
             continue
-        value, nothing = field.to_human(field.absent), '' if field.words else None
+        value = field.to_human(field.absent)
+        nothing = '' if field.column_type == 'string' else None
         drawn = frame[SCENARIO_FIELDS[0].key].notna()
         frame.insert(
             list(frame.columns).index(before.key) + 1, field.key,

@@ -10,12 +10,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
+    BY_KEY,
     GUST,
     GUST_SEED,
     HEADING,
+    PLACE,
     RAIN,
     RAIN_CLOUDS,
     SKY,
@@ -53,9 +56,12 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
             contradict each other.
     """
     overrides = by_key(overrides)
+    place = {PLACE.key: overrides[PLACE.key]} if PLACE.key in overrides else {}
     for key, value in overrides.items():
-        # Each among others that allow it, as rain under a sky; the pair follows below.
-        _build({**_ALLOWING, key: value}, f'override {key}={value}')
+        try:
+            check_value(key, value, place)
+        except UsageError as error:
+            raise _headed(error, f'override {key}={value}') from error
     if all(key in overrides for key in WEATHER):
         given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
         _build(overrides, f'override {given}')
@@ -110,7 +116,7 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     try:
         last_step(scenario)
     except UsageError as error:
-        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+        raise _headed(error, where) from error
     return scenario
 
 
@@ -134,11 +140,16 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
 
 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that no scenario could have, whatever the others were."""
+    """Keys of values that no scenario at their place could have, whatever the others were."""
     found = set()
+    place = {PLACE.key: values.get(PLACE.key, DEFAULT_PLACE)}
+    try:
+        scenario_from_human(place)
+    except UsageError:
+        return {PLACE.key}
     for key, value in values.items():
         try:
-            check_value(key, value)
+            check_value(key, value, place)
         except UsageError:
             found.add(key)
     return found
@@ -155,17 +166,31 @@ def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
     return found
 
 
-def check_value(key: str, value: Any) -> None:
+def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:
     """See that a scenario could have this value, whatever the others were.
+
+    Args:
+        key: of the scenario.
+        value: that is fixed there.
+        place: the key and value that say where; where they do not, anywhere will do.
 
     Raises:
         UsageError: none could.
     """
-    last_step(scenario_from_human({**_ALLOWING, key: value}))
+    field = BY_KEY.get(key)
+    if not place and field is not None and field.anywhere is not None:
+        field.checked(field.from_human(value), field.anywhere)
+        return
+    # Each among others that allow it, as rain under a sky, and what crosses where something does.
+    last_step(scenario_from_human({**(place or {}), **_ALLOWING, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:
     try:
         return scenario_from_human(values)
     except UsageError as error:
-        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+        raise _headed(error, where) from error
+
+
+def _headed(error: UsageError, where: str) -> UsageError:
+    return UsageError(f'{where}: {str(error).removeprefix("scenario: ")}')

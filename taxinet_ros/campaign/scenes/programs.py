@@ -16,7 +16,7 @@ from typing import Any
 
 import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import PARAMETERS, PLACE, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'runway_world'
@@ -148,7 +148,8 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         about: heads the text: what it is and where it comes from.
         remarks: comments by key of the scenario.
     """
-    values = {**scenario.to_human(), **_exact(scenario)}
+    # The whole place: a reference would mean something to its campaign only.
+    values = {**scenario.to_human(), **_exact(scenario), PLACE.key: scenario.place}
     lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
     lines += [
         f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in PARAMETERS

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import DURATION, HUMAN_KEYS, by_key
+from taxinet_ros.core.scenario_fields import BY_PLACE, DURATION, HUMAN_KEYS, PLACE, by_key
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -244,6 +244,8 @@ class SceneSource:
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program, which says what is no scenario, would not say so in every scene."""
         drawn = self.search_space().drawn - set(self._values)
+        if PLACE.key in drawn:  # by which some others are possible or not
+            drawn |= BY_PLACE
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,8 @@ from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.place.runway import CROSSING_X_M
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS, by_key
+from taxinet_ros.core.scenario_fields import BY_KEY, PUSHING_FIELDS, RAIN_CLOUDS, by_key
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -37,14 +36,18 @@ DISTANCES_M = (1000.0, 1800.0)
 NOMINAL_HOUR = 10.0
 STEPS = {
     'cross_track_m': 0.1, 'distance_m': 10.0, 'heading_deg': 0.5, 'rain_percent': 1.0,
-    'time_of_day_h': 0.05,
+    'time_of_day_h': 0.05, 'wind_speed_mps': 0.5, 'gust_mps': 0.5, 'slope_percent': 0.1,
+    'speed_mps': 0.5,
 }
 """Step of each parameter that is a number; 0.05 h are 3 min."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
-    'shadows', 'crossing', 'date', 'aircraft',
+    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps', 'shadows',
+    'crossing', 'date', 'aircraft',
 )
 """What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
+_FOLLOWERS = {'wind_speed_mps': 'wind_direction_deg', 'gust_mps': 'gust_seed'}
+"""What has no effect where these are 0, and goes there with them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,6 +98,7 @@ class ShrinkSpace:
             one.key: one.values[steps[one.key]]
             for one in self.moving if steps[one.key] < one.axis.steps
         }
+        changed |= _followers(changed)
         built = scenario_from_human({**self.original.to_human(), **changed})
         names = [BY_KEY[key].attribute for key in changed]
         return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
@@ -129,13 +133,19 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    beyond = original.distance_m > CROSSING_X_M
+    crossings = original.runway.crossings
+    beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
         'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
     }
+    pushed = {field.key: field.to_human(field.absent) for field in PUSHING_FIELDS}
+    usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:
-        nominal = scenario_from_human({**drawn, **usual, **chosen})
+        asked = {**usual, **chosen}
+        nominal = scenario_from_human({**drawn, **asked, **_followers(asked)})
+        if 'aircraft' in chosen:  # in the run's own wind, for it may be taken there first
+            scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
     except UsageError as error:
         raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
     wanted = nominal.to_human()
@@ -159,6 +169,13 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
         if key not in KEYS:
             raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
     return chosen
+
+
+def _followers(values: Mapping[str, Any]) -> dict[str, float]:
+    """What goes to 0 with some of the values."""
+    return {
+        follower: 0.0 for key, follower in _FOLLOWERS.items() if float(values.get(key, 1.0)) == 0
+    }
 
 
 def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:

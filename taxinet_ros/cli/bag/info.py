@@ -18,6 +18,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.scenario_fields import clock_words, pushing_words
 from taxinet_ros.core.types import NS_PER_S
@@ -137,8 +138,10 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 def scene_words(scene: Mapping[str, Any]) -> str:
     """One-line description of a scenario in display units."""
     rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
+    place = '' if scene['place'] == DEFAULT_PLACE else f'{scene["place"]}, '
     return (
-        f'CTE {scene["cross_track_m"]:+.2f} m (left positive), HE {scene["heading_deg"]:+.1f} deg, '
+        f'{place}CTE {scene["cross_track_m"]:+.2f} m (left positive), '
+        f'HE {scene["heading_deg"]:+.1f} deg, '
         f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
         f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from taxinet_ros.cli.options import (
+    AirportOption,
+    AptDatOption,
     BoundOption,
     BudgetOption,
     ControllerCommandOption,
@@ -36,6 +38,7 @@ from taxinet_ros.cli.options import (
     ResumeOption,
     RunOption,
     RunsOption,
+    RunwayOption,
     SamplerOption,
     SamplerSettingOption,
     ScenarioArgument,
@@ -47,7 +50,9 @@ from taxinet_ros.cli.options import (
     UntilOption,
     WorkersOption,
     WorldOption,
+    airport_place,
     given_options,
+    with_airport,
     word_of,
 )
 
@@ -65,6 +70,9 @@ def run(
     controller_cmd: ControllerCommandOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
@@ -98,8 +106,8 @@ def run(
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=settings or (), specs=spec or (), out=out, processes=processes,
-        images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+        settings=with_airport(settings, airport, runway, apt_dat), specs=spec or (), out=out,
+        processes=processes, images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
         controller=word_of(context, 'controller'), latency=latency or (), free=free,
         real_time_factor=real_time_factor, world=world,
     )
@@ -140,6 +148,9 @@ def falsify(
     controller_cmd: ControllerCommandOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
@@ -172,8 +183,9 @@ def falsify(
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-            settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
-            resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+            settings=with_airport(settings, airport, runway, apt_dat), specs=spec or (), out=out,
+            processes=False, images=images, resume=resume, stop_on=stop_on, bounds=bound or (),
+            rates=rate or (),
             controller=word_of(context, 'controller'), latency=latency or (), world=world,
         )
         options = make_search_options(
@@ -229,6 +241,48 @@ def shrink(
             workers=workers, out=out, resume=resume, images=images, controller=controller,
         )
     raise typer.Exit(run_shrink(options, quiet=quiet))
+
+
+place_app = typer.Typer(rich_markup_mode=None, help='Places where runs take place.')
+
+
+@place_app.callback(invoke_without_command=True)
+def _place(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@place_app.command('list')
+def list_places() -> None:
+    """List the shipped places."""
+    from taxinet_ros.cli.run.place import print_places
+
+    print_places()
+
+
+@place_app.command('show')
+def show_place(
+    place: Annotated[
+        str,
+        typer.Argument(
+            metavar='PLACE', help='shipped name, YAML file, or ICAO code with --runway'
+        ),
+    ],
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE.png', help='picture to write; must be new (default: below bags/)'
+        ),
+    ] = None,
+) -> None:
+    """Describe a place, and draw it from above: runway, markings, pavements, taxi routes."""
+    from taxinet_ros.cli.run.place import show_place
+
+    if runway is not None or apt_dat is not None:
+        place = airport_place(place, runway, apt_dat)
+    show_place(place, out)
 
 
 def demo(

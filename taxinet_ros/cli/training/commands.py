@@ -8,11 +8,15 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.options import (
+    AirportOption,
+    AptDatOption,
     PerceptionOption,
     PicturesArgument,
+    RunwayOption,
     ScenarioArgument,
     SeedOption,
     VariedOption,
+    with_airport,
 )
 
 
@@ -170,11 +174,17 @@ def _camera(context: typer.Context) -> None:
 
 
 @camera_app.command()
-def frame(settings: SetOption = None, out: OutOption = None) -> None:
+def frame(
+    settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
+    out: OutOption = None,
+) -> None:
     """Render the first camera frame of a run of one scene, 360x200 pixels."""
     from taxinet_ros.cli.training.camera import save_frame
 
-    save_frame(settings or (), out)
+    save_frame(with_airport(settings, airport, runway, apt_dat), out)
 
 
 @camera_app.command()
@@ -186,12 +196,18 @@ def sheet(
         'cloud')
     ] = '',
     settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
     out: OutOption = None,
 ) -> None:
     """Render one pose at many hours and skies on one contact sheet."""
     from taxinet_ros.cli.training.camera import save_sheet
 
-    save_sheet(hours=hours, clouds=clouds, rain=rain, settings=settings or (), out=out)
+    save_sheet(
+        hours=hours, clouds=clouds, rain=rain,
+        settings=with_airport(settings, airport, runway, apt_dat), out=out,
+    )
 
 
 @camera_app.command()

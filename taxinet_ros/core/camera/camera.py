@@ -32,10 +32,11 @@ from taxinet_ros.core.camera.airframe import (
     hidden_columns,
 )
 from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
-from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, uncrossed_atlas
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
-from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion, quaternion_product
 
@@ -169,7 +170,7 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
 
 def prepare() -> None:
     """Build the data shared by all cameras of a process ahead of the first camera."""
-    ground_atlas()
+    ground_atlas(default_runway())
     grain_atlas()
 
 
@@ -178,7 +179,7 @@ class Camera:
 
     def __init__(
         self, scenario: Scenario, ground: NDArray[np.uint8] | None = None, *,
-        mount: Mount = WING_MOUNT, runway: Runway = KMWH_04,
+        mount: Mount = WING_MOUNT, runway: Runway | None = None,
     ) -> None:
         """Precompute everything fixed by the scenario; textures are made once per process.
 
@@ -189,15 +190,16 @@ class Camera:
                 there is a crossing.
             mount: mounting; the aircraft parts in the image, and the ground they hide, are always
             those of the wing mount.
-            runway: runway that defines the sun's position; its paint comes from the atlas.
+            runway: replaces the scenario's: its sun, surface and paint.
         """
         self._mount = mount
+        runway = runway or scenario.runway
         self._light = scenario_light(scenario, runway)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
-            ground = ground_atlas() if scenario.crossing else uncrossed_atlas()
+            ground = ground_atlas(runway, crossing=scenario.crossing)
         self._ground = GroundView(ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH)
         self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)

@@ -20,29 +20,30 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.texture import Floats, smooth_noise
-from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 
 
 def sun_position(
-    date: str, time_of_day_s: float, runway: Runway = KMWH_04
+    date: str, time_of_day_s: float, runway: Runway | None = None
 ) -> tuple[float, float]:
     """Azimuth (clockwise from true north, 0..2 pi) and elevation of the sun [rad].
 
     Args:
         date: ISO date.
-        time_of_day_s: local standard time after midnight [s]; there is no daylight saving.
-        runway: runway of the observer.
+        time_of_day_s: local clock time after midnight [s], by the runway's time zone.
+        runway: runway of the observer; None for KMWH 04.
 
     Raises:
         UsageError: the date or the time cannot be read.
     """
     if not math.isfinite(time_of_day_s):
         raise UsageError(f'sun: time of day is {time_of_day_s}, not a number of seconds')
-    local_time = datetime.timezone(datetime.timedelta(hours=runway.utc_offset_h))
+    runway = runway or default_runway()
     try:
-        day = datetime.datetime.fromisoformat(date).replace(tzinfo=local_time)
+        day = datetime.datetime.fromisoformat(date).replace(tzinfo=runway.zone)
     except ValueError as error:
         raise UsageError(f'sun: date is {date!r}, not YYYY-MM-DD') from error
     moment = day + datetime.timedelta(seconds=time_of_day_s)
@@ -51,10 +52,10 @@ def sun_position(
 
 
 def sun_direction(
-    azimuth_rad: float, elevation_rad: float, runway: Runway = KMWH_04
+    azimuth_rad: float, elevation_rad: float, runway: Runway | None = None
 ) -> NDArray[np.float64]:
     """Unit vector towards the sun in ``map`` (x along the runway, y left, z up), shape (3,)."""
-    yaw = runway.bearing_rad - azimuth_rad
+    yaw = (runway or default_runway()).bearing_rad - azimuth_rad
     flat = math.cos(elevation_rad)
     return np.array([flat * math.cos(yaw), flat * math.sin(yaw), math.sin(elevation_rad)])
 
@@ -161,8 +162,9 @@ def air_mass(elevation_rad: float) -> float:
     return float(1 / (sine + 0.50572 * (degrees + 6.07995) ** -1.6364))
 
 
-def scenario_light(scenario: Scenario, runway: Runway = KMWH_04) -> Light:
-    """The light of a place, and of a scenario's date, hour, clouds and rain."""
+def scenario_light(scenario: Scenario, runway: Runway | None = None) -> Light:
+    """The light of a scenario's place, or another runway's, date, hour, clouds and rain."""
+    runway = runway or scenario.runway
     azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s, runway)
     direct, diffuse = _weathered(scenario, elevation)
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))

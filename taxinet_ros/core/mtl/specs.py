@@ -14,7 +14,7 @@ from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.errors import UsageError
 
 SIGNALS: Mapping[str, str] = MappingProxyType(
@@ -85,7 +85,7 @@ def _spec(name: str, formula: ast.Formula) -> Spec:
 
 PHI_ALWAYS = f'always(abs(cte) <= {CENTRELINE_TOLERANCE_M})'
 PHI_EVENTUALLY = f'eventually[0:{SETTLING_TIME_S}]({PHI_ALWAYS})'
-ON_RUNWAY = f'always(abs(cte) <= {HALF_WIDTH_M})'
+ON_RUNWAY = f'always(abs(cte) <= {KMWH_HALF_WIDTH_M})'
 USABLE = (
     f'always(estimate_gap <= {LONGEST_BLIND_S} and unusable_share <= {MOST_UNUSABLE_SHARE})'
 )

@@ -16,7 +16,7 @@ from functools import cache
 
 import pymap3d
 
-from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.runway import Runway
 
 Vector = tuple[float, float, float]
 
@@ -164,6 +164,6 @@ def _combine(a: float, u: Vector, b: float, v: Vector) -> Vector:
 
 
 @cache
-def runway_frame(runway: Runway = KMWH_04) -> RunwayFrame:
+def runway_frame(runway: Runway) -> RunwayFrame:
     """The ``map`` frame of a runway."""
     return RunwayFrame(runway.threshold_deg, runway.end_deg, runway.elevation_m)

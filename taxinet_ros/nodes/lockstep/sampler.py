@@ -16,6 +16,7 @@ from taxinet_msgs.msg import Verdict
 
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import Gid
@@ -234,7 +235,9 @@ class ScenarioSampler(Node):
         found = response.result()
         if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
             return
-        result = result_of(found.result)
+        request = self._request
+        half_m = request.scenario.runway.half_width_m if request else KMWH_HALF_WIDTH_M
+        result = result_of(found.result, half_m)
         servers = self._servers()
         strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
         if self._client.answered_twice:
@@ -290,8 +293,8 @@ class ScenarioSampler(Node):
         )
 
 
-def result_of(answer: Any) -> RunResult:
-    """Convert the result of the action ``run_scenario``, from any server."""
+def result_of(answer: Any, half_width_m: float = KMWH_HALF_WIDTH_M) -> RunResult:
+    """Convert the result of the action ``run_scenario``, from any server, of a run on a runway."""
     status, verdict = answer.status, answer.verdict
     if status.outcome not in list(Outcome):
         detail = plain_line(f'answered {status.outcome!r}, which is not an outcome')
@@ -308,15 +311,15 @@ def result_of(answer: Any) -> RunResult:
         fingerprint=status.fingerprint,
         timing=plain_line(answer.timing),
         free=account_of(answer.account).figures() if answer.account.ended else {},
-        **(_judged(verdict) if judged else {}),
+        **(_judged(verdict, half_width_m) if judged else {}),
     )
 
 
-def _judged(verdict: Verdict) -> dict[str, Any]:
+def _judged(verdict: Verdict, half_width_m: float) -> dict[str, Any]:
     return {
         'robustness': {
             one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
         },
         'stopped_early': verdict.stopped_early,
-        'statistics': statistics_of(verdict),
+        'statistics': statistics_of(verdict, half_width_m),
     }

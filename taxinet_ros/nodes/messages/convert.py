@@ -19,6 +19,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, InfraKind, plain_line
@@ -55,8 +56,10 @@ def robustness_message(
     )
 
 
-def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:
-    """Statistics of the run in a verdict."""
+def statistics_of(
+    verdict: taxinet.Verdict, half_width_m: float = KMWH_HALF_WIDTH_M
+) -> RunStatistics:
+    """Statistics of the run in a verdict, along a runway of this half width [m]."""
     return RunStatistics(
         max_cross_track_m=verdict.max_cross_track_error,
         settle_time_s=verdict.settle_time,
@@ -69,6 +72,7 @@ def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:
             max_abs=verdict.estimate_he_error_max_abs,
         ),
         unusable_estimates=verdict.unusable_estimates,
+        half_width_m=half_width_m,
     )
 
 

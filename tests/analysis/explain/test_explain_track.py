@@ -12,7 +12,7 @@ from taxinet_ros.analysis.explain.track import APART_NS, Track, choose_rows
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import TrackingError
 
 APART = APART_NS // CONTROL_PERIOD_NS
@@ -44,7 +44,7 @@ def test_given_errors_then_the_worst_that_are_a_second_apart_and_the_start_are_c
 
 def test_given_the_aircraft_off_the_runway_then_what_comes_after_is_not_chosen():
     error, cte_m = np.linspace(0, 6, 61), np.zeros(61)
-    cte_m[40:42] = HALF_WIDTH_M + 1
+    cte_m[40:42] = default_runway().half_width_m + 1
     run = track(error, cte_m=cte_m)
     assert run.steps_on_runway == 40
     assert choose_rows(run, 3) == (0, 29, 39)

@@ -23,6 +23,7 @@ from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.rewrite.frames import restore_frames
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.errors import UsageError
 
 BAG = GOLDEN / 'truth-nominal'
@@ -125,7 +126,9 @@ def test_given_no_bag_or_a_foreign_one_when_viewed_then_it_says_so(tmp_path: Pat
 
 
 def test_given_ground_without_a_crossing_when_drawn_then_the_paint_is_not_interrupted() -> None:
-    crossed, plain = (ground_shapes(crossing=crossing) for crossing in (True, False))
+    crossed, plain = (
+        ground_shapes(default_runway(), crossing=crossing) for crossing in (True, False)
+    )
     assert (len(crossed['pavement']), len(plain['pavement'])) == (2, 1)
     longest = [max(max(x for x, _ in p) - min(x for x, _ in p) for p in ground['paint'])
                for ground in (crossed, plain)]

@@ -95,7 +95,8 @@ def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     lambda cdr: b'\x00\x00' + cdr[2:], lambda cdr: cdr[:4] + b'\xff' * (len(cdr) - 4),
 ])
 def test_given_bytes_that_are_no_message_then_the_error_names_the_topic(spoil):
-    canonical = Canonical(read_info(GOLDEN / 'truth-nominal').topics)
-    one = next(m for m in stored_messages(GOLDEN / 'truth-nominal') if m.topic.name == '/scenario')
+    bag = GOLDEN / 'truth-nominal'
+    canonical = Canonical(read_info(bag).topics)
+    one = next(m for m in stored_messages(bag) if m.topic.name == '/scenario')
     with pytest.raises(BagCorrupt, match=r'/scenario: .* bytes are no message of it'):
         canonical.message('/scenario', spoil(one.cdr))

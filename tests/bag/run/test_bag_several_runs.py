@@ -200,6 +200,13 @@ def test_ros14_given_a_recording_that_lost_a_step_then_doctor_says_which(tmp_pat
     assert 'step 7: without /taxi_command' in out
 
 
+def test_ros6_given_a_recording_that_lost_the_scenario_then_doctor_says_so(tmp_path, capsys):
+    kept = heard([GOOD], keep=lambda m: m.topic.name != '/scenario')
+    code, out, _ = call(capsys, 'bag', 'doctor', record(tmp_path / 'lossy', kept))
+    assert code == 3
+    assert 'scenario: 0 messages, not 1; nothing tells what was run' in out
+
+
 @pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize('words', [
     ('monitor',), ('bag', 'info'), ('bag', 'doctor'), ('bag', 'export', '--out', 'new.csv'),

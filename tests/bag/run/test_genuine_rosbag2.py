@@ -70,7 +70,7 @@ def test_ros6_given_topics_without_a_message_then_the_description_alone_tells_of
     (bag / 'metadata.yaml').write_text(before + at + after)
     code, out, _ = call(capsys, 'bag', 'doctor', bag)
     assert code == 3
-    assert "metadata.yaml: tells of topic '/timing', which is not in the bag" in out
+    assert "metadata.yaml: lists topic '/timing', which is not in the bag" in out
 
 
 def test_ros6_given_a_run_of_either_recorder_then_they_compare_export_and_split_alike(
@@ -99,7 +99,7 @@ def test_ros6_given_the_simulators_clock_then_the_first_run_lacks_its_beginning_
     code, out, _ = call(capsys, 'monitor', bag)
     assert code == 1
     assert 'sim_time near-00000  near  INCOMPLETE' in out
-    assert 'begins at 0.7 s: what came before was not recorded' in out
+    assert 'begins at 0.7 s: earlier steps were not recorded' in out
     assert 'sim_time far-00000  near  VIOLATED    rho    -2.000' in out
     code, out, _ = call(capsys, 'bag', 'doctor', bag)
     assert code == 3

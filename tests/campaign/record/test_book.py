@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.place.place_file import canonical
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import RecordError, UsageError
 
@@ -34,9 +37,11 @@ def events(out: Path) -> list[str]:
     return [json.loads(line)['event'] for line in lines]
 
 
-def run(book: CampaignBook, index: int, *broken: bool) -> Outcome:
+def run(
+    book: CampaignBook, index: int, *broken: bool, scene: Scenario = SCENE
+) -> Outcome:
     """Run one scene to its row; ``broken`` says of each attempt whether the bench broke it."""
-    request = book.begin_run(index, SCENE)
+    request = book.begin_run(index, scene)
     for breaks in (*broken, False):
         result = toy.result(request, Outcome.INFRA_ERROR if breaks else None)
         if not book.second_chance(request, result):
@@ -78,6 +83,50 @@ def test_given_a_run_that_breaks_then_it_has_one_second_chance_and_its_folder_is
         assert book.broken_in_a_row == 2
         assert book.next_retry() is None
     assert events(tmp_path).count('intent') == 6
+
+
+OWN_PLACE = canonical({
+    'name': 'own_09', 'time_zone': 'UTC+01:00',
+    'runway': {
+        'ends': [
+            {'designation': '09', 'latitude_deg': 50.0, 'longitude_deg': 8.0},
+            {'designation': '27', 'latitude_deg': 50.0, 'longitude_deg': 8.03},
+        ],
+        'width_m': 45, 'elevation_m': 100, 'category': 'visual', 'surface': 'asphalt',
+    },
+})
+_READ = """
+import sys
+from pathlib import Path
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+found = open_campaign(Path(sys.argv[1]))
+for row in found.rows:
+    print(row.place, found.scenario(row)[0].runway.width_m)
+"""
+
+
+def test_given_runs_at_a_place_of_ones_own_then_the_ledger_has_it_once_and_rows_its_reference(
+    tmp_path
+):
+    options = dataclasses.replace(OPTIONS, out=tmp_path)
+    there = dataclasses.replace(SCENE, place=OWN_PLACE)
+    reference = there.to_human()['place']
+    with CampaignBook(options, ('perception',)) as book:
+        book.begin(facts(options))
+        run(book, 0, scene=there)
+        run(book, 1)
+    with CampaignBook(options, ('perception',), resume=True) as book:
+        book.begin(facts(options), read_same_campaign(tmp_path, facts(options)))
+        run(book, 2, scene=there)
+    assert events(tmp_path).count('place') == 1
+    assert list(read_table(tmp_path)['place']) == [reference, 'kmwh_04', reference]
+    # Another process has seen neither the place nor a file of it.
+    told = subprocess.run(
+        [sys.executable, '-c', _READ, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert told.stdout.splitlines() == [
+        f'{reference} 45.0', f'kmwh_04 {SCENE.runway.width_m}', f'{reference} 45.0'
+    ]
 
 
 def test_given_a_book_that_goes_on_then_its_facts_are_written_with_the_first_thing_that_is_added(

@@ -215,7 +215,7 @@ def test_given_both_halves_of_the_weather_when_overridden_then_all_scenes_have_t
 @pytest.mark.parametrize(('overrides', 'message'), [
     ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track_m"),
     ({'heading': 'left'}, "override heading_deg=left: heading_deg needs a number, got 'left'"),
-    ({'cross_track': '99'}, 'override cross_track_m=99: cross_track_m is 99, outside -15..15 m'),
+    ({'cross_track': '99'}, 'override cross_track_m=99: cross_track_m is 99, outside -40..40 m'),
     ({'rain': '120'}, 'override rain_percent=120: rain_percent is 120, outside 0..100 %'),
     ({'rain': '0', 'rain_percent': '0'}, 'scenario: rain and rain_percent are the same'),
     ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain_percent=50: rain needs'),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 from collections.abc import Callable
@@ -354,6 +355,31 @@ def test_given_a_space_then_its_ends_are_exact_and_its_steps_are_what_people_wou
     assert make_shrink_space(Scenario(clouds='clear'), ['clouds=broken', 'rain=30']).moving[
         -2
     ].values == ('broken', 'scattered', 'cirrus', 'clear')
+
+
+def test_given_a_run_that_was_pushed_then_what_pushed_it_goes_to_nominal_with_what_hangs_on_it():
+    pushed = dataclasses.replace(
+        WET, wind_speed_mps=2.0, wind_direction_rad=1.0, gust_mps=1.0, gust_seed=7.0,
+        runway_state='icy', slope_fraction=0.002, speed_mps=6.0,
+    )
+    space = make_shrink_space(pushed)
+    moving = {one.key: one.values for one in space.moving}
+    assert moving['wind_speed_mps'] == (0.0, 0.5, 1.0, 1.5, 2.0)
+    assert moving['runway_state'] == ('dry', 'auto', 'wet', 'icy')
+    assert moving['slope_percent'] == (0.0, 0.1, 0.2)
+    assert moving['speed_mps'] == (5.0, 5.5, 6.0)
+    top = tuple(one.axis.steps for one in space.moving)
+    assert space.scenario(top) == pushed
+    assert not space.nominal.pushed
+    assert space.scenario((0,) * len(top)) == space.nominal
+    place = list(moving).index('wind_speed_mps')
+    calm = space.scenario((*top[:place], 0, *top[place + 1:]))
+    assert calm == dataclasses.replace(pushed, wind_speed_mps=0.0, wind_direction_rad=0.0)
+    breeze = space.scenario((*top[:place], 1, *top[place + 1:]))
+    assert breeze == dataclasses.replace(pushed, wind_speed_mps=0.5)
+    assert 'wind_speed_mps' not in {one.key for one in make_shrink_space(WET).parameters}
+    with pytest.raises(UsageError, match='--nominal: aircraft c172p: wind_speed_mps'):
+        make_shrink_space(dataclasses.replace(pushed, wind_speed_mps=9.0), ['aircraft=c172p'])
 
 
 def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path):

@@ -75,7 +75,7 @@ def ground_picture(
             power_of_two(np.minimum(by_row[:, None], by_column[None, :]) * common)
         )
 
-    colour = looked_up(atlas, *_on_strip(sight, levels, uw, w))
+    colour = looked_up(atlas, *_on_strip(atlas, sight, levels, uw, w))
     factor = np.broadcast_to(neutral.astype(np.int64), colour.shape).copy()
     first = sight.first_row_nearer_than(ground_view._GRAIN_REACH_M)
     factor[first:] = looked_up(grain, *_in_tile(sight, camera, levels, uw, w))[first:]
@@ -84,17 +84,20 @@ def ground_picture(
     return np.clip(np.rint(product), 0, 255).astype(np.uint8)
 
 
-def _on_strip(sight: Sight, levels: list[Floats], uw: Floats, w: Floats) -> tuple[Floats, Floats]:
-    end = 2 * ground.ROWS
+def _on_strip(
+    atlas: Image, sight: Sight, levels: list[Floats], uw: Floats, w: Floats
+) -> tuple[Floats, Floats]:
+    rows, columns = atlas.shape[0] // 2, atlas.shape[1] // 2
+    end = 2 * rows
     along = evaluate(
         sight.coordinate(0, ground.ROW_M, -ground.START_X_M / ground.ROW_M - end), uw, w
     )
     scale = clipped(levels[0], 2.0 ** (1 - ground.ROW_LEVELS), 1)
-    row = clipped(along, 16 - end, ground.ROWS - 16 - end) * scale + np.float32(end - 0.5)
+    row = clipped(along, 16 - end, rows - 16 - end) * scale + np.float32(end - 0.5)
 
-    # The ruler across is coarse beyond FINE_HALF_M on both sides of the middle, and bent there.
-    end, finer = 2 * ground.COLUMNS, ground.COARSE_M / ground.FINE_M
-    middle, half = (ground.COLUMNS / 2 - end) / finer, ground.FINE_HALF_M / ground.COARSE_M
+    # The ruler across is coarse beyond the fine half on both sides of the middle, and bent there.
+    end, finer = 2 * columns, ground.COARSE_M / ground.FINE_M
+    middle, half = (columns / 2 - end) / finer, ground.fine_half_m(columns) / ground.COARSE_M
     across = evaluate(sight.coordinate(1, ground.COARSE_M, middle), uw, w)
     inside = clipped(across, middle - half, middle + half)
     coarser = np.float32(2.0 ** round(math.log2(finer)))
@@ -102,7 +105,7 @@ def _on_strip(sight: Sight, levels: list[Floats], uw: Floats, w: Floats) -> tupl
     scale = np.where(beyond, levels[1] * coarser, levels[1]).astype(np.float32)
     scale = clipped(scale, 2.0 ** (1 - ground.COLUMN_LEVELS), 1)
     bent = fused(inside, np.float32(finer - 1), across)
-    column = clipped(bent, 4 - end, ground.COLUMNS - 4 - end) * scale + np.float32(end - 0.5)
+    column = clipped(bent, 4 - end, columns - 4 - end) * scale + np.float32(end - 0.5)
     return row, column
 
 

@@ -27,7 +27,8 @@ from taxinet_ros.core.camera.camera import (
     shared_curve,
 )
 from taxinet_ros.core.camera.light import ground_table, scenario_light, sun_direction, sun_position
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import AircraftState
@@ -101,7 +102,8 @@ def test_given_a_centreline_stripe_when_photographed_then_it_lies_where_k_projec
 ) -> None:
     # The stripe from 1009.5 to 1046 m, photographed from 6 m before it.
     start = min(
-        x for m in runway.markings() if m.kind == 'centreline' for x, _ in m.polygon if x > 1005
+        x for m in markings(default_runway()) if m.kind == 'centreline'
+        for x, _ in m.polygon if x > 1005
     )
     state = at(start - 6, y, heading_deg)
     picture = shot(state, shadows=False).mean(axis=2)
@@ -123,7 +125,8 @@ def test_given_a_centreline_stripe_when_photographed_then_it_lies_where_k_projec
 
 def test_given_a_stripes_end_when_photographed_then_its_row_is_the_projected_one() -> None:
     start = min(
-        x for m in runway.markings() if m.kind == 'centreline' for x, _ in m.polygon if x > 1005
+        x for m in markings(default_runway()) if m.kind == 'centreline'
+        for x, _ in m.polygon if x > 1005
     )
     errors = []
     for ahead in (8.0, 10.0, 12.0):

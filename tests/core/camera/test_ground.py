@@ -21,25 +21,29 @@ from taxinet_ros.core.camera.ground.pavement import (
     varied_style,
 )
 from taxinet_ros.core.camera.texture import build_ripmap
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.scenario import Scenario
+
+KMWH = default_runway()
+ROWS, COLUMNS = 8192, 640
 
 
 def base() -> np.ndarray:
-    return ground.ground_atlas()[: ground.ROWS, : ground.COLUMNS].mean(axis=2)
+    return ground.ground_atlas(KMWH)[:ROWS, :COLUMNS].mean(axis=2)
 
 
 def patch(x0: float, x1: float, y0: float, y1: float) -> float:
     rows = slice(*(round((x - ground.START_X_M) / ground.ROW_M) for x in (x0, x1)))
-    columns = slice(*(round(y / ground.FINE_M + ground.COLUMNS / 2) for y in (y0, y1)))
+    columns = slice(*(round(y / ground.FINE_M + COLUMNS / 2) for y in (y0, y1)))
     return float(base()[rows, columns].mean())
 
 
 def test_given_the_atlas_when_built_then_it_fits_in_memory_and_is_shared() -> None:
-    atlas = ground.ground_atlas()
-    assert atlas.shape == (2 * ground.ROWS, 2 * ground.COLUMNS, 3)
+    atlas = ground.ground_atlas(KMWH)
+    assert atlas.shape == (2 * ROWS, 2 * COLUMNS, 3)
     assert atlas.nbytes < 100e6
-    assert ground.ground_atlas() is atlas
+    assert ground.ground_atlas(KMWH) is atlas
     assert not atlas.flags.writeable
 
 
@@ -65,7 +69,7 @@ def test_given_the_crossing_when_measured_then_our_stripes_are_gone() -> None:
     for side in (-1, 1):
         low, high = sorted((side * 14.4, side * 15.0))
         assert patch(1425, 1465, low, high) < STANDARD.asphalt
-    dashes = [m.polygon for m in runway.markings() if m.kind == 'centreline']
+    dashes = [m.polygon for m in markings(KMWH) if m.kind == 'centreline']
     assert not any(1400 < x < 1490 for polygon in dashes for x, _ in polygon)
 
 
@@ -98,12 +102,12 @@ def mean_at(surface: np.ndarray, y_m: float, half_m: float) -> float:
 
 def test_given_a_style_when_laid_twice_then_the_surface_is_the_same() -> None:
     style = varied_style(np.random.default_rng(3))
-    assert np.array_equal(runway_surface(STRIP, style), runway_surface(STRIP, style))
+    assert np.array_equal(runway_surface(STRIP, style, KMWH), runway_surface(STRIP, style, KMWH))
 
 
 def test_given_two_draws_when_laid_then_the_surfaces_differ() -> None:
     rng = np.random.default_rng(3)
-    first, second = (runway_surface(STRIP, varied_style(rng)) for _ in range(2))
+    first, second = (runway_surface(STRIP, varied_style(rng), KMWH) for _ in range(2))
     assert np.abs(first.astype(float) - second).mean() > 5
 
 
@@ -112,7 +116,7 @@ def test_given_any_varied_style_when_laid_then_the_edge_stripes_stay_in_their_pl
     seed: int,
 ) -> None:
     style = varied_style(np.random.default_rng(seed))
-    surface = runway_surface(STRIP, style)
+    surface = runway_surface(STRIP, style, KMWH)
     for side in (-1, 1):
         stripe = mean_at(surface, side * 14.7, 0.3)
         beside = mean_at(surface, side * 13.2, 0.3)
@@ -121,27 +125,27 @@ def test_given_any_varied_style_when_laid_then_the_edge_stripes_stay_in_their_pl
 
 def test_given_more_rubber_when_laid_then_the_middle_is_darker() -> None:
     shades = [
-        mean_at(runway_surface(STRIP, replace(STANDARD, rubber_amount=amount)), 0, 4)
+        mean_at(runway_surface(STRIP, replace(STANDARD, rubber_amount=amount), KMWH), 0, 4)
         for amount in (0.0, 1.0, 1.8)
     ]
     assert shades[0] > shades[1] + 3 > shades[2] + 5
 
 
 def test_given_rubber_off_the_centreline_when_laid_then_that_side_is_darker() -> None:
-    surface = runway_surface(STRIP, replace(STANDARD, rubber_amount=1.8, rubber_shift_m=3.0))
+    surface = runway_surface(STRIP, replace(STANDARD, rubber_amount=1.8, rubber_shift_m=3.0), KMWH)
     assert mean_at(surface, 5, 2) < mean_at(surface, -5, 2) - 3
 
 
 def test_given_a_kind_left_out_when_laid_then_its_paint_is_gone() -> None:
     clean = GroundStyle(rubber_amount=0)
-    with_it = mean_at(runway_surface(STRIP, clean), 0, 0.3)
-    without = mean_at(runway_surface(STRIP, replace(clean, without=('centreline',))), 0, 0.3)
+    with_it = mean_at(runway_surface(STRIP, clean, KMWH), 0, 0.3)
+    without = mean_at(runway_surface(STRIP, replace(clean, without=('centreline',)), KMWH), 0, 0.3)
     assert with_it > without + 15
 
 
 def test_given_worn_paint_when_laid_then_less_of_it_is_left() -> None:
     shades = [
-        mean_at(runway_surface(STRIP, GroundStyle(rubber_amount=0, wear=wear)), 0, 0.3)
+        mean_at(runway_surface(STRIP, GroundStyle(rubber_amount=0, wear=wear), KMWH), 0, 0.3)
         for wear in (0.0, 1.0, 2.0)
     ]
     assert shades[0] > shades[1] + 3 > shades[2] + 6
@@ -153,12 +157,13 @@ def picture(distance_m: float, *, crossing: bool) -> np.ndarray:
 
 
 def test_given_no_crossing_then_our_stripes_go_through_and_nothing_else_is_painted_otherwise():
-    with_it, without = (runway.markings(crossing=there) for there in (True, False))
+    with_it, without = (markings(KMWH, crossing=there) for there in (True, False))
     def length(markings, kind):
         return sum(m.polygon[1][0] - m.polygon[0][0] for m in markings if m.kind == kind)
 
-    assert length(without, 'edge') == 2 * runway.LENGTH_M
-    assert length(with_it, 'edge') < length(without, 'edge') - 4 * runway.CROSSING_CLEAR_HALF_M + 1
+    assert length(without, 'edge') == 2 * KMWH.length_m
+    clear_m = 4 * KMWH.crossings[0].clear_half_m
+    assert length(with_it, 'edge') < length(without, 'edge') - clear_m + 1
     kinds = {m.kind for m in with_it} - {'edge', 'centreline'}
     assert len(kinds) == 4
     for kind in kinds:
@@ -167,10 +172,10 @@ def test_given_no_crossing_then_our_stripes_go_through_and_nothing_else_is_paint
 
 def test_given_no_crossing_then_the_ground_differs_there_and_nowhere_else():
     with_it, without = (
-        atlas[: ground.ROWS, : ground.COLUMNS]
-        for atlas in (ground.ground_atlas(), ground.uncrossed_atlas())
+        atlas[:ROWS, :COLUMNS]
+        for atlas in (ground.ground_atlas(KMWH), ground.ground_atlas(KMWH, crossing=False))
     )
-    x = ground.START_X_M + (np.arange(ground.ROWS) + 0.5) * ground.ROW_M
+    x = ground.START_X_M + (np.arange(ROWS) + 0.5) * ground.ROW_M
     differs = (with_it != without).any(axis=(1, 2))
     assert differs[(x > 1420) & (x < 1470)].all()
     assert not differs[(x < 1150) | (x > 1750)].any()

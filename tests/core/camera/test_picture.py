@@ -22,7 +22,8 @@ from picture_samples import FOCAL, OPEN, Picture, at, ground_points, luminance, 
 
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera, project
-from taxinet_ros.core.place.runway import EDGE_STRIPE_Y_M
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import edge_stripe_y_m
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS
 from taxinet_ros.core.types import AircraftState, TaxiCommand
@@ -118,7 +119,8 @@ def braking_run() -> list[AircraftState]:
 
 def stripe_row(state: AircraftState) -> float:
     """Row at which the right edge stripe should cross the column."""
-    points = np.array([(state.x_m + d, -EDGE_STRIPE_Y_M, 0.0) for d in np.linspace(4, 60, 600)])
+    edge = -edge_stripe_y_m(default_runway())
+    points = np.array([(state.x_m + d, edge, 0.0) for d in np.linspace(4, 60, 600)])
     found = pixels(state, points)
     order = np.argsort(found[:, 0])
     return float(np.interp(COLUMN, found[order, 0], found[order, 1]))

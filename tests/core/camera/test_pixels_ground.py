@@ -16,7 +16,11 @@ from taxinet_ros.core.camera.ground import atlas as ground
 from taxinet_ros.core.camera.ground import view as ground_view
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
 from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import AircraftState
+
+KMWH = default_runway()
+RULER = ground_view._ruler(8192, 640)
 
 GAIN = np.array([1.0, 0.93, 0.71])
 NOTHING_HIDDEN = np.zeros(2, np.int32)
@@ -37,7 +41,7 @@ POSES = st.builds(
 
 @functools.cache
 def view(height: int, width: int) -> GroundView:
-    return GroundView(ground_atlas(), grain_atlas(), GAIN, np.zeros(height, np.int32), width)
+    return GroundView(ground_atlas(KMWH), grain_atlas(), GAIN, np.zeros(height, np.int32), width)
 
 
 @settings(max_examples=40, deadline=None)
@@ -49,7 +53,7 @@ def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_
     rays = to_optical.T @ np.linalg.inv(intrinsics())
     stretched = ground_view._FINER_CODES * GAIN
     wanted = ground_picture(
-        atlas=ground_atlas(),
+        atlas=ground_atlas(KMWH),
         grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
         neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
         sight=pixels.Sight(rays, camera, *size),
@@ -68,7 +72,7 @@ def test_given_hidden_columns_when_the_ground_is_sampled_then_they_stay_and_the_
     rays = to_optical.T @ np.linalg.inv(intrinsics())
     height, width = 40, 361
     hidden = np.random.default_rng(seed).integers(0, width + 1, height, dtype=np.int32)
-    partly = GroundView(ground_atlas(), grain_atlas(), GAIN, hidden, width)
+    partly = GroundView(ground_atlas(KMWH), grain_atlas(), GAIN, hidden, width)
     found, whole = partly.render(rays, camera), view(height, width).render(rays, camera)
     is_hidden = np.arange(width)[None, :] < hidden[:, None]
     np.testing.assert_array_equal(found, np.where(is_hidden[..., None], 0, whole))
@@ -80,7 +84,7 @@ def test_given_what_is_no_texture_when_a_ground_is_made_of_it_then_it_says_so(
 ) -> None:
     no_texture, dither = np.zeros(shape, np.uint8), np.ones((2, 3), np.float32)
     with pytest.raises(ValueError, match=r'a texture is \(rows, columns, 3\)'):
-        pixels.Ground(no_texture, grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0)
+        pixels.Ground(no_texture, grain_atlas(), dither, RULER, (1, 1, 1), 1.0)
 
 
 @pytest.mark.parametrize('shape', [(3, 3, 3), (2, 2, 3), (2, 3, 4), (6, 3)])
@@ -88,8 +92,8 @@ def test_given_a_picture_of_another_size_when_filled_then_it_says_so_and_writes_
     shape: tuple[int, ...],
 ) -> None:
     dither, out = np.ones((2, 3), np.float32), np.zeros(shape, np.uint8)
-    textures = ground_atlas(), grain_atlas()
-    small = pixels.Ground(*textures, dither, ground_view._ruler(), (1, 1, 1), 1.0)
+    textures = ground_atlas(KMWH), grain_atlas()
+    small = pixels.Ground(*textures, dither, RULER, (1, 1, 1), 1.0)
     with pytest.raises(ValueError, match='of one size'):
         small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3), NOTHING_HIDDEN)
     assert not out.any()
@@ -100,7 +104,7 @@ def test_given_other_columns_than_there_are_when_left_out_then_it_says_so(
     hidden: list[int],
 ) -> None:
     small = pixels.Ground(
-        ground_atlas(), grain_atlas(), np.ones((2, 3), np.float32), ground_view._ruler(),
+        ground_atlas(KMWH), grain_atlas(), np.ones((2, 3), np.float32), RULER,
         (1, 1, 1), 1.0,
     )
     sight = pixels.Sight(np.eye(3), np.ones(3), 2, 3)
@@ -111,7 +115,7 @@ def test_given_other_columns_than_there_are_when_left_out_then_it_says_so(
 def test_given_a_picture_whose_rows_lie_apart_when_filled_then_it_refuses_to_fill_a_copy() -> None:
     dither = np.ones((2, 3), np.float32)
     small = pixels.Ground(
-        ground_atlas(), grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0
+        ground_atlas(KMWH), grain_atlas(), dither, RULER, (1, 1, 1), 1.0
     )
     part = np.zeros((2, 5, 3), np.uint8)[:, :3]
     with pytest.raises(TypeError, match='incompatible function arguments'):

@@ -9,37 +9,41 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymap3d.vincenty import vdist
 
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import Marking, Polygon, centreline_start_m, markings
+from taxinet_ros.core.place.runway import FOOT_M
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 
+KMWH = default_runway()
 
-def of_kind(kind: str) -> list[runway.Marking]:
-    return [marking for marking in runway.markings() if marking.kind == kind]
+
+def of_kind(kind: str) -> list[Marking]:
+    return [marking for marking in markings(KMWH) if marking.kind == kind]
 
 
 def test_given_the_end_points_when_measured_on_the_ellipsoid_then_length_and_bearing_agree() -> (
     None
 ):
     east, north, _ = pymap3d.geodetic2enu(
-        *runway.KMWH_04.end_deg,
+        *KMWH.end_deg,
         0.0,
-        *runway.KMWH_04.threshold_deg,
+        *KMWH.threshold_deg,
         0.0,
     )
     # The published length is that of a great circle on a sphere, 0.2 % short here.
-    assert math.hypot(east, north) == pytest.approx(runway.LENGTH_M, rel=3e-3)
+    assert math.hypot(east, north) == pytest.approx(KMWH.length_m, rel=3e-3)
     assert math.degrees(math.atan2(east, north)) == pytest.approx(
-        math.degrees(runway.KMWH_04.bearing_rad), abs=0.2
+        math.degrees(KMWH.bearing_rad), abs=0.2
     )
 
 
 def test_given_all_markings_when_listed_then_they_lie_on_the_runway() -> None:
-    corners = np.array([corner for m in runway.markings() for corner in m.polygon])
+    corners = np.array([corner for m in markings(KMWH) for corner in m.polygon])
 
-    assert len(runway.markings()) > 100
+    assert len(markings(KMWH)) > 100
     assert corners[:, 0].min() >= 0
-    assert corners[:, 0].max() <= runway.LENGTH_M
-    assert np.abs(corners[:, 1]).max() <= runway.HALF_WIDTH_M
+    assert corners[:, 0].max() <= KMWH.length_m
+    assert np.abs(corners[:, 1]).max() <= KMWH.half_width_m
 
 
 def test_given_the_threshold_when_counted_then_eight_stripes_an_end_of_the_circulars_size() -> None:
@@ -57,9 +61,9 @@ def test_given_the_centreline_when_measured_then_stripes_and_gaps_are_120_and_80
     starts = sorted(min(x for x, _ in m.polygon) for m in of_kind('centreline'))
     first, second = starts[:2]
 
-    assert second - first == pytest.approx(200 * runway.FOOT_M)
+    assert second - first == pytest.approx(200 * FOOT_M)
     polygon = min(of_kind('centreline'), key=lambda m: m.polygon[0][0]).polygon
-    assert polygon[1][0] - polygon[0][0] == pytest.approx(120 * runway.FOOT_M)
+    assert polygon[1][0] - polygon[0][0] == pytest.approx(120 * FOOT_M)
 
 
 @pytest.mark.parametrize('kind', ['centreline', 'edge'])
@@ -67,12 +71,12 @@ def test_given_the_crossing_when_painting_then_our_stripes_are_interrupted(kind:
     spans = [(m.polygon[0], m.polygon[1]) for m in of_kind(kind)]
     inside = []
     for (x0, y0), (x1, _) in spans:
-        clear0, clear1 = runway.crossing_clear_x(y0)
+        clear0, clear1 = KMWH.crossings[0].clear_x(y0)
         inside.append(min(x1, clear1 + 1) - max(x0, clear0 - 1) > 2.1)
 
     assert len(inside) >= 4
     assert not any(inside)
-    low, high = runway.crossing_clear_x(0.0)
+    low, high = KMWH.crossings[0].clear_x(0.0)
     assert 1350 < low < 1400
     assert 1490 < high < 1530
 
@@ -84,12 +88,12 @@ def test_given_the_designation_when_read_then_zero_stands_left_of_four() -> None
     assert len(near) == 7
     assert min(ys) == pytest.approx(-max(ys), abs=1.2)
     # A zero is as wide at half its height on both sides; a four has its stem on the right only.
-    middle = runway.CENTRELINE_START_M - 70 * runway.FOOT_M
+    middle = centreline_start_m(KMWH) - 70 * FOOT_M
     left = [p for p in near if max(y for _, y in p) > 0 and _covers(p, middle)]
     assert len(left) == 2
 
 
-def _covers(polygon: runway.Polygon, x_m: float) -> bool:
+def _covers(polygon: Polygon, x_m: float) -> bool:
     xs = [x for x, _ in polygon]
     return min(xs) < x_m < max(xs)
 
@@ -102,7 +106,7 @@ def on_the_ground(latitude_deg: float, longitude_deg: float) -> GeodeticPose:
     return GeodeticPose(
         latitude_rad=math.radians(latitude_deg),
         longitude_rad=math.radians(longitude_deg),
-        altitude_m=runway_frame().elevation_m,
+        altitude_m=runway_frame(KMWH).elevation_m,
         heading_rad=math.radians(54.0),
     )
 
@@ -116,8 +120,8 @@ def on_the_ground(latitude_deg: float, longitude_deg: float) -> GeodeticPose:
 def test_given_a_pose_when_placed_and_measured_then_it_is_the_same(
     x_m: float, y_m: float, z_m: float, yaw_rad: float
 ) -> None:
-    there = runway_frame().to_geodetic(MapPose(x_m=x_m, y_m=y_m, z_m=z_m, yaw_rad=yaw_rad))
-    back = runway_frame().to_map(there)
+    there = runway_frame(KMWH).to_geodetic(MapPose(x_m=x_m, y_m=y_m, z_m=z_m, yaw_rad=yaw_rad))
+    back = runway_frame(KMWH).to_map(there)
 
     assert back.x_m == pytest.approx(x_m, abs=1e-6)
     assert back.y_m == pytest.approx(y_m, abs=1e-6)
@@ -126,12 +130,12 @@ def test_given_a_pose_when_placed_and_measured_then_it_is_the_same(
 
 
 def test_given_the_published_end_points_when_measured_then_they_lie_on_the_x_axis() -> None:
-    threshold = runway_frame().to_map(on_the_ground(*THRESHOLD))
-    far_end = runway_frame().to_map(on_the_ground(*FAR_END))
+    threshold = runway_frame(KMWH).to_map(on_the_ground(*THRESHOLD))
+    far_end = runway_frame(KMWH).to_map(on_the_ground(*FAR_END))
 
     assert (threshold.x_m, threshold.y_m) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert far_end.y_m == pytest.approx(0.0, abs=1e-6)
-    assert far_end.x_m == pytest.approx(runway_frame().length_m, abs=1e-6)
+    assert far_end.x_m == pytest.approx(runway_frame(KMWH).length_m, abs=1e-6)
 
 
 def test_given_the_runway_when_its_length_is_taken_then_it_agrees_with_the_geodesic() -> None:
@@ -139,13 +143,13 @@ def test_given_the_runway_when_its_length_is_taken_then_it_agrees_with_the_geode
 
     # The geodesic runs on the ellipsoid, the runway 354 m above it.
     lifted_m = float(distance_m) * (1 + 354.0 / 6.378e6)
-    assert runway_frame().length_m == pytest.approx(lifted_m, abs=0.02)
-    heading = runway_frame().to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0)).heading_rad
+    assert runway_frame(KMWH).length_m == pytest.approx(lifted_m, abs=0.02)
+    heading = runway_frame(KMWH).to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0)).heading_rad
     assert math.degrees(heading) == pytest.approx(float(azimuth_deg), abs=1e-3)
 
 
 def test_given_points_off_the_centreline_when_placed_then_left_is_north_west() -> None:
-    frame = runway_frame()
+    frame = runway_frame(KMWH)
     centre = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0))
     left = frame.to_geodetic(MapPose(x_m=500, y_m=10, z_m=0, yaw_rad=0))
 
@@ -154,7 +158,7 @@ def test_given_points_off_the_centreline_when_placed_then_left_is_north_west() -
 
 
 def test_given_a_nose_to_the_left_when_placed_then_the_compass_turns_back() -> None:
-    frame = runway_frame()
+    frame = runway_frame(KMWH)
     straight = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0))
     left = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0.3))
 
@@ -162,7 +166,7 @@ def test_given_a_nose_to_the_left_when_placed_then_the_compass_turns_back() -> N
 
 
 def test_given_both_ends_when_aligned_then_true_heading_grows_by_the_convergence() -> None:
-    frame = runway_frame()
+    frame = runway_frame(KMWH)
     start = frame.to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0))
     end = frame.to_geodetic(MapPose(x_m=frame.length_m, y_m=0, z_m=0, yaw_rad=0))
 

@@ -29,7 +29,8 @@ from taxinet_ros.bag.run.run_bag import bag_topics
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import message_definition, type_hash
 from taxinet_ros.core.camera import camera
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
@@ -130,7 +131,7 @@ def test_ros21_given_a_recorded_run_then_its_frames_lead_to_the_white_paint_in_i
     found = messages(bag, '/camera/image_raw', '/camera/camera_info', TF, TF_STATIC)
     (static,) = found[TF_STATIC]
     # The cowling hides those on the left; the centreline is worn.
-    bars = [np.array(m.polygon) for m in runway.markings() if m.kind == 'touchdown']
+    bars = [np.array(m.polygon) for m in markings(default_runway()) if m.kind == 'touchdown']
     right = [bar for bar in bars if 0 < bar[:, 0].min() - 600.0 < 30 and bar[:, 1].max() < 0]
     assert len(right) == 2
     for image, info, tf in zip(

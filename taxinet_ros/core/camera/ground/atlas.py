@@ -1,77 +1,96 @@
-"""Ground textures: the whole runway strip as one ripmap, and a tile of fine grain.
+"""Ground textures: a whole runway strip as one ripmap, and a tile of fine grain.
 
-The strip spans x = -100..3,176.8 m in rows of 0.4 m. Its columns follow a bent ruler: 0.12 m each
-within 19.2 m of the centreline, 0.9 m beyond, out to 163 m. So the paint is sharp, the atlas is
-63 MB, and it is made in the memory of every process in a few tenths of a second; nothing is stored.
+The strip begins 100 m before the runway and has rows of 0.4 m. Its columns follow a bent ruler:
+0.12 m each to a few metres beyond the runway's edges, 0.9 m beyond, 144 m farther. So the paint is
+sharp, the atlas of KMWH 04 (8,192 rows, to 19.2 m and to 163 m from the centreline) is 63 MB, and
+it is made in the memory of every process in a few tenths of a second; nothing is stored.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from functools import cache
+import math
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.ground.pavement import (
-    STANDARD,
     Grid,
     GroundStyle,
+    crossing_rows,
     crossing_surface,
+    crossings,
     pavement_colours,
     runway_surface,
+    standard_style,
 )
 from taxinet_ros.core.camera.texture import Floats, build_ripmap, smooth_noise, white_noise
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import Runway
 
-ROWS, ROW_M, ROW_LEVELS = 8192, 0.4, 10
+ROW_M, ROW_LEVELS = 0.4, 10
 START_X_M = -100.0
-COLUMNS, COLUMN_LEVELS = 640, 6
+COLUMN_LEVELS = 6
 FINE_M, COARSE_M = 0.12, 0.9
-FINE_HALF_M = 19.2
-_SIDE_COLUMNS = 160
-HALF_SPAN_M = FINE_HALF_M + _SIDE_COLUMNS * COARSE_M
+SIDE_COLUMNS = 160
+_LEAST_BEYOND_M, _LEAST_BESIDE_M = 60.0, 3.9
 
 GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
 """Neutral grain code: the product is scaled by its inverse."""
 
 
-@cache
-def ground_atlas() -> NDArray[np.uint8]:
-    """The atlas of the standard look, made once per process."""
-    return make_ground_atlas(STANDARD)
+@lru_cache(maxsize=4)
+def ground_atlas(runway: Runway, *, crossing: bool = True) -> NDArray[np.uint8]:
+    """The atlas of a runway's usual look, made once per process.
+
+    Args:
+        runway: that it shows.
+        crossing: whether what crosses it is there.
+    """
+    return make_ground_atlas(standard_style(runway, crossing=crossing), runway)
 
 
-@cache
-def uncrossed_atlas() -> NDArray[np.uint8]:
-    """The atlas without the crossing runway, made on first use."""
-    return make_ground_atlas(dataclasses.replace(STANDARD, crossing=False))
+def fine_half_m(columns: int) -> float:
+    """How far from the centreline an atlas of so many columns has fine ones [m]."""
+    return (columns - 2 * SIDE_COLUMNS) / 2 * FINE_M
 
 
-def make_ground_atlas(style: GroundStyle) -> NDArray[np.uint8]:
-    """Ripmap of the ground's daylight colours, (2 * ROWS, 2 * COLUMNS, 3) uint8 RGB, read-only."""
-    base = np.empty((ROWS, COLUMNS, 3), np.uint8)
-    fine = Grid(rows=ROWS, columns=COLUMNS - 2 * _SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
-                y0_m=-FINE_HALF_M, dy_m=FINE_M)  # fmt: skip
-    surface = runway_surface(fine, style)
-    base[:, _SIDE_COLUMNS:-_SIDE_COLUMNS] = cv2.LUT(
+def _shape(runway: Runway) -> tuple[int, int]:
+    """Rows and columns of a runway's atlas: whole numbers of the coarsest level's."""
+    rows = (runway.length_m - START_X_M + _LEAST_BEYOND_M) / ROW_M
+    fine = 2 * (runway.half_width_m + _LEAST_BESIDE_M) / FINE_M
+    row_block, column_block = 2 ** (ROW_LEVELS - 1), 2 ** COLUMN_LEVELS
+    return (
+        row_block * math.ceil(rows / row_block),
+        2 * SIDE_COLUMNS + column_block * math.ceil(fine / column_block),
+    )
+
+
+def make_ground_atlas(style: GroundStyle, runway: Runway) -> NDArray[np.uint8]:
+    """Ripmap of the ground's daylight colours, (2 * rows, 2 * columns, 3) uint8 RGB, read-only."""
+    rows, columns = _shape(runway)
+    half_m = fine_half_m(columns)
+    base = np.empty((rows, columns, 3), np.uint8)
+    fine = Grid(rows=rows, columns=columns - 2 * SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
+                y0_m=-half_m, dy_m=FINE_M)  # fmt: skip
+    surface = runway_surface(fine, style, runway)
+    base[:, SIDE_COLUMNS:-SIDE_COLUMNS] = cv2.LUT(
         cv2.merge([surface] * 3), pavement_colours(style)
     )
     for side in (-1, 1):
-        start = -HALF_SPAN_M if side < 0 else FINE_HALF_M
-        grid = Grid(rows=ROWS, columns=_SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
+        start = half_m if side > 0 else -half_m - SIDE_COLUMNS * COARSE_M
+        grid = Grid(rows=rows, columns=SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
                     y0_m=start, dy_m=COARSE_M)  # fmt: skip
-        target = base[:, :_SIDE_COLUMNS] if side < 0 else base[:, -_SIDE_COLUMNS:]
-        target[:] = _field(grid, style, seed=style.seed + 60 + side)
-    _shoulders(base, fine, style)
+        target = base[:, :SIDE_COLUMNS] if side < 0 else base[:, -SIDE_COLUMNS:]
+        target[:] = _field(grid, style, runway, seed=style.seed + 60 + side)
+    _shoulders(base, fine, style, runway)
     atlas = build_ripmap(base, ROW_LEVELS, COLUMN_LEVELS)
     atlas.flags.writeable = False
     return atlas
 
 
-def _field(grid: Grid, style: GroundStyle, seed: int) -> NDArray[np.uint8]:
+def _field(grid: Grid, style: GroundStyle, runway: Runway, seed: int) -> NDArray[np.uint8]:
     """Dry ground beside the runway, tan near it, olive grass farther out; and the crossing."""
     value = _dry_texture(grid, seed)
     _, y = grid.centres(slice(0, 1))
@@ -79,10 +98,9 @@ def _field(grid: Grid, style: GroundStyle, seed: int) -> NDArray[np.uint8]:
     near, far = (np.array(t, np.float32) for t in (style.near_tint, style.far_tint))
     tint = near + (far - near) * grass
     colour = value[:, :, None] * tint[None]
-    # Around the crossing only, in two halves.
-    for first in (3300, 4000) if style.crossing else ():
-        rows = slice(first, first + 700)
-        surface, share = crossing_surface(*grid.centres(rows), COARSE_M, style)
+    for crossing in crossings(style, runway):
+        rows = crossing_rows(grid, crossing, max(abs(y[0, 0]), abs(y[0, -1])))
+        surface, share = crossing_surface(*grid.centres(rows), COARSE_M, style, crossing)
         tinted = surface[:, :, None] * np.array(style.asphalt_tint, np.float32)
         colour[rows] += share[:, :, None] * (tinted - colour[rows])
     codes: NDArray[np.uint8] = np.clip(colour, 0, 255).astype(np.uint8)
@@ -102,9 +120,11 @@ def _dry_texture(grid: Grid, seed: int) -> Floats:
     return value
 
 
-def _shoulders(base: NDArray[np.uint8], fine: Grid, style: GroundStyle) -> None:
+def _shoulders(
+    base: NDArray[np.uint8], fine: Grid, style: GroundStyle, runway: Runway
+) -> None:
     """Bare tan ground between the pavement's edge and the end of the fine columns."""
-    first = round(fine.column(HALF_WIDTH_M))
+    first = round(fine.column(runway.half_width_m))
     count = fine.columns - first
     for side in (-1, 1):
         seed = style.seed + 80 + side
@@ -113,12 +133,14 @@ def _shoulders(base: NDArray[np.uint8], fine: Grid, style: GroundStyle) -> None:
         noise += np.float32(1.0)
         tinted = noise[:, :, None] * np.array(style.near_tint, np.float32)
         colour = np.clip(tinted, 0, 255).astype(np.uint8)
-        middle = COLUMNS // 2
+        middle = base.shape[1] // 2
         edge = middle + side * (first - fine.columns // 2)
         columns = slice(edge, edge + count) if side > 0 else slice(edge - count, edge)
-        parts = (slice(0, 3480), slice(4300, fine.rows)) if style.crossing else (slice(None),)
-        for rows in parts:
-            base[rows, columns] = colour[rows]
+        bare = np.ones(fine.rows, bool)
+        for crossing in crossings(style, runway):
+            paved = (min(max(round(fine.row(x)), 0), fine.rows) for x in crossing.paved_m)
+            bare[slice(*paved)] = False
+        base[bare, columns] = colour[bare]
 
 
 @cache

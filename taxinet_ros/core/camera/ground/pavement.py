@@ -1,4 +1,4 @@
-"""Texture of the runway surface: asphalt, joints, worn paint, tyre rubber, the crossing.
+"""Texture of a runway surface: asphalt, joints, worn paint, tyre rubber, the crossings.
 
 A style holds shades, wear and random seed of its textures.
 """
@@ -6,14 +6,16 @@ A style holds shades, wear and random seed of its textures.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.texture import Floats, smooth_noise, white_noise
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.markings import Marking, Polygon, markings
+from taxinet_ros.core.place.runway import Crossing, Runway
 
 Tint = tuple[float, float, float]
 _OPTIONAL = ('threshold', 'designation', 'aiming', 'touchdown', 'centreline')
@@ -35,8 +37,8 @@ class GroundStyle:
         edge_wear: the same for the edge stripes, 0 = fresh.
         dash_scale, dash_shift_m: factor on lengths along the runway, and shift [m], of all paint
             but the edge stripes.
-        without: kinds of marking (see :class:`~taxinet_ros.core.place.runway.Marking`) left out.
-        crossing: whether the crossing runway exists and interrupts pavement and paint.
+        without: kinds of marking (see :class:`~taxinet_ros.core.place.markings.Marking`) left out.
+        crossing: whether crossing runways exist and interrupt pavement and paint.
     """
 
     seed: int = 0
@@ -56,8 +58,26 @@ class GroundStyle:
     without: tuple[str, ...] = ()
     crossing: bool = True
 
+
 STANDARD = GroundStyle()
 """KMWH 04, the standard style."""
+
+_SURFACE_LOOKS: dict[str, dict[str, Any]] = {
+    'asphalt': {},
+    'concrete': {
+        'asphalt': 158.0, 'paint': 222.0, 'asphalt_tint': (1.03, 1.0, 0.94), 'mottle': 0.7,
+    },
+}
+_SURROUNDINGS_LOOKS: dict[str, dict[str, Any]] = {
+    'dry': {},
+    'grass': {'near_tint': (112.0, 119.0, 80.0), 'far_tint': (98.0, 112.0, 70.0)},
+}
+
+
+def standard_style(runway: Runway, *, crossing: bool = True) -> GroundStyle:
+    """The look of a runway of its surface and surroundings, with or without what crosses it."""
+    looks = _SURFACE_LOOKS[runway.surface] | _SURROUNDINGS_LOOKS[runway.surroundings]
+    return replace(STANDARD, crossing=crossing, **looks)
 
 
 def varied_style(rng: np.random.Generator) -> GroundStyle:
@@ -96,6 +116,8 @@ def _tint(values: np.ndarray) -> Tint:
 _CROSSING_SHADE = 13.0
 """Darkening of the crossing runway's asphalt, in display codes."""
 _CROSSING_PAINT_SHADE = 8.0
+_LANE_M, _SLAB_M = 3.81, 7.62
+_CRACK_BEYOND_M = 1.76
 _CRACK = np.array([[0.5], [1.0], [0.5]], np.float32)
 _PAINT_TINT = np.array([1.01, 1.0, 0.96], np.float32)
 
@@ -144,18 +166,23 @@ def pavement_colours(style: GroundStyle) -> NDArray[np.uint8]:
     return table
 
 
-def runway_surface(grid: Grid, style: GroundStyle) -> NDArray[np.uint8]:
+def runway_surface(grid: Grid, style: GroundStyle, runway: Runway) -> NDArray[np.uint8]:
     """Surface codes of the runway strip, shape ``grid.shape``."""
-    value = _asphalt(grid, style)
-    painted = _lay_paint(value, grid, style)
-    _lay_rubber(value, painted, grid, style)
-    if style.crossing:
-        _lay_crossing(value, grid, style)
+    value = _asphalt(grid, style, runway)
+    painted = _lay_paint(value, grid, style, runway)
+    _lay_rubber(value, painted, grid, style, runway)
+    for number, crossing in enumerate(crossings(style, runway)):
+        _lay_crossing(value, grid, style, crossing, seed=style.seed + 41 + 1000 * number)
     return np.clip(value, 0, 255).astype(np.uint8)
 
 
-def _asphalt(grid: Grid, style: GroundStyle) -> Floats:
-    """Mottled asphalt with paving lanes, joints and sealed cracks."""
+def crossings(style: GroundStyle, runway: Runway) -> tuple[Crossing, ...]:
+    """What crosses a runway in a style."""
+    return runway.crossings if style.crossing else ()
+
+
+def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
+    """Mottled asphalt with paving lanes, joints and sealed cracks; or slabs of concrete."""
     value = white_noise(style.seed + 11, grid.shape)
     value *= np.float32(1.5)
     value += np.float32(style.asphalt)
@@ -168,26 +195,42 @@ def _asphalt(grid: Grid, style: GroundStyle) -> Floats:
         noise = smooth_noise(style.seed + seed, grid.shape, cells)
         value += noise * np.float32(amount * style.mottle)
     rng = np.random.default_rng(style.seed + 15)
-    for lane in range(-4, 5):
-        column = round(grid.column(lane * 3.81))
+    lanes = round(runway.half_width_m / _LANE_M)
+    for lane in range(-lanes, lanes + 1):
+        column = round(grid.column(lane * _LANE_M))
         if 0 <= column < grid.columns:
             value[:, column : column + 1] -= np.float32(rng.uniform(3, 7) * style.mottle)
-    x = 20.0
-    while x < runway.LENGTH_M:
+    if runway.surface == 'concrete':
+        _joint(value, grid, rng, style, runway)
+        return value
+    x, reach = 20.0, runway.half_width_m + _CRACK_BEYOND_M
+    while x < runway.length_m:
         row = round(grid.row(x))
-        left, right = sorted(rng.uniform(-17, 17, 2))
+        left, right = sorted(rng.uniform(-reach, reach, 2))
         columns = slice(round(grid.column(left)), round(grid.column(right)))
         value[row : row + 3, columns] -= np.float32(rng.uniform(3, 11) * style.mottle) * _CRACK
         x += rng.uniform(6, 40)
     return value
 
 
-def _lay_paint(value: Floats, grid: Grid, style: GroundStyle) -> Floats:
+def _joint(
+    value: Floats, grid: Grid, rng: np.random.Generator, style: GroundStyle, runway: Runway
+) -> None:
+    """The joints across the runway between slabs of concrete, sealed with tar."""
+    edges = (grid.column(side * runway.half_width_m) for side in (-1, 1))
+    left, right = (min(max(round(edge), 0), grid.columns) for edge in edges)
+    for number in range(int(runway.length_m / _SLAB_M) + 1):
+        row = round(grid.row(number * _SLAB_M))
+        if 0 <= row < grid.rows:
+            value[row, left:right] -= np.float32(rng.uniform(8, 16) * style.mottle)
+
+
+def _lay_paint(value: Floats, grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
     """Blend the markings over the surface, worn in patches; return their share of each texel."""
     painted = np.zeros(grid.shape, np.float32)
     patchy = smooth_noise(style.seed + 21, grid.shape, (0.9 / grid.dx_m, 0.3 / grid.dy_m))
     patchy += smooth_noise(style.seed + 22, grid.shape, (7.0 / grid.dx_m, 0.8 / grid.dy_m))
-    for marking in _markings(style):
+    for marking in _markings(style, runway):
         rows, columns, cover = coverage(marking.polygon, grid)
         patch = value[rows, columns]
         wear = style.edge_wear if marking.kind == 'edge' else style.wear
@@ -199,20 +242,20 @@ def _lay_paint(value: Floats, grid: Grid, style: GroundStyle) -> Floats:
     return painted
 
 
-def _markings(style: GroundStyle) -> list[runway.Marking]:
+def _markings(style: GroundStyle, runway: Runway) -> list[Marking]:
     """The markings kept by a style, stretched and shifted along the runway."""
 
-    def moved(marking: runway.Marking) -> runway.Marking:
+    def moved(marking: Marking) -> Marking:
         if marking.kind == 'edge':
             return marking
         corners = ((x * style.dash_scale + style.dash_shift_m, y) for x, y in marking.polygon)
-        return runway.Marking(kind=marking.kind, polygon=tuple(corners))
+        return Marking(kind=marking.kind, polygon=tuple(corners))
 
-    painted = runway.markings(crossing=style.crossing)
+    painted = markings(runway, crossing=style.crossing)
     return [moved(marking) for marking in painted if marking.kind not in style.without]
 
 
-def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
+def coverage(polygon: Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
     """Coverage of texels by a polygon: rows, columns and the share (0..1)."""
     points = np.array([(grid.column(y), grid.row(x)) for x, y in polygon])
     first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
@@ -229,21 +272,23 @@ def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]
     return rows, columns, cover.astype(np.float32) * np.float32(1 / 255)
 
 
-def _lay_rubber(value: Floats, painted: Floats, grid: Grid, style: GroundStyle) -> None:
+def _lay_rubber(
+    value: Floats, painted: Floats, grid: Grid, style: GroundStyle, runway: Runway
+) -> None:
     """Tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
     density = np.zeros(grid.shape, np.float32)
     rng = np.random.default_rng(style.seed + 31)
     shift = style.rubber_shift_m
     for _ in range(round(640 * style.rubber_amount)):
-        start = 40 + rng.beta(1.2, 2.6) * 800
+        start = runway.displaced_m[0] + 40 + rng.beta(1.2, 2.6) * 800
         _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
     for _ in range(round(460 * style.rubber_amount)):
-        start = runway.LENGTH_M - 60 - rng.beta(1.2, 2.6) * 800
+        start = runway.length_m - runway.displaced_m[1] - 60 - rng.beta(1.2, 2.6) * 800
         _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
     for _ in range(round(90 * style.rubber_amount)):
-        start = rng.uniform(500, 2400)
+        start = rng.uniform(500, max(runway.length_m - 642, 600))
         _streak(density, grid, rng, shift, start=start, length=rng.uniform(80, 300), strength=0.35)
-    _smear(density, grid, style)
+    _smear(density, grid, style, runway)
     patchy = smooth_noise(style.seed + 32, grid.shape, (3.0 / grid.dx_m, 0.4 / grid.dy_m))
     patchy += smooth_noise(style.seed + 33, grid.shape, (14.0 / grid.dx_m, 0.5 / grid.dy_m))
     density *= np.clip(1 + 0.2 * patchy, 0.45, 1.6)
@@ -286,13 +331,13 @@ def _streak(
     density[first:last, left:right] += bell
 
 
-def _smear(density: Floats, grid: Grid, style: GroundStyle) -> None:
+def _smear(density: Floats, grid: Grid, style: GroundStyle, runway: Runway) -> None:
     """Uniform rubber layer under the streaks of both touchdown zones, and faint centre trail."""
     x, y = grid.centres(slice(0, grid.rows))
     y = y - np.float32(style.rubber_shift_m)
-    near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.LENGTH_M - x, 40, 780)
+    near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.length_m - x, 40, 780)
     density += np.float32(0.30 * style.rubber_amount) * near * np.exp(-0.5 * np.square(y / 3.6))
-    trail = np.clip((x - 30) / 200, 0, 1) * np.clip((runway.LENGTH_M - x) / 200, 0, 1)
+    trail = np.clip((x - 30) / 200, 0, 1) * np.clip((runway.length_m - x) / 200, 0, 1)
     density += np.float32(0.1 * style.rubber_amount) * trail * np.exp(-0.5 * np.square(y / 3.0))
 
 
@@ -303,34 +348,43 @@ def _carpet(x: Floats, start: float, end: float) -> Floats:
     return carpet
 
 
-def _lay_crossing(value: Floats, grid: Grid, style: GroundStyle) -> None:
-    """Draw the crossing runway with its paint and rubber over the main runway."""
-    reach = runway.CROSSING_CLEAR_HALF_M + 8
-    slant = max(abs(grid.y0_m), abs(grid.y0_m + grid.columns * grid.dy_m)) / math.tan(
-        abs(runway.CROSSING_YAW_RAD)
-    )
-    first, last = (int(grid.row(runway.CROSSING_X_M + s * (reach * 1.05 + slant))) for s in (-1, 1))
-    rows = slice(first, last)
+def _lay_crossing(
+    value: Floats, grid: Grid, style: GroundStyle, crossing: Crossing, *, seed: int
+) -> None:
+    """Draw a crossing runway with its paint and rubber over the main runway."""
+    half_span_m = max(abs(grid.y0_m), abs(grid.y0_m + grid.columns * grid.dy_m))
+    rows = crossing_rows(grid, crossing, half_span_m)
     soft_m = max(grid.dx_m, grid.dy_m)
-    surface, share = crossing_surface(*grid.centres(rows), soft_m, style)
-    surface += 3 * white_noise(style.seed + 41, surface.shape)
+    surface, share = crossing_surface(*grid.centres(rows), soft_m, style, crossing)
+    surface += 3 * white_noise(seed, surface.shape)
     patch = value[rows]
     patch += share * (surface - patch)
 
 
+def crossing_rows(grid: Grid, crossing: Crossing, half_span_m: float) -> slice:
+    """The rows in which a crossing runway lies within a distance from our centreline."""
+    reach_m = (crossing.clear_half_m + 8) * 1.05
+    # Across an oblique one the way is longer; at KMWH's 75 degrees within these 5 %.
+    reach_m = max(reach_m, (crossing.clear_half_m + 4) / abs(math.sin(crossing.yaw_rad)))
+    slant_m = half_span_m / math.tan(abs(crossing.yaw_rad))
+    ends = (grid.row(crossing.x_m + side * (reach_m + abs(slant_m))) for side in (-1, 1))
+    first, last = (min(max(int(end), 0), grid.rows) for end in ends)
+    return slice(first, last)
+
+
 def crossing_surface(
-    x: Floats, y: Floats, soft_m: float, style: GroundStyle
+    x: Floats, y: Floats, soft_m: float, style: GroundStyle, crossing: Crossing
 ) -> tuple[Floats, Floats]:
     """Surface code of the crossing runway at (x, y) in ``map``, and its share of the texel."""
-    cos, sin = math.cos(runway.CROSSING_YAW_RAD), math.sin(runway.CROSSING_YAW_RAD)
-    along = (x - runway.CROSSING_X_M) * cos + y * sin
-    across = np.abs(-(x - runway.CROSSING_X_M) * sin + y * cos)
+    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
+    along = (x - crossing.x_m) * cos + y * sin
+    across = np.abs(-(x - crossing.x_m) * sin + y * cos)
 
     def inside(distance: Floats, half: float) -> Floats:
         share: Floats = np.clip((half - distance) / soft_m + 0.5, 0, 1)
         return share
 
-    half = runway.CROSSING_WIDTH_M / 2
+    half = crossing.width_m / 2
     value = style.asphalt - _CROSSING_SHADE + 4 * np.sin(across * 0.83)
     value += 3 * np.sin(along * 0.21 + across * 0.07)
     value += 9 * (1 - inside(across, half + 1))
@@ -339,4 +393,4 @@ def crossing_surface(
     dash = inside(np.abs(np.mod(along, 61.0) - 30.5), 18.3)
     paint = np.maximum(inside(np.abs(across - half + 1.4), 0.46), inside(across, 0.46) * dash * 0.8)
     value += paint * (style.paint - _CROSSING_PAINT_SHADE - value)
-    return value.astype(np.float32), inside(across, runway.CROSSING_CLEAR_HALF_M)
+    return value.astype(np.float32), inside(across, crossing.clear_half_m)

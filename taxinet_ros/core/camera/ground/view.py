@@ -13,16 +13,14 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.ground.atlas import (
     COARSE_M,
     COLUMN_LEVELS,
-    COLUMNS,
-    FINE_HALF_M,
     FINE_M,
     GRAIN_M,
     GRAIN_NEUTRAL,
     GRAIN_TEXELS,
     ROW_LEVELS,
     ROW_M,
-    ROWS,
     START_X_M,
+    fine_half_m,
 )
 from taxinet_ros.core.camera.sky import GROUND_END_TAN
 
@@ -39,13 +37,6 @@ _LEAST_FALL = GROUND_END_TAN / 2
 _BEND = COARSE_M / FINE_M - 1
 _BESIDE_BEND = 1e-3
 
-# Texels are counted from the far end of the ripmaps, so that changing the level is a
-# multiplication. Columns are the coarse ruler's, which the bend once more makes the fine one's.
-_ROW_END, _COLUMN_END = 2 * ROWS, 2 * COLUMNS
-_ROW_START = -START_X_M / ROW_M - _ROW_END
-_MIDDLE = (COLUMNS / 2 - _COLUMN_END) / (1 + _BEND)
-_HALF = FINE_HALF_M / COARSE_M
-
 # A power of two near the ratio of the texels along and across the runway to the grain's: the
 # footprints' levels serve twice.
 _FINER = tuple(
@@ -53,21 +44,29 @@ _FINER = tuple(
 )
 
 
-def _ruler() -> pixels.Ruler:
-    """Part of the pixel-to-texel mapping that depends on neither pose nor light."""
+def _ruler(rows: int, columns: int) -> pixels.Ruler:
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light.
+
+    ``rows`` and ``columns`` are those of the ground's finest texture.
+    """
+    # Texels are counted from the far end of the ripmaps, so that changing the level is a
+    # multiplication. Columns are the coarse ruler's, which the bend once more makes the fine one's.
+    row_end, column_end = 2 * rows, 2 * columns
+    middle = (columns / 2 - column_end) / (1 + _BEND)
+    half = fine_half_m(columns) / COARSE_M
     tile = GRAIN_TEXELS
     grain_along, grain_across = (
         (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
     )
     return pixels.Ruler(
         least_fall=_LEAST_FALL,
-        along=(ROW_M, _ROW_START, ROW_M),
-        along_limits=(16 - _ROW_END, ROWS - 16 - _ROW_END, _ROW_END - 0.5,
+        along=(ROW_M, -START_X_M / ROW_M - row_end, ROW_M),
+        along_limits=(16 - row_end, rows - 16 - row_end, row_end - 0.5,
                       2.0 ** (1 - ROW_LEVELS)),
-        across=(COARSE_M, _MIDDLE, FINE_M),
-        across_limits=(4 - _COLUMN_END, COLUMNS - 4 - _COLUMN_END, _COLUMN_END - 0.5,
+        across=(COARSE_M, middle, FINE_M),
+        across_limits=(4 - column_end, columns - 4 - column_end, column_end - 0.5,
                        2.0 ** (1 - COLUMN_LEVELS)),
-        bend=(_MIDDLE - _HALF, _MIDDLE + _HALF, _BEND, _BESIDE_BEND),
+        bend=(middle - half, middle + half, _BEND, _BESIDE_BEND),
         bend_levels=round(math.log2(1 + _BEND)),
         grain_along=grain_along,
         grain_across=grain_across,
@@ -107,7 +106,7 @@ class GroundView:
             atlas,
             np.asarray(cv2.multiply(grain, np.append(stretched, 1.0)), np.uint8),
             _dither(height, width),
-            _ruler(),
+            _ruler(atlas.shape[0] // 2, atlas.shape[1] // 2),
             (round(red), round(green), round(blue)),
             1 / (GRAIN_NEUTRAL * _FINER_CODES),
         )

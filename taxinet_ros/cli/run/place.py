@@ -1,0 +1,66 @@
+"""``taxinet place``: what places there are, and what one looks like from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from taxinet_ros.analysis.camera.place_map import plot_place
+from taxinet_ros.cli.training.camera import new_picture, write_picture
+from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
+from taxinet_ros.core.place.place import Place
+
+
+def print_places() -> None:
+    """Print a line for each shipped place."""
+    for name in SHIPPED_PLACES:
+        place = find_place(name)
+        runway = place.runway
+        print(
+            f'{name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
+            f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} {place.title}'
+        )
+
+
+def show_place(word: str, out: Path | None) -> None:
+    """Print what a place is, and draw it.
+
+    Raises:
+        UsageError: there is no such place, or the picture cannot be written.
+    """
+    place = typed_place(word)
+    path = new_picture(out, f'place-{place.name}')
+    for label, text in _lines(place):
+        print(f'{label:<12}{text}')
+    write_picture(path, lambda: plot_place(place, path))
+    print(f'picture: {path}')
+
+
+def _lines(place: Place) -> Iterator[tuple[str, str]]:
+    runway = place.runway
+    yield 'place', f'{place.reference}: {place.title}'
+    for number, (latitude, longitude) in enumerate((runway.threshold_deg, runway.end_deg)):
+        displaced = runway.displaced_m[number]
+        more = f', threshold displaced by {displaced:g} m' if displaced else ''
+        end = runway.designations[number]
+        yield f'end {end}', f'{latitude:.6f} {longitude:.6f}{more}'
+    yield 'runway', (
+        f'{runway.length_m:.1f} m x {runway.width_m:g} m, '
+        f'{math.degrees(runway.bearing_rad):.2f} deg true, {runway.elevation_m:g} m high'
+    )
+    edges = 'edge stripes' if runway.edge_stripes else 'no edge stripes'
+    yield 'paint', f'{runway.category}, {edges}'
+    yield 'ground', f'{runway.surface}, {runway.surroundings} beside it'
+    yield 'clocks', runway.time_zone
+    yield 'starts', (
+        f'distance_m 0..{runway.last_start_m:g}, '
+        f'cross_track_m -{runway.farthest_start_m:g}..{runway.farthest_start_m:g}'
+    )
+    for crossing in runway.crossings:
+        yield 'crossing', f'at {crossing.x_m:g} m, {crossing.width_m:g} m wide'
+    if place.pavements or place.lines or place.routes:
+        yield 'around it', (
+            f'{len(place.pavements)} pavements, {len(place.lines)} painted lines, '
+            f'{len(place.routes)} taxi routes'
+        )

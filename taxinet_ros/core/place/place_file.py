@@ -1,0 +1,295 @@
+"""Places read from YAML files of people's, and from the JSON that scenarios carry.
+
+Both are one mapping with the same keys (docs/world.md). Every bad value is one line that names the
+file and the key.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.place.markings import Polygon
+from taxinet_ros.core.place.place import PaintedLine, Pavement, Place, TaxiRoute
+from taxinet_ros.core.place.runway import (
+    CATEGORIES,
+    SURFACES,
+    SURROUNDINGS,
+    Crossing,
+    Runway,
+    time_zone,
+)
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import (
+    Section,
+    expected,
+    is_number,
+    load_json,
+    read_yaml,
+)
+
+_KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes')
+_RUNWAY_KEYS = (
+    'ends', 'width_m', 'elevation_m', 'length_m', 'bearing_deg', 'category', 'edge_stripes',
+    'surface', 'surroundings', 'crossings',
+)
+_END_KEYS = ('designation', 'latitude_deg', 'longitude_deg', 'displaced_m')
+_CROSSING_KEYS = ('x_m', 'yaw_deg', 'width_m', 'clear_half_m', 'paved_m')
+
+LEAST_LENGTH_M, MOST_LENGTH_M = 700.0, 5500.0
+LEAST_WIDTH_M, MOST_WIDTH_M = 15.0, 80.0
+_LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
+"""How far published figures may be from those of the ends."""
+_RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
+_CLEAR_M, _FILLET_M = 37.5, 85.0
+"""Unless a file says more: shoulder of a crossing runway, and length of the fillets beyond it."""
+STEEPEST_DEG = 20.0
+_FARTHEST_M = 50_000.0
+
+_NAME = re.compile(r'[a-z][a-z0-9_]{0,39}')
+_ICAO = re.compile(r'[A-Z0-9]{2,7}')
+_DESIGNATION = re.compile(r'(0[1-9]|[12][0-9]|3[0-6])[LCR]?')
+_FROM_SCENARIO = Path('place')
+
+
+def read_place(path: Path, *, shipped: bool = False) -> Place:
+    """The place in a YAML file.
+
+    Raises:
+        UsageError: it cannot be read, or a value in it is not as it should be.
+    """
+    return make_place(read_yaml(path, option='place'), path, shipped=shipped)
+
+
+def place_from_document(document: str) -> Place:
+    """The place that a scenario carries.
+
+    Raises:
+        UsageError: it is none.
+    """
+    try:
+        values = load_json(document)
+    except ValueError as error:
+        raise UsageError(f'place: neither a name nor JSON of a place: {error}') from None
+    return make_place(values, _FROM_SCENARIO)
+
+
+def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
+    """The place that plain values stand for.
+
+    Args:
+        values: what a file holds.
+        path: of the file, for the messages.
+        shipped: whether it comes with the program.
+
+    Raises:
+        UsageError: a value is not as it should be.
+    """
+    top = Section(path, values, _KEYS)
+    name = _matching(top, 'name', _NAME, 'a lower-case word, such as kmwh_04')
+    icao = _matching(top, 'icao', _ICAO, 'an ICAO code in capitals') if 'icao' in top else ''
+    zone = top.text('time_zone', kind='a time zone, such as Pacific/Auckland or UTC-08:00')
+    try:
+        time_zone(zone)
+    except ValueError as error:
+        raise top.wrong(str(error), 'time_zone') from None
+    assert isinstance(values, Mapping)
+    return Place(
+        name=name,
+        title=top.text('title', name, kind='a title'),
+        icao=icao,
+        runway=_runway(top.section('runway', _RUNWAY_KEYS), zone),
+        pavements=tuple(_pavement(one) for one in _entries(top, 'pavements', _PAVEMENT_KEYS)),
+        lines=tuple(_line(one) for one in _entries(top, 'lines', _LINE_KEYS)),
+        routes=tuple(_route(one) for one in _entries(top, 'routes', _ROUTE_KEYS)),
+        document=canonical(values),
+        shipped=shipped,
+    )
+
+
+def canonical(values: Mapping[str, Any]) -> str:
+    """Plain values as JSON, the same text for the same values whatever their order."""
+    return json.dumps(values, sort_keys=True, separators=(',', ':'), ensure_ascii=False)
+
+
+def _matching(section: Section, key: str, pattern: re.Pattern[str], kind: str) -> str:
+    text = section.text(key, kind=kind)
+    if not pattern.fullmatch(text):
+        raise section.wrong(expected(kind, text), key)
+    return text
+
+
+def _entries(section: Section, key: str, known: tuple[str, ...]) -> list[Section]:
+    """A list of mappings that may be left out."""
+    return section.sections(key, known) if key in section else []
+
+
+def _runway(section: Section, zone: str) -> Runway:
+    ends = section.sections('ends', _END_KEYS)
+    if len(ends) != 2:
+        raise section.wrong(f'expected two, the one taxied from first, got {len(ends)}', 'ends')
+    near, far = (
+        (one.number('latitude_deg', -85, 85), one.number('longitude_deg', -180, 180))
+        for one in ends
+    )
+    elevation_m = section.number('elevation_m', -430, 5000)
+    length_m, bearing_deg = _extent(section, near, far, elevation_m)
+    designations = tuple(
+        _matching(one, 'designation', _DESIGNATION, "a runway's number, such as '04' or '16R'")
+        for one in ends
+    )
+    if abs(int(designations[0][:2]) - int(designations[1][:2])) != 18:
+        raise section.wrong(f'{designations[0]} and {designations[1]} are no opposite ends', 'ends')
+    category = section.word('category', CATEGORIES)
+    displaced = [one.number('displaced_m', 0, length_m / 3, default=0.0) for one in ends]
+    return Runway(
+        threshold_deg=near,
+        end_deg=far,
+        elevation_m=elevation_m,
+        bearing_rad=math.radians(bearing_deg),
+        length_m=length_m,
+        width_m=section.number('width_m', LEAST_WIDTH_M, MOST_WIDTH_M),
+        time_zone=zone,
+        designations=(designations[0], designations[1]),
+        displaced_m=(displaced[0], displaced[1]),
+        category=category,
+        edge_stripes=(
+            section.switch('edge_stripes') if 'edge_stripes' in section
+            else category == 'precision'
+        ),
+        surface=section.word('surface', SURFACES),
+        surroundings=section.word('surroundings', SURROUNDINGS, 'dry'),
+        crossings=_crossings(section, length_m),
+    )
+
+
+def _extent(
+    section: Section, near: tuple[float, float], far: tuple[float, float], elevation_m: float
+) -> tuple[float, float]:
+    """Length [m] and true bearing [deg]: of the ends, or near these as they are published."""
+    length_m, bearing_deg = _measured(near, far, elevation_m)
+    if not LEAST_LENGTH_M <= length_m <= MOST_LENGTH_M:
+        raise section.wrong(
+            f'the ends are {length_m:.0f} m apart, '
+            f'expected {LEAST_LENGTH_M:.0f} to {MOST_LENGTH_M:.0f} m', 'ends',
+        )
+    published_m = section.number('length_m', LEAST_LENGTH_M, MOST_LENGTH_M, length_m)
+    if abs(published_m - length_m) > _LENGTH_SHARE * length_m:
+        raise section.wrong(f'the ends are {length_m:.0f} m apart, not {published_m:g}', 'length_m')
+    published_deg = section.number('bearing_deg', 0, 360, bearing_deg)
+    if abs((published_deg - bearing_deg + 180) % 360 - 180) > _BEARING_DEG:
+        raise section.wrong(
+            f'from end to end it is {bearing_deg:.2f}, not {published_deg:g}', 'bearing_deg'
+        )
+    return published_m, published_deg
+
+
+def _measured(
+    near: tuple[float, float], far: tuple[float, float], elevation_m: float
+) -> tuple[float, float]:
+    """Distance of two points [m], and true bearing of the second at the first [deg].
+
+    By the ellipsoid's radii of curvature at the middle (mid-latitude formula; WGS84): better than a
+    centimetre for the length of a runway.
+    """
+    squared = _FLATTENING * (2 - _FLATTENING)
+    middle = math.radians((near[0] + far[0]) / 2)
+    share = 1 - squared * math.sin(middle) ** 2
+    turn = math.radians((far[1] - near[1] + 180) % 360 - 180)
+    north_m = math.radians(far[0] - near[0]) * (
+        _RADIUS_M * (1 - squared) / share**1.5 + elevation_m
+    )
+    east_m = turn * math.cos(middle) * (_RADIUS_M / math.sqrt(share) + elevation_m)
+    bearing = math.atan2(east_m, north_m) - turn * math.sin(middle) / 2
+    return round(math.hypot(east_m, north_m), 3), round(math.degrees(bearing) % 360, 6)
+
+
+def _crossings(section: Section, length_m: float) -> tuple[Crossing, ...]:
+    found = sorted(
+        (_crossing(one, length_m) for one in _entries(section, 'crossings', _CROSSING_KEYS)),
+        key=lambda crossing: crossing.x_m,
+    )
+    for one, following in pairwise(found):
+        if one.clear_x(0.0)[1] > following.clear_x(0.0)[0]:
+            raise section.wrong(
+                f'those at {one.x_m:g} m and {following.x_m:g} m overlap', 'crossings'
+            )
+    return tuple(found)
+
+
+def _crossing(section: Section, length_m: float) -> Crossing:
+    yaw_deg = section.number('yaw_deg', -180, 180)
+    if abs(math.sin(math.radians(yaw_deg))) < math.sin(math.radians(STEEPEST_DEG)):
+        raise section.wrong(
+            f'expected an angle of {STEEPEST_DEG:.0f} deg or more to this runway, got {yaw_deg:g}',
+            'yaw_deg',
+        )
+    width_m = section.number('width_m', 10, MOST_WIDTH_M)
+    crossing = Crossing(
+        x_m=section.number('x_m', 0, length_m),
+        yaw_rad=math.radians(yaw_deg),
+        width_m=width_m,
+        clear_half_m=section.number('clear_half_m', width_m / 2, 150, width_m / 2 + _CLEAR_M),
+        paved_m=(0.0, 0.0),
+    )
+    low, high = crossing.clear_x(0.0)
+    paved_m = low - _FILLET_M, high + _FILLET_M
+    if 'paved_m' in section:
+        first, last = section.numbers('paved_m', 2, -1000, length_m + 1000)
+        paved_m = first, last
+    return Crossing(
+        x_m=crossing.x_m, yaw_rad=crossing.yaw_rad, width_m=width_m,
+        clear_half_m=crossing.clear_half_m, paved_m=paved_m,
+    )
+
+
+_PAVEMENT_KEYS = ('surface', 'outline_m', 'holes_m')
+_LINE_KEYS = ('style', 'points_m')
+_ROUTE_KEYS = ('name', 'one_way', 'on_runway', 'points_m')
+
+
+def _pavement(section: Section) -> Pavement:
+    kind = 'a list of outlines'
+    holes = section.take('holes_m', kind) if 'holes_m' in section else []
+    if not isinstance(holes, list):
+        raise section.wrong(expected(kind, holes), 'holes_m')
+    return Pavement(
+        surface=section.word('surface', (*SURFACES, 'other')),
+        outline=_points(section, section.take('outline_m', 'points'), 'outline_m', 3),
+        holes=tuple(_points(section, hole, 'holes_m', 3) for hole in holes),
+    )
+
+
+def _line(section: Section) -> PaintedLine:
+    points = section.take('points_m', 'points')
+    return PaintedLine(
+        style=section.whole('style', 0, 999), points=_points(section, points, 'points_m', 2)
+    )
+
+
+def _route(section: Section) -> TaxiRoute:
+    points = section.take('points_m', 'points')
+    return TaxiRoute(
+        name=section.text('name', '', kind='a name', empty=True),
+        one_way=section.switch('one_way') if 'one_way' in section else False,
+        on_runway=section.switch('on_runway') if 'on_runway' in section else False,
+        points=_points(section, points, 'points_m', 2),
+    )
+
+
+def _points(section: Section, value: object, key: str, least: int) -> Polygon:
+    kind = f'a list of {least} or more points [x, y] in metres'
+    if not isinstance(value, list) or len(value) < least:
+        raise section.wrong(expected(kind, value), key)
+    for point in value:
+        if not (
+            isinstance(point, list) and len(point) == 2
+            and all(is_number(one, -_FARTHEST_M, _FARTHEST_M) for one in point)
+        ):
+            raise section.wrong(expected('a point [x, y] in metres', point), key)
+    return tuple((float(x), float(y)) for x, y in value)

@@ -1,0 +1,85 @@
+"""``taxinet place``, and places of an apt.dat on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from taxinet_process import taxinet
+
+from taxinet_ros.core.place.catalogue import SHIPPED_PLACES
+
+APT_DAT = """\
+I
+1100 Version
+
+1 328 0 0 XTST Test Field
+100 30.00 1 0 0.25 0 2 0 09 50.0 8.0 0 0 2 0 0 0 27 50.0 8.028 0 0 3 0 0 0
+110 1 0.25 150.29 apron
+111 50.001 8.002
+111 50.001 8.004
+113 50.002 8.004
+99
+"""
+
+
+@pytest.fixture
+def apt_dat(tmp_path: Path) -> Path:
+    path = tmp_path / 'apt.dat'
+    path.write_text(APT_DAT)
+    return path
+
+
+def test_given_no_more_words_when_listed_then_every_shipped_place_has_a_line():
+    done = taxinet('place', 'list')
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == list(SHIPPED_PLACES)
+
+
+def test_given_a_shipped_place_when_shown_then_it_is_told_and_drawn(tmp_path):
+    done = taxinet('place', 'show', 'nzqn_05', '--out', tmp_path / 'map.png')
+    assert done.returncode == 0, done.stderr
+    assert 'end 05      -45.020123 168.734924, threshold displaced by 59.7 m' in done.stdout
+    assert 'clocks      Pacific/Auckland' in done.stdout
+    with Image.open(tmp_path / 'map.png') as drawn:
+        assert drawn.size[0] == 1100
+
+
+def test_given_the_same_place_when_drawn_twice_then_the_bytes_are_the_same(tmp_path, apt_dat):
+    words = ('place', 'show', 'XTST', '--runway', '27', '--apt-dat', apt_dat, '--out')
+    outs = [tmp_path / name for name in ('one.png', 'two.png')]
+    for out in outs:
+        done = taxinet(*words, out)
+        assert done.returncode == 0, done.stderr
+    assert 'around it   1 pavements, 0 painted lines, 0 taxi routes' in done.stdout
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+def test_given_an_airport_when_run_there_then_the_table_says_so(tmp_path, apt_dat, monkeypatch):
+    monkeypatch.setenv('TAXINET_APT_DAT', str(apt_dat))
+    done = taxinet(
+        'run', 'nominal', '--perception', 'truth', '--airport', 'XTST', '--runway', '9',
+        '--set', 'distance_m=500', '--set', 'duration_s=1', '--out', tmp_path / 'out',
+    )
+    assert done.returncode == 0, done.stderr
+    assert 'xtst_09@' in (tmp_path / 'out' / 'runs.csv').read_text()
+    apt_dat.unlink()
+    again = taxinet('run', '--from', tmp_path / 'out' / 'nominal-s0-00000', '--out', tmp_path / 'b')
+    assert again.returncode == 0, again.stderr
+    assert 'the same: ' in again.stdout
+
+
+@pytest.mark.parametrize(('words', 'line'), [
+    (('--runway', '04'), '--runway and --apt-dat: only with --airport'),
+    (('--airport', 'XTST'), '--airport XTST: name the end to taxi from, as --runway 04'),
+    (('--set', 'place=mars'), "place is 'mars', not one of kmwh_04, bikf_10, nzqn_05"),
+    (('--set', 'place=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
+    (('--set', 'place=nzqn_05', '--set', 'crossing=on'), 'crossing has no effect at nzqn_05'),
+    (('--set', 'place=nzqn_05', '--set', 'distance_m=1600'), 'outside 0..1450.3 m past the'),
+])
+def test_given_no_place_when_run_then_one_line_says_why(tmp_path, words, line):
+    done = taxinet('run', 'nominal', *words, '--out', tmp_path / 'out')
+    assert done.returncode == 2
+    assert line in done.stderr
+    assert len(done.stderr.splitlines()) == 1
