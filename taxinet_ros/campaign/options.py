@@ -354,18 +354,35 @@ def make_out(out: Path) -> None:
         raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
 
 
-def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
-    """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
+def read_settings(settings: Iterable[str]) -> dict[str, str]:
+    """Parse ``key=value`` words; scenario keys by their short form are spelled out.
 
     Raises:
-        UsageError: one is neither, a key is there with its short form too, or a place is none.
+        UsageError: one is no such word, or a key is given twice, by its short form too.
     """
-    overrides: dict[str, str] = {}
-    gains: dict[str, float] = {}
+    values: dict[str, str] = {}
     for setting in settings:
         key, equals, value = (part.strip() for part in setting.partition('='))
         if not (key and equals and value):
             raise UsageError(f'--set {setting!r}: expected key=value')
+        if key in values:
+            raise UsageError(f'--set {setting}: {key} is given twice; leave one out')
+        values[key] = value
+    try:
+        return by_key(values)
+    except UsageError as error:
+        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
+
+
+def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
+    """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
+
+    Raises:
+        UsageError: one is neither, a key is given twice, or a place is none.
+    """
+    overrides: dict[str, str] = {}
+    gains: dict[str, float] = {}
+    for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
             # A file may change: what the campaign is, and whether it goes on, has its digest.
             overrides[key] = typed_place(value).reference if key == PLACE.key else value
@@ -373,12 +390,9 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
         except ValueError:
-            raise UsageError(f'--set {setting}: {value!r} is no number') from None
+            raise UsageError(f'--set {key}={value}: {value!r} is no number') from None
     known = SteeringGains.__dataclass_fields__
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    try:
-        return by_key(overrides), gains
-    except UsageError as error:
-        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
+    return overrides, gains

@@ -15,6 +15,8 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.bag.run.messages import message_cdr
+from taxinet_ros.core import topics
 from taxinet_ros.core.topics import PARTICIPANTS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -190,3 +192,8 @@ print(recording.judge('phi_always').interval.lower)
     digest = hashlib.sha256(tx.render(there).tobytes()).hexdigest()
     assert shown == f'{digest} 45.0'
     assert float(rho) < -18
+
+
+def test_given_messages_of_another_version_then_one_line_says_what_to_do():
+    with pytest.raises(tx.UsageError, match=r'Scenario, as it is installed, has no fog: .* anew'):
+        message_cdr(topics.SCENARIO, {'fog': 1.0})

@@ -33,6 +33,7 @@ CALLS = {
     'render': (tx.render, {'scenario': SHORT}),
     'robustness': (tx.robustness, {'spec': 'phi_always', 'trace': RUN.trace}),
     'load_perception': (tx.load_perception, {}),
+    'load_place': (tx.load_place, {}),
     'open_recording': (tx.open_recording, {}),
     'open_campaign': (tx.open_campaign, {}),
     # No search is begun here, whatever else is right.

@@ -26,6 +26,7 @@ from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
 from taxinet_ros.core.world import Observation
+from taxinet_ros.errors import UsageError
 
 _STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
 _STEP = (*_STAMP, 'seq')
@@ -54,7 +55,10 @@ def message_cdr(topic: Topic, values: Values) -> bytes:
 def _message(store: Any, type_name: str, values: Values) -> Any:
     kinds = dict(store.fielddefs[type_name][1])
     if unknown := set(values) - set(kinds):
-        raise KeyError(f'{type_name} has no {", ".join(sorted(unknown))}')
+        raise UsageError(
+            f'{type_name}, as it is installed, has no {", ".join(sorted(unknown))}: it is of '
+            'another version; build taxinet_msgs anew'
+        )
     fields = {name: _field(store, kind, values.get(name)) for name, kind in kinds.items()}
     return store.types[type_name](**fields)
 

@@ -27,12 +27,12 @@ from taxinet_ros.analysis.camera.sheets import (
     scene_picture,
     sheet_scenes,
 )
-from taxinet_ros.campaign.options import DEFAULT_ROOT
+from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, by_key, clock_words
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
@@ -97,21 +97,6 @@ def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> No
 
 def _ratio(value: float) -> str:
     return '    -' if math.isnan(value) else f'{value:5.3f}'
-
-
-def read_settings(settings: Iterable[str]) -> dict[str, object]:
-    """Parse scenario values from ``key=value`` words; the last one per key wins.
-
-    Raises:
-        UsageError: a word is not ``key=value``, or a key is given twice, by its short form too.
-    """
-    values: dict[str, object] = {}
-    for setting in settings:
-        key, equals, value = (part.strip() for part in setting.partition('='))
-        if not (key and equals and value):
-            raise UsageError(f'--set {setting!r}: expected key=value')
-        values[key] = value
-    return by_key(values)
 
 
 def new_picture(out: Path | None, stem: str) -> Path:

@@ -81,6 +81,17 @@ BAD = {
     'missing weights': (['run', 'nominal', '--perception', 'x.safetensors'], 'no such file'),
     'unknown key': (['run', 'nominal', '--set', 'cloud=clear'], "unknown key 'cloud'; known:"),
     'no value': (['run', 'nominal', '--set', 'clouds'], 'expected key=value'),
+    'value twice': (
+        ['run', 'nominal', '--set', 'date=2020-03-20', '--set', 'date=2020-06-21'],
+        'date is given twice',
+    ),
+    'gain twice': (
+        ['run', 'nominal', '--set', 'steering.speed_mps=5', '--set', 'steering.speed_mps=6'],
+        'steering.speed_mps is given twice',
+    ),
+    'value twice, by its short form': (
+        ['run', 'nominal', '--set', 'heading=1', '--set', 'heading_deg=2'], 'are the same',
+    ),
     'out of range': (['run', 'nominal', '--set', 'cross_track=40'], 'outside -15..15'),
     'rain from clear sky': (
         ['run', 'nominal', '--set', 'rain=50', '--set', 'clouds=clear'], 'rain needs clouds',

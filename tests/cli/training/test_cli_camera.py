@@ -141,6 +141,7 @@ BAD = {
     'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'number of metres'),
     'no key': (['frame', '--set', 'clouds'], 'expected key=value'),
     'unknown key': (['frame', '--set', 'cloud=clear'], "unknown key 'cloud'"),
+    'key twice': (['frame', '--set', 'rain=1', '--set', 'rain=2'], 'rain is given twice'),
     'no PNG': (['frame', '--out', 'f.jpg'], 'use f.png'),
     'no parent': (['frame', '--out', 'no/where.png'], 'no such folder: no'),
     'not writable': (['frame', '--out', '/proc/f.png'], 'cannot be written'),
