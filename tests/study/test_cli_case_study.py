@@ -60,7 +60,7 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
     (tmp_path / 'full' / 'something').touch()
     done = taxinet('case-study', '--out', 'full', cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith('taxinet: error: --out full: already exists; recordings are never')
+    assert done.stderr.startswith('taxinet: error: --out full: already exists; recordings')
     assert len(done.stderr.splitlines()) == 1
     assert [path.name for path in (tmp_path / 'full').iterdir()] == ['something']
 

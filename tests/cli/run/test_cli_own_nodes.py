@@ -181,7 +181,8 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    (('run', '--from', 'n/nominal-s0-00000'), "own perception is 'bright paint', not a shipped one"),
+    (('run', '--from', 'n/nominal-s0-00000'),
+     "own perception is 'bright paint', not a shipped one"),
     (('run', '--from', 'n/nominal-s0-00000', '--perception', 'truth'),
      "own controller is 'proportional'; name one with --controller"),
     (('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller'),
@@ -262,7 +263,7 @@ def test_given_a_function_that_would_end_the_process_then_it_is_named_and_the_be
 
 
 @pytest.mark.parametrize(('function', 'says'), [
-    ('odd', 'UserCodeError: mine.py: odd answered '),
+    ('odd', 'UserCodeError: mine.py: odd returned '),
     ('stops', 'UserCodeError: mine.py:66: KeyboardInterrupt'),
     ('long', 'UserCodeError: mine.py:70: ValueError: yyy'),
 ])

@@ -67,7 +67,7 @@ BROKEN = [
     (WHOLE[:-7], 'net.onnx: is not a model that onnxruntime '),
     (WHOLE[: len(WHOLE) // 2], 'net.onnx: is not a model that onnxruntime '),
     (NAMED.replace(b'side', b'\xfe\xff\xff\xff'), 'net.onnx: is not a model that onnxruntime '),
-    (WHOLE.replace(b'weights', b'\xff\xff\xff\xff\xff\xff\xff', 1), 'net.onnx: is not a model that '),
+    (WHOLE.replace(b'weights', b'\xff\xff\xff\xff\xff\xff\xff', 1), 'net.onnx: is not a model'),
     (WHOLE + b'rest', 'net.onnx: is not a model that onnxruntime '),
 ]
 

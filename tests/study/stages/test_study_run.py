@@ -64,7 +64,7 @@ def test_given_a_whole_study_then_headings_number_its_stages_and_tell_the_time(f
     assert len(headings) == 30
     assert headings[1].startswith('[2/30] falsify-original: taxinet falsify s_falsif --sampler ')
     assert ' --runs 20 --workers 2' in headings[1]
-    assert sum(' to go' in line for line in lines) == 30
+    assert sum(' left' in line for line in lines) == 30
 
 
 def test_given_another_training_when_resumed_then_what_rests_on_it_is_done_anew(
