@@ -173,7 +173,7 @@ def test_given_a_world_where_it_has_no_effect_then_it_is_refused_by_name(
     site: Path, tmp_path: Path
 ) -> None:
     done = taxinet(site, 'run', '--from', 'bag', '--world', 'bicycle', cwd=tmp_path)
-    assert (done.returncode, 'already says --world' in done.stderr) == (2, True)
+    assert (done.returncode, '--world is taken from the bag' in done.stderr) == (2, True)
     for command in ('run', 'falsify', 'up'):
         words = () if command == 'up' else ('nominal',)
         done = taxinet(site, command, *words, '--world', 'mars', cwd=tmp_path)

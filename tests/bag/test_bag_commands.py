@@ -168,7 +168,7 @@ BAD = {
     'nothing there': (['info', 'nowhere'], 2, 'nowhere: no such bag'),
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
-    'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'holds no .mcap'),
+    'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'contains no .mcap'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'is inside the bag'),
     'export of a damaged bag': (

@@ -97,7 +97,7 @@ def test_given_any_interval_then_its_probability_is_that_of_drawn_values(
 @pytest.mark.parametrize(('other', 'said'), [
     ({'sampler': 'mab'}, 'seed-1: has another sampler than seed-0'),
     ({'perception': 'taxinet'}, 'has another perception'),
-    ({'seed': 1}, 'seed 1 is there twice'),
+    ({'seed': 1}, 'seed 1 is given twice'),
 ])
 def test_given_searches_that_are_not_alike_then_they_are_refused(
     other: dict[str, object], said: str,

@@ -259,7 +259,7 @@ def test_given_no_simulator_then_one_line_says_so_and_the_search_can_be_resumed(
         code, lines = ended(sampler)
     assert code == 4, lines
     assert 'simulator: not found within 0.1 s' in complaint(lines)
-    assert f'-p resume:=true -p out:={out} continues it' in complaint(lines)
+    assert f'continue with -p resume:=true -p out:={out}' in complaint(lines)
     assert results(out) == 0
     assert (out / 'campaign.json').exists()
 
@@ -269,7 +269,7 @@ BAD = {
     'unknown option': ({'sampler_options': ['seed=1']}, 'sampler ce: unknown option seed'),
     'option without value': ({'sampler_options': ['every']}, "'every': expected key=value"),
     'unknown rule': ({'until': 'bored'}, 'until bored: expected failures=K'),
-    'resume of nothing named': ({'resume': True}, 'resume: say with out which campaign'),
+    'resume of nothing named': ({'resume': True}, 'resume: name the campaign to continue with out'),
     'no sampler': ({'sampler': '', 'until': 'failures=1'}, 'until: for a sampler only; known: ran'),
     'a gain': ({'set': ['steering.heading_gain=1']}, 'set gains as its parameters'),
     'one formula twice': ({'specs': ['phi_always'] * 2}, 'specs: phi_always is given twice'),

@@ -153,7 +153,7 @@ def test_t17_domain_by_hand_takes_one_worker_and_nothing_is_written(words, tmp_p
 def test_t17_domain_by_hand_that_is_none_is_refused_before_a_search_begins(tmp_path, monkeypatch):
     monkeypatch.setenv(BY_HAND, 'banana')
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match="TAXINET_DOMAIN_ID 'banana': a ROS domain is a whole"):
+    with pytest.raises(UsageError, match="TAXINET_DOMAIN_ID 'banana': a ROS domain is an integer"):
         app(['falsify', 'nominal', '--out', 'new'], standalone_mode=False)
     assert list(tmp_path.iterdir()) == []
 

@@ -86,7 +86,7 @@ def test_r6_given_a_node_killed_amid_a_run_then_the_sampler_goes_on_and_the_next
     assert code == 4, output + errors
     # What the dead leave behind lingers for some 20 s; the run waits, and the new one is in it.
     assert outcomes(graph, seed) == [('INFRA_ERROR', 'died', who), ('PASS', '', '')]
-    graph.wait_to_say(f'{who} died: killed by SIGKILL; started again (1 of 3 in 60 s)')
+    graph.wait_to_say(f'{who} died: killed by SIGKILL; restarted (1 of 3 in 60 s)')
     graph.wait_to_say(f'{who} is ready again')
     after = graph.pids()
     assert after.keys() == before.keys()
@@ -134,7 +134,7 @@ def test_given_a_stopped_node_then_it_is_named_and_dies_with_its_killed_parent(t
         os.kill(pids['mtl_monitor'], signal.SIGSTOP)
         graph.wait_to_say(
             'mtl_monitor is silent: its process is stopped; '
-            f'kill -CONT {pids["mtl_monitor"]} wakes it'
+            f'resume it with kill -CONT {pids["mtl_monitor"]}'
         )
         os.kill(pids['mtl_monitor'], signal.SIGCONT)
         graph.wait_to_say('mtl_monitor answers again')

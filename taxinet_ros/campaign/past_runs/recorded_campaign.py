@@ -118,7 +118,7 @@ def open_campaign(folder: Path) -> RecordedCampaign:
     """
     path = folder / LEDGER_NAME
     if not path.is_file():
-        raise UsageError(f'{folder}: not a campaign (no {LEDGER_NAME}')
+        raise UsageError(f'{folder}: not a campaign: no {LEDGER_NAME}')
     return RecordedCampaign(folder=folder, content=read_ledger(path))
 
 

@@ -150,7 +150,7 @@ def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_
     ('message_count: 16', 'message_count: 15', 'message_count differ from the bag'),
     ('depth: 16', 'depth: 10', 'offered_qos_profiles differ from the bag'),
     ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
-    ('name: /clock', 'name: /clocks', 'does not know topic /clock'),
+    ('name: /clock', 'name: /clocks', 'lacks topic /clock'),
     ('version: 9', 'version: 10', 'version is 10; known up to 9'),
     ('nanoseconds: 1500000000', 'nanoseconds: 15', 'duration is'),
 ])
@@ -205,7 +205,7 @@ def test_given_an_index_that_lies_when_checked_then_it_is_told(run: Path, tmp_pa
     assert set(found) == {'index'}
     told = ' '.join(found['index'])
     assert 'statistics: attachment_count is 3, in the data 2' in told
-    assert 'ChunkIndex points at something else' in told
+    assert 'ChunkIndex points to something else' in told
 
 
 def test_given_nothing_readable_when_checked_then_empty(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_given_a_damaged_topic_at_the_top_when_recovered_then_the_copy_in_the_ch
 ) -> None:
     data = bytearray(whole)
     data[data.index(b'/taxi_command') + 1] = ord('x')
-    with pytest.raises(BagCorrupt, match='told in two ways; 0 sound messages'):
+    with pytest.raises(BagCorrupt, match='has two different definitions; 0 intact messages'):
         list(read_messages(damaged(bytes(data))))
     recover(damaged(bytes(data)), tmp_path / 'saved')
     assert read_all(tmp_path / 'saved') == (samples(STEPS), None)

@@ -282,14 +282,14 @@ def test_f3_attack_given_a_chunk_that_is_there_twice_then_it_is_saved_once_and_n
         path = damaged(data[:behind] + recorded[start:end] + data[behind:])
         outcome = recover(path, tmp_path / f'saved{len(data)}')
         assert outcome.saved == len(samples(40))
-        (line,) = [line for line in outcome.damage if 'once more' in line]
-        assert f'at byte {behind}: the chunk at byte {start} once more' in line
+        (line,) = [line for line in outcome.damage if 'is repeated' in line]
+        assert f'at byte {behind}: the chunk at byte {start} is repeated' in line
     # Amid other damage, too.
     broken = bytearray(recorded[:behind] + recorded[start:end] + recorded[behind:])
     broken[chunks_of(recorded)[10][1] - 6] ^= 0x10
     found, damage = salvaged(damaged(bytes(broken)))
     assert max(Counter(found).values()) == 1
-    assert sum('once more' in str(error) for error in damage) == 1
+    assert sum('is repeated' in str(error) for error in damage) == 1
 
 
 def test_f3_attack_given_chunks_without_checksum_then_it_is_said(

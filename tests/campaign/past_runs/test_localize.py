@@ -184,7 +184,7 @@ def test_given_trials_of_another_campaign_or_something_else_then_they_are_not_mi
 def test_given_bad_input_then_one_line_says_what_is_wrong(tmp_path):
     rows = failed_campaign(tmp_path / 'c', OFF[:1])
     bad = [
-        (tmp_path, {}, 'not a campaign (no ledger.jsonl'),
+        (tmp_path, {}, 'not a campaign: no ledger.jsonl'),
         (tmp_path / 'c', {'runs': 0}, '--runs 0: needs to be 1 or more'),
         (tmp_path / 'c', {'workers': 0}, '--workers 0: needs to be within 1..64'),
         (tmp_path / 'c', {'words': ['turth']}, '--with turth: unknown'),
@@ -230,5 +230,5 @@ def test_given_a_recorded_campaign_then_rows_rates_and_counterexamples_are_read_
     assert found.bag(rows[0]) is None
     assert found.scenario(rows[0]) == (OFF[0], False)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob('*')} == before
-    with pytest.raises(UsageError, match=r'not a campaign \(no ledger\.jsonl'):
+    with pytest.raises(UsageError, match=r'not a campaign: no ledger\.jsonl'):
         open_campaign(tmp_path)

@@ -143,7 +143,7 @@ def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder):
         (('experiment', 'mine.yaml', '--out', 'e'), 'already exists'),
         (('experiment', 'bad.yaml'), 'bad.yaml: runs: expected a whole number, 1 or more'),
         (('experiment', 'mine.yaml', '--resume'), '--resume: name the experiment to continue with'),
-        (('localize', 'e'), 'no campaign'),
+        (('localize', 'e'), 'not a campaign'),
         (('gate', 'c', '--min-satisfaction', '86'), 'a share'),
         (('gate', 'c', '--min-satisfaction', '0.5', '--inconclusive', 'maybe'), 'unknown; known'),
         (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'no such folder'),

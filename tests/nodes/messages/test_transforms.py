@@ -181,7 +181,7 @@ def test_ros21_given_a_transform_that_is_not_odometrys_then_the_doctor_finds_it(
 
     spoilt = altered(bag, tmp_path / bag.name, move)
     found = [str(finding.what) for finding in check_bag(spoilt).findings]
-    assert found == ['is not where ground_truth/odom says']
+    assert found == ['differs from ground_truth/odom']
 
 
 @pytest.mark.ros

@@ -198,7 +198,7 @@ def test_given_a_folder_with_other_things_when_made_then_it_is_refused_and_kept(
     (tmp_path / 'notes.txt').write_text('mine')
     with pytest.raises(UsageError, match='not empty; choose another'):
         write_dataset(options(tmp_path))
-    with pytest.raises(UsageError, match='nothing was begun'):
+    with pytest.raises(UsageError, match='nothing to resume'):
         write_dataset(options(tmp_path, resume=True))
     with pytest.raises(UsageError, match='not empty'):
         write_dataset(options(tmp_path / 'notes.txt'))

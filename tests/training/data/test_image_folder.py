@@ -104,7 +104,7 @@ def with_text(text: str) -> Callable[[Path], object]:
 
 HEAD = 'image,cte_m,heading_error_deg\n'
 CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
-    'no table': (lambda f: (f / 'labels.csv').unlink(), '', 'holds no labels.parquet and no'),
+    'no table': (lambda f: (f / 'labels.csv').unlink(), '', 'contains neither labels.parquet nor'),
     'two tables': (
         lambda f: (f / 'labels.parquet').write_bytes(b''), '', 'keep only one of them',
     ),

@@ -94,7 +94,7 @@ def test_given_nothing_to_learn_from_then_one_line_says_why(tmp_path):
     for folder, reason in (
         (campaign(tmp_path / 'no_bags', bags=False), 'no bag of its 2 failed runs can be read'),
         (campaign(tmp_path / 'all_well', failed=False), 'none of its 2 judged runs failed'),
-        (tmp_path, 'no campaign'),
+        (tmp_path, 'not a campaign'),
     ):
         with pytest.raises(UsageError, match=reason) as caught:
             counterexample_scenes(folder, 3, 1)
