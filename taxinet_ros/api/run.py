@@ -324,13 +324,12 @@ def run(
         The run with its trace, robustness and outcome.
 
     Warns:
-        UserWarning: what a requirement says is likely not what is meant, or the run broke a bound
-            or rate.
+        UserWarning: a requirement is likely mistaken, or the run violated an assumed bound or rate.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
-            function answered something else.
-        UserCodeError: a function in a file failed; what a function given here raises comes through.
+            function returned an invalid answer.
+        UserCodeError: a function in a file failed; exceptions of a given function propagate.
         InfraError: the simulator failed.
     """
     eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
