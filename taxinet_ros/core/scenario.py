@@ -148,14 +148,14 @@ class Scenario:
         return self.runway_state
 
     def to_human(self) -> dict[str, Any]:
-        """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""
+        """The scenario in user-facing units; the inverse of :func:`scenario_from_human`."""
         return {
             field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
-    """Build a scenario from the units people type (m, degrees, percent, hours).
+    """Build a scenario from user-facing units (m, degrees, percent, hours).
 
     Args:
         values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).

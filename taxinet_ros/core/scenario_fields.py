@@ -75,25 +75,25 @@ class ScenarioField:
     """One key of a scenario.
 
     Attributes:
-        key: its name outside, with the unit where it has one.
-        short: the key without its unit, '' where that is the key itself.
+        key: user-facing name, including the unit if there is one.
+        short: the key without its unit, '' if equal to the key.
         attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
             SI units.
-        title: for people, without the unit.
-        kind: of its values.
-        unit: in which people type and read it, '' for words.
-        si: how much one ``unit`` is in SI units.
-        si_unit: as it follows a number in SI units.
+        title: display name, without the unit.
+        kind: type of its values.
+        unit: user-facing unit, '' for words.
+        si: one ``unit`` in SI units.
+        si_unit: suffix of a number in SI units.
         low, high: least and greatest number in SI units, both allowed; of what depends on the
             place, at the paper's.
         anywhere: the same at some place at least, where it depends on the place.
         counted: from where and in which direction, as it follows either unit.
-        form: format of a number for people.
-        words: all that there are, in their order.
+        form: format of displayed numbers.
+        words: all allowed words, in order.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
-        absent: its value in recordings of before there was such a key, in SI units; None where
-            there always was.
+        absent: its value in recordings older than the key, in SI units; None if the key has always
+            existed.
     """
 
     key: str
@@ -115,7 +115,7 @@ class ScenarioField:
 
     @property
     def label(self) -> str:
-        """The key for people, without its unit: ``time of day``."""
+        """Display name of the key, without its unit: ``time of day``."""
         return (self.short or self.key).replace('_', ' ')
 
     @property
@@ -134,7 +134,7 @@ class ScenarioField:
         return self.unit if self.unit in ('', '°') else f' {self.unit}'
 
     def from_human(self, value: Any) -> Any:
-        """A value that a person typed, in SI units.
+        """Convert a user's value to SI units.
 
         Raises:
             UsageError: it is no number within the range, no switch or no place, where there should
@@ -173,7 +173,7 @@ class ScenarioField:
         fits = is_number(value) if self.kind is Kind.NUMBER else isinstance(value, expected)
         if switch is not (self.kind is Kind.SWITCH) or not (switch or fits):
             raise UsageError(f'scenario: {self.attribute} is {told(value)}, not {what}')
-        # A number of numpy's would take the arithmetic of the run to its own precision.
+        # A NumPy number would impose its precision on the arithmetic of the run.
         value = value if type(value) is expected else expected(value)
         low, high = limits or (self.low, self.high)
         if self.kind is Kind.NUMBER and not _within(value, low, high):
@@ -191,7 +191,7 @@ class ScenarioField:
         return value
 
     def value_words(self, value: Any) -> str:
-        """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
+        """Display text of a value in human units, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
         if self is TIME_OF_DAY:
             return clock_words(value)
         if self.kind is Kind.SWITCH:

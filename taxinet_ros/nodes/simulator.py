@@ -480,7 +480,7 @@ class Simulator(Node):
     # Endings ---------------------------------------------------------------------------------
 
     def _look_for_strangers(self, thorough: bool = False) -> None:
-        """End the run at hand if somebody speaks in it who has no part in it."""
+        """End the current run if a node outside it publishes on its topics."""
         run = self._run
         if run is not None and (stranger := self._stranger(run, thorough)) is not None:
             self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
@@ -498,7 +498,7 @@ class Simulator(Node):
         return first_stranger(topics, thorough) if run.started else None
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
-        # Nobody is blamed for what may be somebody else's.
+        # The error may be caused by a node outside the run.
         if kind != InfraKind.INTRUDER and (stranger := self._stranger(run)) is not None:
             kind, who, detail = InfraKind.INTRUDER, stranger.name, stranger.detail
         status = run.status(
@@ -517,7 +517,7 @@ class Simulator(Node):
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:
-        """End a run that nobody wants to see the end of, between two steps if that can be."""
+        """Abort a run, between two steps if possible."""
         self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
 
     def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
