@@ -191,7 +191,7 @@ class ScenarioField:
         return value
 
     def value_words(self, value: Any) -> str:
-        """Display text of a value in human units, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
+        """Display text of a value, with its user-facing unit: ``10:30``, ``+2.5 deg``, ``on``."""
         if self is TIME_OF_DAY:
             return clock_words(value)
         if self.kind is Kind.SWITCH:
