@@ -1,6 +1,6 @@
-"""What public functions and values take: a wrong kind is one line that names the parameter.
+"""Argument checks of public functions and values: a one-line error names the parameter.
 
-A door says what each parameter takes, once, where it is defined::
+A public function declares the kind of each parameter where it is defined::
 
     @takes(path=PATH, runs=WHOLE)
     def falsify(path, *, runs=100): ...
@@ -27,47 +27,47 @@ _TOLD_CHARACTERS = 40
 
 
 class Kind(NamedTuple):
-    """What a parameter takes.
+    """Kind of value that a parameter accepts.
 
     Attributes:
-        words: it in words, as in "expected ...".
-        accepts: whether a value is one; it may fail on values that are none.
+        words: description, as in "expected ...".
+        accepts: whether a value is of this kind; may raise for other values.
     """
 
     words: str
     accepts: Callable[[Any], bool]
 
     def __or__(self, other: Kind) -> Kind:
-        """What is of one kind or the other."""
+        """Union of two kinds."""
         return Kind(
             f'{self.words} or {other.words}', lambda value: self.has(value) or other.has(value)
         )
 
     def has(self, value: Any) -> bool:
-        """Whether a value is of this kind, whatever it is."""
+        """Whether a value is of this kind; never raises."""
         try:
             return bool(self.accepts(value))
-        except Exception:  # somebody's value may fail at anything
+        except Exception:  # a user's object may raise anything
             return False
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a value of another kind.
+        """Reject a value of another kind.
 
         Raises:
-            UsageError: it names the parameter, what came and what was expected.
+            UsageError: names the parameter, the value and the expected kind.
         """
         if not self.has(value):
             raise UsageError(f'{name}: got {told(value)}; expected {self.words}')
 
 
 def told(value: object) -> str:
-    """A value in a few words: plain ones as they are, others by their type."""
+    """Describe a value briefly: plain values as they are, others by type."""
     if isinstance(value, type):
         return f'the class {value.__name__}'
     if value is None or isinstance(value, str | bytes | bool | int | float):
         try:
             text = repr(value)
-        except ValueError:  # Python writes out no number of more than some thousand digits
+        except ValueError:  # Python does not print integers of more than some thousand digits
             text = 'a number of thousands of digits'
         return text if len(text) <= _TOLD_CHARACTERS else f'{text[:_TOLD_CHARACTERS]}…'
     if isinstance(value, list | tuple | dict | set) and not value:
@@ -76,7 +76,7 @@ def told(value: object) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a real number that fits a float, NaN among them; True and False are none."""
+    """Whether it is a real number that fits a float, NaN included; not True or False."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
     try:
@@ -87,7 +87,7 @@ def is_number(value: Any) -> bool:
 
 
 def a(words: str, *types: type) -> Kind:
-    """What is of one of some types."""
+    """Kind of values of the given types."""
     return Kind(words, lambda value: isinstance(value, types))
 
 
@@ -101,7 +101,7 @@ def _is_path(value: Any) -> bool:
 
 
 def _is_table(value: Any) -> bool:
-    pandas = sys.modules.get('pandas')  # who has a table has imported it
+    pandas = sys.modules.get('pandas')  # any table means that pandas is imported
     return pandas is not None and isinstance(value, pandas.DataFrame)
 
 
@@ -133,11 +133,11 @@ _OF_FIELDS: dict[str, tuple[Kind, type]] = {
 def takes(
     _elsewhere: Mapping[str, str] = {}, /, **kinds: Kind
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Have a function refuse arguments of other kinds than those named.
+    """Decorate a function to check the kinds of its arguments.
 
     Args:
-        _elsewhere: arguments that it does not have, and where to have what they ask for.
-        kinds: what each parameter takes.
+        _elsewhere: unsupported arguments, and the alternative for each.
+        kinds: kind of each parameter.
     """
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
@@ -170,11 +170,11 @@ _PARAMETERS = {
     'spec': 'specs', 'set': 'settings', 'sampler-option': 'sampler_options', 'bound': 'bounds',
     'rate': 'rates',
 }
-"""Options of the command line whose parameter in Python has another name."""
+"""Command-line options whose Python parameter has another name."""
 
 
 def python_words(line: str) -> str:
-    """A line about options of ``taxinet run`` for one who calls a function; commands stay.
+    """Rewrite a message about ``taxinet run`` options for Python callers; commands are kept.
 
     ``--sampler-option floor=0.3`` becomes ``sampler_options floor=0.3``.
     """
@@ -186,7 +186,7 @@ def python_words(line: str) -> str:
 
 
 def says_parameters(function: Callable[P, T]) -> Callable[P, T]:
-    """Have a function that shares its checks with the command line complain of its parameters."""
+    """Decorate a function that shares checks with the command line: errors name parameters."""
     @functools.wraps(function)
     def call(*args: P.args, **given: P.kwargs) -> T:
         try:
@@ -200,13 +200,13 @@ def says_parameters(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def check_fields(value: Any) -> None:
-    """Refuse a dataclass with a field of another kind than it is annotated as; NaN is a number.
+    """Check the fields of a dataclass against their annotations; NaN is a number.
 
-    What other libraries have for numbers, switches and texts becomes Python's own, for a number of
-    numpy's would take the arithmetic after it to its own precision.
+    Numbers, booleans and strings of other libraries become Python's own: a NumPy number would
+    impose its precision on later arithmetic.
 
     Raises:
-        UsageError: it names the class and the field.
+        UsageError: names the class and the field.
     """
     of_class: Any = type(value)
     for name, kind, plain in _kinds_of(of_class):

@@ -27,10 +27,10 @@ class ExitCode(IntEnum):
         USAGE: bad input, :class:`UsageError`.
         INCOMPLETE: the result is based on partial data, or there is too little data.
         INFRA: the test bench or the disk failed, :class:`InfraError` and :class:`RecordError`.
-        INTERRUPTED: by Ctrl-C; as shells say it, with 128 and the signal's number (POSIX.1-2024,
-            XCU section 2.8.2).
-        TERMINATED: likewise by SIGTERM.
-        UNREAD: nobody reads the output any more.
+        INTERRUPTED: ended by Ctrl-C; 128 plus the signal number, as in shells (POSIX.1-2024, XCU
+            section 2.8.2).
+        TERMINATED: ended by SIGTERM; likewise.
+        UNREAD: the reader of the output closed it.
     """
 
     OK = 0
@@ -44,10 +44,10 @@ class ExitCode(IntEnum):
 
 
 def plain_line(text: str) -> str:
-    """A text as one line that a terminal shows as it is.
+    """Make a text safe to print on one terminal line.
 
-    What is quoted in a message may come from a bag or a file of anybody's: line breaks and other
-    signs that a terminal obeys are spelled out, and what is beyond :data:`MAX_CHARACTERS` is cut.
+    Messages may quote untrusted bags or files: line breaks and other control characters are
+    escaped, and text beyond :data:`MAX_CHARACTERS` is cut.
     """
     if len(text) > MAX_CHARACTERS:
         text = f'{text[:MAX_CHARACTERS]}…'
@@ -57,26 +57,26 @@ def plain_line(text: str) -> str:
 
 
 def warn_once(text: str) -> None:
-    """Print a line on stderr on what is not as safe as it may seem, the first time it is found."""
-    if text in _WARNED or sys.stderr is None:  # None: it was closed before Python started
+    """Print a warning on stderr, once per process."""
+    if text in _WARNED or sys.stderr is None:  # None: closed before Python started
         return
     _WARNED.add(text)
-    with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+    with contextlib.suppress(OSError, ValueError):  # stderr is closed
         print(f'taxinet: warning: {plain_line(text)}', file=sys.stderr)
 
 
 class UsageError(Exception):
-    """Bad input. The message is one line: what is wrong, where, and how to mend it. CLI exit 2."""
+    """Bad input. The one-line message says what is wrong, where, and the fix. CLI exit 2."""
 
     def __init__(self, message: str) -> None:
         super().__init__(plain_line(message))
 
 
 class RecordError(Exception):
-    """What was found out cannot be kept: its place is full, closed or gone. CLI exit 4.
+    """A result cannot be saved: the destination is full, closed or gone. CLI exit 4.
 
-    Unlike a place that is named wrongly at the start, this comes amid the work, and what was
-    recorded before it stays.
+    Unlike an invalid destination, which is rejected at the start, this happens during the work;
+    everything recorded before it is kept.
     """
 
     def __init__(self, message: str) -> None:
@@ -87,15 +87,15 @@ class InfraKind(enum.StrEnum):
     """How a part of the test bench failed. ``docs/faults.md`` and ``RunStatus.msg`` list them."""
 
     NOT_READY = 'not_ready'
-    """A node was not there, or not ready, in time."""
+    """A node was missing or not ready in time."""
     TIMEOUT = 'timeout'
     """A node or process was silent for too long."""
     DIED = 'died'
     """A process ended."""
     NODE_ERROR = 'node_error'
-    """A node could not go on, and said why."""
+    """A node reported an error and stopped."""
     PROTOCOL = 'protocol'
-    """A node gave an answer that cannot be one: it does not keep to the lockstep."""
+    """A node violated the lockstep protocol."""
     SIM = 'sim'
     """The simulator or JSBSim failed."""
     BAG = 'bag'

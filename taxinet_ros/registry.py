@@ -1,10 +1,10 @@
 """Extension points: perceptions, controllers, samplers, worlds and requirements by name.
 
-An installed package adds to them by entry points in the groups ``taxinet_ros.perceptions``,
+Installed packages add extensions through entry points in the groups ``taxinet_ros.perceptions``,
 ``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds`` and
-``taxinet_ros.requirements``; docs/extending.md says what each has to be. What is shipped stands in
-the same groups. Nothing is imported until its name is asked for, so a package that is broken is
-heard of only by whoever names it.
+``taxinet_ros.requirements``; docs/extending.md describes the requirements for each. The shipped
+ones use the same groups. An extension is imported only when its name is looked up, so a broken
+package affects only those who use it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WORLDS, REQUIREMENTS = 'worlds', 'requirements'
 OURS = 'taxinet_ros'
 
 KMWH = 'kmwh'
-"""The world that is shipped: an aircraft on runway 04 of Grant County airport."""
+"""The shipped world: an aircraft on runway 04 of Grant County airport."""
 
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
@@ -41,7 +41,7 @@ _SAMPLERS = (
 
 
 def _constants(module: str, names: tuple[str, ...]) -> dict[str, str]:
-    """Targets of names whose objects are constants of a module, in capitals."""
+    """Targets of names that stand for upper-case constants of a module."""
     return {name: f'{module}:{name.upper().replace("-", "_")}' for name in names}
 
 
@@ -57,11 +57,11 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'taxinet_ros.core.mtl.specs', ('phi_always', 'phi_eventually', 'on_runway', 'usable')
     ),
 }
-"""What is shipped: target (``module:object``) by extension point and name, in the order in which
-people are told of it. setup.py makes entry points of them."""
+"""Shipped extensions: target (``module:object``) by extension point and name, in the order in
+which they are listed to users. setup.py declares them as entry points."""
 
 RESERVED = frozenset({'external', 'python', 'onnx', 'weights'})
-"""Words that mean something else where a name is given or recorded."""
+"""Words with another meaning on the command line or in records; not allowed as names."""
 
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')
 _CODE = ('.py', '.so', '.pyd')
@@ -71,14 +71,14 @@ _T = TypeVar('_T')
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Extension:
-    """Something that a package provides under a name.
+    """A named object provided by a package.
 
     Attributes:
-        kind: extension point, one of :data:`SHIPPED`'s keys.
-        name: what people type.
-        target: where it is, ``module:object``.
-        distribution: the package that provides it, as it is installed.
-        version: of that.
+        kind: extension point, a key of :data:`SHIPPED`.
+        name: name by which users select it.
+        target: location of the object, ``module:object``.
+        distribution: name of the installed package that provides it.
+        version: version of that package.
     """
 
     kind: str
@@ -89,19 +89,19 @@ class Extension:
 
     @property
     def shipped(self) -> bool:
-        """Whether it is ours."""
+        """Whether it is part of this package."""
         return self.distribution == OURS
 
     @property
     def words(self) -> str:
-        """It and where it comes from, for people: ``controller pid of our-pids 1.2``."""
+        """Description with its origin, for messages: ``controller pid of our-pids 1.2``."""
         return f'{self.kind.removesuffix("s")} {self.name} of {self.distribution} {self.version}'
 
     @property
     def package(self) -> Path | None:
-        """Folder, or only file, of the package that it is in; None where that is not to be found.
+        """Folder (or single file) of the package that contains it; None if not found.
 
-        Nothing is imported for it.
+        Does not import anything.
         """
         return _place(self._module)
 
@@ -111,10 +111,10 @@ class Extension:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of its distribution's name and version and all files of its packages.
+        """SHA-256 of the distribution's name and version and all files of its packages.
 
         Raises:
-            UsageError: the package is not there, or cannot be read.
+            UsageError: the package is missing or cannot be read.
         """
         package = self.package
         if package is None:
@@ -132,7 +132,7 @@ class Extension:
         return digest.hexdigest()
 
     def load(self) -> Any:
-        """The object itself.
+        """Import and return the object.
 
         Raises:
             UsageError: its package cannot be imported, or has no such object.
@@ -143,18 +143,18 @@ class Extension:
         if not self.shipped:
             refuse_exits()
         try:
-            # What it prints is no result of ours.
+            # Standard output is reserved for results.
             with contextlib.redirect_stdout(sys.stderr):
                 return functools.reduce(
                     getattr, attributes.split('.'), importlib.import_module(module)
                 )
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # whatever its code raises, a SystemExit too
+        except BaseException as error:  # anything, including SystemExit
             raise self.failure(error) from error
 
     def failure(self, error: BaseException) -> UsageError:
-        """The complaint about an exception of its code."""
+        """Create the error that reports an exception of its code."""
         text = str(error).partition('\n')[0]
         said = type(error).__name__ + (f': {text}' if text else '')
         cut = f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
@@ -162,7 +162,7 @@ class Extension:
 
 
 def _place(module: str) -> Path | None:
-    """Folder, or only file, of a top-level module, without importing it; None where it is not."""
+    """Folder (or single file) of a top-level module, without importing it; None if not found."""
     import importlib.util
 
     with contextlib.suppress(ImportError, ValueError, AttributeError):
@@ -181,14 +181,14 @@ def _files(place: Path) -> list[Path]:
 
 
 def _top_level(distribution: str) -> set[str]:
-    """All modules and packages that a distribution brings, as far as its record tells."""
+    """Top-level modules and packages of a distribution, as far as its metadata list them."""
     from importlib import metadata
 
     try:
         found = metadata.distribution(distribution)
     except metadata.PackageNotFoundError:
         return set()
-    told = (found.read_text('top_level.txt') or '').split()  # an editable one records no files
+    told = (found.read_text('top_level.txt') or '').split()  # editable installs record no files
     installed = (
         file.parts[0].partition('.')[0] for file in found.files or ()
         if file.suffix in _CODE and not file.name.startswith('__editable__')
@@ -197,14 +197,14 @@ def _top_level(distribution: str) -> set[str]:
 
 
 def find(kind: str, name: str) -> Extension | None:
-    """What is installed under a name; None where nothing is.
+    """Find the extension installed under a name; None if there is none.
 
     Args:
         kind: extension point.
-        name: as it was typed.
+        name: name given by the user.
 
     Raises:
-        UsageError: two packages provide it, or it is a name that nobody can be meant by.
+        UsageError: two packages provide the name, or it is not a valid extension name.
     """
     found = [one for one in installed(kind) if one.name == name]
     if not found:
@@ -220,7 +220,7 @@ def find(kind: str, name: str) -> Extension | None:
 
 
 def origin_words(kind: str, name: str) -> str:
-    """``NAME of PACKAGE VERSION`` for what a package adds; '' for all else, whatever its name."""
+    """``NAME of PACKAGE VERSION`` for an added extension; '' for anything else."""
     found = None if name in RESERVED else find(kind, name)
     if found is None or found.shipped:
         return ''
@@ -228,7 +228,7 @@ def origin_words(kind: str, name: str) -> str:
 
 
 def installed(kind: str) -> list[Extension]:
-    """All that have a name in an extension point, what is shipped first, whether usable or not."""
+    """All extensions of an extension point, usable or not; shipped ones first."""
     ours = [
         Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
         for name, target in SHIPPED[kind].items()
@@ -237,29 +237,29 @@ def installed(kind: str) -> list[Extension]:
 
 
 def names(kind: str) -> list[str]:
-    """The names that :func:`find` knows, what is shipped first."""
+    """Names that :func:`find` accepts; shipped ones first."""
     return list(dict.fromkeys(one.name for one in installed(kind)))
 
 
 def known(kind: str, *more: str) -> str:
-    """What to say after ``known:`` where a name is not: all names, then other words, then whence.
+    """Text after ``known:`` in an unknown-name error: names, other words, providing packages.
 
     Args:
         kind: extension point.
-        more: what else may be given, in words.
+        more: descriptions of other accepted values.
     """
     return f'{", ".join([*names(kind), *more])}; packages add more by {OURS}.{kind}'
 
 
 def plugins() -> str:
-    """Packages that add to any extension point, with their versions, for a record; or ''."""
+    """Packages that add extensions, with their versions, for records; '' if there are none."""
     return ', '.join(sorted({
         f'{one.distribution} {one.version}' for kind in SHIPPED for one in _foreign(kind)
     }))
 
 
 def origins(**chosen: str) -> dict[str, dict[str, str]]:
-    """Where the chosen extensions come from, for a record; what is shipped is left out.
+    """Origins of the selected extensions, for records; shipped ones are omitted.
 
     Args:
         chosen: name by extension point.
@@ -275,14 +275,14 @@ def origins(**chosen: str) -> dict[str, dict[str, str]]:
 
 
 class Extensions(Mapping[str, _T], Generic[_T]):
-    """All extensions of a kind by name, loaded when they are looked up."""
+    """Mapping of all extensions of a kind by name; loads them on lookup."""
 
     def __init__(self, kind: str, read: Callable[[Extension, Any], _T]) -> None:
-        """Keep what is needed to look one up.
+        """Create the mapping; nothing is loaded yet.
 
         Args:
             kind: extension point.
-            read: makes of an extension and its object what is wanted, or raises UsageError.
+            read: converts an extension and its loaded object to the value, or raises UsageError.
         """
         self._kind, self._read = kind, read
 
@@ -308,11 +308,10 @@ def _foreign(kind: str) -> tuple[Extension, ...]:
 
 @functools.cache
 def _declared(folders: tuple[str, ...]) -> dict[str, tuple[Extension, ...]]:
-    """What installed packages other than ours declare, by kind.
+    """Extensions declared by other installed packages, by kind.
 
-    ``importlib.metadata`` takes longer to import than all of ``taxinet --help``, so it is asked
-    only where a file of entry points has one of our groups. The same is done in each of our
-    processes.
+    Importing ``importlib.metadata`` takes longer than all of ``taxinet --help``, so it is imported
+    only if some entry-points file contains one of our groups. Every process does the same.
     """
     if not any(map(_declares, folders)):
         return {}
@@ -335,7 +334,7 @@ def _declared(folders: tuple[str, ...]) -> dict[str, tuple[Extension, ...]]:
 
 
 def _declares(folder: str) -> bool:
-    """Whether a folder of packages has one, not ours, that adds to our extension points."""
+    """Whether a folder of packages contains another package that adds extensions."""
     try:
         inside = os.listdir(folder or '.')
     except OSError:

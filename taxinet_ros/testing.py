@@ -1,17 +1,16 @@
-"""What an extension has to do, as checks that its author runs: the contract kit.
+"""Contract checks for authors of extensions.
 
-Each check takes the name that people type (:mod:`taxinet_ros.registry`), or for perceptions and
-controllers anything else that may stand there, such as ``FILE.py:NAME``. It returns nothing, and
-raises :class:`ContractError` with one line where the contract is broken, so in a test one call is
-enough::
+Each check takes the registered name (:mod:`taxinet_ros.registry`); for perceptions and controllers
+also any other accepted value, such as ``FILE.py:NAME``. It returns None, or raises
+:class:`ContractError` with a one-line message if the contract is broken. A test is one call::
 
     from taxinet_ros.testing import check_perception
 
     def test_contract() -> None:
         check_perception('my_name')
 
-Part of every check is that another process, with another order of hashes, gets the same answers:
-runs are made in worker processes, and have to come out the same there.
+Every check also verifies that another process, with another hash seed, gives the same answers:
+runs take place in worker processes and must be reproducible there.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ from taxinet_ros.core.world import Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
 
 MOST_CTE_M = 100.0
-"""Cross-track error [m] beyond which an estimate is taken for one in another unit."""
+"""Cross-track error [m] above which an estimate is assumed to be in a wrong unit."""
 
 MOST_SPEED_MPS = 60.0
-"""Commanded speed [m/s] beyond which it is taken for one in another unit: no taxiing aircraft."""
+"""Commanded speed [m/s] above which it is assumed to be in a wrong unit; no aircraft taxis so."""
 
 _TRUTHS = tuple(
     TrackingError(cte_m=cte_m, he_rad=math.radians(he_deg))
@@ -76,17 +75,17 @@ _ELSEWHERE_S = 600.0
 
 
 class ContractError(AssertionError):
-    """An extension breaks its contract; the line says which and how."""
+    """An extension breaks its contract; the message names the extension and the violation."""
 
 
 def check_perception(word: str) -> None:
-    """See that a perception can take part in runs.
+    """Check that a perception is usable in runs.
 
-    For frames (200, 360, 3) uint8 RGB of a runway, and for some that show nothing, it answers each
-    with one :class:`.TrackingError` of plain floats, finite and in metres and radians or declared
-    invalid; leaves the frame as it is; has nothing to say where it has nothing to go by; and
-    answers equally in each run, whatever runs came before, and in each process. A function that
-    cannot tell says so by None or an estimate that is not ``valid``, never by a NaN.
+    It must answer each (200, 360, 3) uint8 RGB frame, of a runway or of nothing, with one
+    :class:`.TrackingError` of plain floats, finite and in metres and radians or declared invalid;
+    leave the frame unmodified; give no estimate without an input; and give the same answers in
+    each run, whatever the previous runs, and in each process. A function without an estimate
+    returns None or one that is not ``valid``, never NaN.
 
     Raises:
         ContractError: it does not.
@@ -112,12 +111,12 @@ def check_perception(word: str) -> None:
 
 
 def check_controller(word: str) -> None:
-    """See that a controller can take part in runs.
+    """Check that a controller is usable in runs.
 
-    It answers every estimate, also one that is not usable, with one :class:`.TaxiCommand` of finite
-    numbers: a nose-wheel angle in radians, left positive, and a speed of 0 m/s or more; does not
-    steer away from the centreline from either side, nor turn further away from its direction; and
-    answers equally in each run, whatever runs came before, and in each process.
+    It must answer every estimate, also unusable ones, with one :class:`.TaxiCommand` of finite
+    numbers: a nose-wheel angle in radians, left positive, and a speed of 0 m/s or more; not steer
+    away from the centreline or increase the heading error, from either side; and give the same
+    answers in each run, whatever the previous runs, and in each process.
 
     Raises:
         ContractError: it does not.
@@ -134,18 +133,18 @@ def check_controller(word: str) -> None:
 
 
 def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
-    """See that a sampler can choose the runs of a campaign.
+    """Check that a sampler is usable in campaigns.
 
-    In a space of three dimensions and in one with idle ones, its points are quantiles in [0, 1)
-    that belong to the space, and follow from seed, options and results alone, in each process; what
-    it says of a run's weight is positive or None, and what it has learned are probabilities; a run
-    without a result does it no harm, and where it has learned anything it can be copied
+    In a space of three dimensions and in one with idle ones, its points must be quantiles in
+    [0, 1) within the space that depend only on seed, options and results, in each process. The
+    weight of a run must be positive or None, and learned values must be probabilities. A run
+    without a result must be accepted, and a sampler that learns must be copyable
     (:func:`copy.deepcopy`).
 
     Args:
-        name: of the sampler.
-        runs: how many points to ask for; more than it takes until it begins to learn.
-        options: of the sampler.
+        name: name of the sampler.
+        runs: number of points to request; more than it needs before it begins to learn.
+        options: options of the sampler.
 
     Raises:
         ContractError: it does not.
@@ -169,12 +168,12 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
 
 
 def check_world(name: str) -> None:
-    """See that runs can take place in a world.
+    """Check that a world is usable in runs.
 
-    It begins where the scenario says, at control step 0; observing it changes nothing; its states
-    are finite, and its pictures (200, 360, 3) uint8 RGB; a step takes it one control period on, to
-    the scenario's last; and equal scenarios and commands give equal states and pictures, to the
-    bit, in each process.
+    It must start at the scenario's pose, at control step 0. Observing must not change it. States
+    must be finite and images (200, 360, 3) uint8 RGB. Each step advances one control period, up to
+    the scenario's last step. Equal scenarios and commands must give bit-identical states and
+    images in each process.
 
     Raises:
         ContractError: it does not.
@@ -202,11 +201,10 @@ def check_world(name: str) -> None:
 
 
 def check_requirement(name: str) -> None:
-    """See that runs can be judged by a requirement.
+    """Check that a requirement is usable for judging runs.
 
-    It is a formula that is read back as it is written, over signals that there are; runs of 30 s
-    are long enough for it, and nothing is doubtful about it there; and its robustness is a number
-    on traces of any course.
+    It must be a formula over existing signals that survives printing and parsing unchanged, be
+    decidable and free of lint warnings on runs of 30 s, and have a numeric robustness on any trace.
 
     Raises:
         ContractError: it does not.
@@ -226,7 +224,7 @@ def check_requirement(name: str) -> None:
 
 
 class _Complaints:
-    """A context in which what is refused by anything becomes a complaint about one extension."""
+    """Context manager that turns errors into a :class:`ContractError` about one extension."""
 
     def __init__(self, kind: str, name: str) -> None:
         self._who = f'{kind} {name}'
@@ -243,12 +241,12 @@ class _Complaints:
             raise ContractError(f'{self._who}: {type(error).__name__}: {error}') from error
 
     def unless(self, fine: bool, what: str) -> None:
-        """Complain unless all is well."""
+        """Raise unless ``fine``."""
         if not fine:
             raise ContractError(f'{self._who}: {what}')
 
     def unless_alike(self, work: Callable[..., list[Any]], word: str) -> None:
-        """Complain unless answers are the same however often it is made, and wherever it runs."""
+        """Raise unless answers are the same for repeated instances and in another process."""
         answers = work(word)
         self.unless(answers == work(word), 'answers differ from one making to the next')
         after_others = work(word, True)
@@ -264,7 +262,7 @@ class _Complaints:
 
 @functools.cache
 def _sights() -> list[tuple[NDArray[np.uint8], TrackingError]]:
-    """Frames with their truths: of a runway, black, white, and noise."""
+    """Frames with their true errors: a runway, black, white, and noise."""
     sights, camera = [], Camera(_SCENE)
     for truth in _TRUTHS:
         scene = dataclasses.replace(
@@ -296,7 +294,7 @@ def _check_estimate(complain: _Complaints, number: int, estimate: TrackingError)
 
 
 def _check_function(complain: _Complaints, found: UserPerception) -> None:
-    """What somebody's function itself answers, of which runs take only what is usable."""
+    """Check the raw answers of a user function; runs only use the valid ones."""
     look = found.code.make()
     for number, (frame, truth) in enumerate(_sights()):
         given = frame.copy()
@@ -316,7 +314,7 @@ def _check_function(complain: _Complaints, found: UserPerception) -> None:
 
 
 def _check_signs(complain: _Complaints, found: Controller) -> None:
-    """A controller whose signs are swapped leaves the runway in each run, and no error is seen."""
+    """Check the signs: with swapped ones, every run leaves the runway without any error."""
     for cte_m, he_rad, where in (
         (5.0, 0.0, 'left of the centreline'), (0.0, 0.35, 'with its nose to the left'),
     ):
@@ -359,13 +357,13 @@ def _check_point(complain: _Complaints, space: Space, index: int, point: Point) 
 def _check_book(
     complain: _Complaints, name: str, space: Space, runs: int, options: Mapping[str, str | float]
 ) -> None:
-    """What a sampler says of runs, some of which have no result, and of what it has learned."""
+    """Check weights and learned values of a sampler, with some runs that have no result."""
     sampler = make_sampler(name, space, 3, runs, **options)
     for number in range(runs // 2):
         index, point = sampler.next()
         later, another = sampler.next()
         sampler.tell(later, _bowl(another))
-        learned = sampler.learned()  # of a copy that knows more than the sampler
+        learned = sampler.learned()  # from a copy that has seen more than the sampler
         sampler.tell(index, None if number % 3 == 0 else _bowl(point))
         weight = sampler.weight(index)
         complain.unless(weight is None or 0 < weight < math.inf, f'run {index}: weight {weight}')
@@ -398,7 +396,7 @@ def _check_observation(complain: _Complaints, seq: int, now: Observation) -> Non
 
 
 def _bowl(point: Point) -> float:
-    """A robustness that fails near 0.2 in every dimension."""
+    """Test robustness, negative near 0.2 in every dimension."""
     return sum((quantile - 0.2) ** 2 for quantile in point if quantile is not None) - 0.1
 
 
@@ -407,7 +405,7 @@ def _plain(now: Observation) -> list[Any]:
     return [now.seq, *dataclasses.astuple(now.state), image]
 
 
-# What is done here and in a worker; numbers in JSON are exact.
+# Functions that run both here and in a worker; JSON preserves numbers exactly.
 
 
 def _perceive(word: str, after_others: bool = False) -> list[Any]:
@@ -462,10 +460,10 @@ print(json.dumps(getattr(testing, sys.argv[2])(*json.loads(sys.argv[3]))))
 
 
 def _elsewhere(work: Callable[..., Sequence[Any]], *arguments: Any) -> Any:
-    """What a function of this module gives in another process.
+    """Result of a function of this module in another process.
 
     Raises:
-        ValueError: it fails there.
+        ValueError: the function fails there.
     """
     done = subprocess.run(
         [sys.executable, '-c', _CHILD, json.dumps(sys.path), work.__name__, json.dumps(arguments)],

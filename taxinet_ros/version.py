@@ -1,3 +1,3 @@
-"""The version of this package, the same as package.xml has."""
+"""Version of this package, the same as in package.xml."""
 
 __version__ = '0.1.0'

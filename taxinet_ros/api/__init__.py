@@ -1,1 +1,1 @@
-"""What ``import taxinet_ros`` offers, without ROS; the names are listed in the package itself."""
+"""Public Python API, without ROS; ``taxinet_ros/__init__.py`` lists its names."""

@@ -1,4 +1,4 @@
-"""A campaign's folder, read: its runs, its counterexamples, how often its program fails."""
+"""Reads a campaign's folder: its runs, counterexamples and failure rates."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Counterexample:
-    """A run of a campaign that failed.
+    """A failed run of a campaign.
 
     Attributes:
-        row: what the campaign's ledger says of it.
+        row: its row in the campaign's ledger.
         campaign: the campaign.
     """
 
@@ -40,78 +40,77 @@ class Counterexample:
 
     @property
     def run_id(self) -> str:
-        """Its name, which is that of its folder too."""
+        """Name of the run and of its folder."""
         return self.row.run_id
 
     @property
     def rho(self) -> Mapping[str, RobustnessInterval]:
-        """Least and greatest robustness by requirement, equal where it is known exactly."""
+        """Robustness interval by requirement; the ends are equal if it is known exactly."""
         return self.row.robustness
 
     @property
     def headline(self) -> RobustnessInterval:
-        """That of the first requirement."""
+        """Robustness of the first requirement."""
         return next(iter(self.rho.values()))
 
     @cached_property
     def scenario(self) -> Scenario:
-        """What was run: to the last bit where there is a bag, else to nine decimals.
+        """Scenario of the run: exact if there is a bag, else to nine decimals.
 
         Raises:
-            UsageError: the bag beside the campaign is of another run.
+            UsageError: the bag beside the campaign belongs to another run.
         """
         return self.campaign.scenario(self.row)[0]
 
     @property
     def bag(self) -> Path | None:
-        """Folder of its bag; None where there is none."""
+        """Folder of its bag; None if there is none."""
         return self.campaign.bag(self.row)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Campaign:
-    """The runs of ``taxinet run``, ``falsify``, ``shrink`` or an arm of an experiment, read only.
+    """Runs of ``taxinet run``, ``falsify``, ``shrink`` or an experiment arm; read-only.
 
     Attributes:
-        recorded: all that the record tells.
+        recorded: contents of the campaign's record.
     """
 
     recorded: RecordedCampaign
 
     @property
     def folder(self) -> Path:
-        """The campaign's."""
+        """Folder of the campaign."""
         return self.recorded.folder
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What it is: program, seed, sampler, perception, requirements, version, machines."""
+        """Settings: program, seed, sampler, perception, requirements, version, machines."""
         return self.recorded.facts
 
     @cached_property
     def rows(self) -> pd.DataFrame:
         """A row per run, by index; the columns of ``runs.parquet`` (``docs/analysis.md``).
 
-        ``outcome``, ``rho`` of the headline, ``rho_<name>`` of each requirement (its unit), the
-        scenario in human units, which the columns name (``heading_deg``, ``rain_percent``,
-        ``time_of_day_h``), and the figures of the run.
+        ``outcome``, ``rho`` of the headline, ``rho_<name>`` of each requirement (in its unit), the
+        scenario in the units given by the column names (``heading_deg``, ``rain_percent``,
+        ``time_of_day_h``), and the statistics of the run.
         """
         return self.recorded.table()
 
     @cached_property
     def counterexamples(self) -> tuple[Counterexample, ...]:
-        """The runs that failed, by index."""
+        """Failed runs, by index."""
         return tuple(
             Counterexample(row=row, campaign=self.recorded) for row in self.recorded.counterexamples
         )
 
     @property
     def rates(self) -> Mapping[str, ProgramRate]:
-        """How often runs of the program itself fail: ``failed``, and ``off_runway`` if known.
+        """Failure rates of the program's own runs: ``failed``, and ``off_runway`` if known.
 
-        ``.rate`` is the share with its 95 % interval, as fractions, or None where no run tells
-        (``.why_not`` says why): it rests on the runs that the program drew, not on those that a
-        sampler chose.
+        ``.rate`` is the fraction with its 95 % interval, or None if no run counts (``.why_not``
+        says why). It is based on runs drawn by the program, not on those chosen by a sampler.
         """
         off = self.recorded.off_runway_rate
         return {'failed': self.recorded.failure_rate} | ({'off_runway': off} if off else {})
@@ -122,13 +121,13 @@ class Campaign:
 
 @takes(path=PATH)
 def open_campaign(path: str | os.PathLike[str]) -> Campaign:
-    """Read a campaign's folder; one that is under way gives the runs so far.
+    """Read a campaign's folder; an unfinished campaign gives the runs so far.
 
     Args:
         path: the folder.
 
     Raises:
-        UsageError: it is no campaign, or its ledger is damaged.
+        UsageError: not a campaign, or its ledger is damaged.
     """
     folder = Path(path)
     if not (folder / LEDGER_NAME).is_file():
@@ -141,16 +140,16 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
 
 @takes(path=PATH)
 def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open a bag, of one run or of several; its messages are read, in one pass.
+    """Open a bag of one or several runs and read its messages in one pass.
 
-    Damage is no error here: what is sound is there, see :attr:`Recording.damage`.
+    Damage does not raise: the intact part is read, see :attr:`Recording.damage`.
 
     Args:
         path: a bag's folder or an ``.mcap`` file.
 
     Raises:
-        UsageError: there is nothing at ``path``, it is a campaign, or a format that is not read.
-        BagError: there is nothing in it, it is no ROS 2 bag, or it cannot be read.
+        UsageError: ``path`` does not exist, is a campaign, or has an unsupported format.
+        BagError: it is empty, not a ROS 2 bag, or unreadable.
     """
     folder = Path(path)
     if (folder / LEDGER_NAME).is_file():

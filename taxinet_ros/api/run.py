@@ -1,7 +1,7 @@
-"""One run in this process, a picture of a scene, and the robustness of a trace; all without ROS.
+"""Single runs in this process, rendering of a scene, and robustness of a trace; without ROS.
 
-A run here is the reference that the graph of nodes matches to the bit: the same scenario, network,
-controller and requirements give the same trace, frames and robustness in both.
+A run here is the bit-exact reference for the ROS graph: the same scenario, network, controller and
+requirements give the same trace, frames and robustness in both.
 """
 
 from __future__ import annotations
@@ -86,10 +86,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CALLER = 4
-"""Frames from a warning to the caller, over those that check arguments and words."""
+"""Stack level of the caller for warnings, past the frames that check arguments."""
 _MOST_S = 1e9
 _DRAWS = 0, 0
-"""Seed and index by which a run that nobody numbers draws its latencies."""
+"""Default seed and index for drawing the latencies of a run."""
 _SCENARIO = a('a tx.Scenario', Scenario)
 _POSE = Kind(
     'None, (x_m, cte_m, he_rad) as finite numbers, or a tx.AircraftState of them',
@@ -104,26 +104,26 @@ _NEEDS_GRAPH: Mapping[str, str] = MappingProxyType(dict.fromkeys(
 ))
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
-"""A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. One with an attribute
-``needs_image = False`` is given the true :class:`TrackingError` instead."""
+"""A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. With an attribute
+``needs_image = False`` it gets the true :class:`TrackingError` instead."""
 Steer = Callable[[TrackingError], Any]
 """An estimate in; ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand` out."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Run:
-    """One closed-loop run that is over.
+    """A finished closed-loop run.
 
     Attributes:
         scenario: initial condition and environment.
-        perception: word of what estimated; ``python`` for a function.
-        fingerprint: SHA-256 of its weights or file; '' for the truth and for a function given.
-        judging: what decided its outcome: requirements, rule to stop, what was vouched for.
+        perception: name of the perception; ``python`` for a function.
+        fingerprint: SHA-256 of its weights or file; '' for the truth and for a given function.
+        judging: requirements, stop rule and assumptions that decided its outcome.
         timing: when answers took effect.
-        steps: its control steps, without their frames.
-        judgement: what the judge said at its end.
-        world: what it took place in.
-        nodes: what perception, controller and world would say of themselves as nodes of a graph.
+        steps: control steps, without their frames.
+        judgement: final judgement.
+        world: world of the run.
+        nodes: status texts that perception, controller and world would report as ROS nodes.
     """
 
     scenario: Scenario
@@ -143,32 +143,32 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
-        """PASS or FAIL; INFRA_ERROR where a sample could not be judged: :attr:`detail` says why."""
+        """PASS or FAIL; INFRA_ERROR if a sample could not be judged, see :attr:`detail`."""
         return outcome_of(self.judgement)
 
     @cached_property
     def detail(self) -> str:
-        """Why it could not be judged, in a line; '' where it was."""
+        """One-line reason why the run could not be judged; '' if it was."""
         return '' if self.outcome.judged else self._why_not_judged()
 
     @cached_property
     def rho(self) -> Mapping[str, RobustnessInterval]:
         """Robustness by the name of the requirement, in the unit of the predicate that decides.
 
-        > 0 satisfies it. An interval of some width is of a run that was stopped early, or that
-        could not be judged.
+        > 0 satisfies it. The ends of an interval differ only if the run was stopped early or could
+        not be judged.
         """
         readings = zip(self.specs, self.judgement.readings, strict=True)
         return {spec.name: reading.interval for spec, reading in readings}
 
     @property
     def stopped_early(self) -> bool:
-        """Whether the run ended before its end because that was decided."""
+        """Whether the run stopped before its horizon because its verdict was decided."""
         return self.judgement.stopped_early
 
     @property
     def statistics(self) -> RunStatistics:
-        """How far off, when settled, how wrong the estimates."""
+        """Deviation, settling time and estimation errors."""
         return self.judgement.statistics
 
     @cached_property
@@ -184,11 +184,11 @@ class Run:
 
     @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
-        """What the camera saw at a control step, (200, 360, 3) uint8 RGB.
+        """Camera frame at a control step, (200, 360, 3) uint8 RGB.
 
         Raises:
             UsageError: the run has no such step.
-            InfraError: its world, a package's, is not the same when driven again.
+            InfraError: a package's world is not reproducible when the run is replayed.
         """
         if not 0 <= seq < len(self.steps):
             raise UsageError(f'run: no control step {seq}; it has 0 to {len(self.steps) - 1}')
@@ -198,31 +198,31 @@ class Run:
         return found
 
     def frames(self) -> Iterator[Frame]:
-        """What the camera saw, a frame for each control step in order; each is made when asked for.
+        """Camera frames of all control steps in order, rendered lazily.
 
-        Frames are not kept (216 kB each): the aircraft is driven again by the run's commands, which
-        gives every byte as it was.
+        Frames are not stored (216 kB each): replaying the run's commands reproduces them to the
+        byte.
         """
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
 
     @takes(path=PATH, images=FLAG)
     def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
-        """Save the run as a bag, which every ``taxinet`` command and ``tx.open_recording`` reads.
+        """Save the run as a bag, readable by ``taxinet`` commands and ``tx.open_recording``.
 
-        Its messages are those of the bag that the graph records of the same run, to the byte.
+        Its messages equal, to the byte, those that the ROS graph records for the same run.
 
         Args:
-            path: folder of the bag, named as the run; it must not exist.
-            images: whether camera frames go in; they are made again, and are most of a bag.
+            path: folder of the bag, which also names the run; it must not exist.
+            images: whether to include camera frames; they are rendered again, and most of the size.
 
         Returns:
             The folder.
 
         Raises:
-            UsageError: there is something at ``path``, or its name can be none of a run.
-            InfraError: as of :meth:`frame`.
-            BagError: the disk refuses; nothing is left of the bag then.
+            UsageError: ``path`` exists, or its name is not valid for a run.
+            InfraError: as for :meth:`frame`.
+            BagError: writing failed; the partial bag is removed.
         """
         folder = Path(path)
         status = RunEnding(
@@ -246,12 +246,12 @@ class Run:
         return f'<Run {self.outcome}, {len(self.steps)} steps, {self.detail or known}>'
 
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
-        """Number and picture of each step; a picture where it is wanted and there is one."""
+        """Replay the run: number and image of each step; None where not wanted or not available."""
         world = self.world.make(self.scenario)
         commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
-            if repr(now.state) != repr(step.observation.state):  # a NaN is like itself there
+            if repr(now.state) != repr(step.observation.state):  # by repr, NaN equals NaN
                 raise InfraError(
                     InfraKind.SIM, topics.SIMULATOR, now.seq,
                     f'world {self.world.name} is elsewhere when the same run is driven again, so '
@@ -274,18 +274,18 @@ class Run:
 
 @takes(word_or_file=WORD)
 def load_perception(word_or_file: str) -> Perception:
-    """A perception, loaded once for many runs.
+    """Load a perception once for many runs.
 
     Args:
         word_or_file: ``truth``, a shipped network (``taxinet``, ``original``, ...), a file of
             weights (``.safetensors``) or of a network (``.onnx``), or ``FILE.py:NAME``.
 
     Returns:
-        What :func:`run` takes; ``estimate(image, truth)`` answers a :class:`TrackingError` to a
-        frame (200, 360, 3) uint8 RGB.
+        A perception for :func:`run`; ``estimate(image, truth)`` returns a :class:`TrackingError`
+        for a frame (200, 360, 3) uint8 RGB.
 
     Raises:
-        UsageError: an unknown word (the known ones are listed), or a file that cannot be used.
+        UsageError: an unknown word (the known ones are listed), or an unusable file.
     """
     return make_perception(word_or_file)
 
@@ -302,35 +302,34 @@ def run(
     bounds: str | Sequence[str] = (), rates: str | Sequence[str] = (),
     latency: str | Sequence[str] = (), world: str = KMWH,
 ) -> Run:
-    """Run one scenario to its end, in this process.
+    """Run one scenario in this process.
 
     Args:
         scenario: initial condition and environment.
-        perception: a word or file as of :func:`load_perception`, what that gave, or a function
-            from a frame, (200, 360, 3) uint8 RGB, to ``(cte_m, he_rad)``, left positive, or None.
+        perception: a word or file as for :func:`load_perception`, its result, or a function from a
+            frame, (200, 360, 3) uint8 RGB, to ``(cte_m, he_rad)``, left positive, or None.
         controller: ``steering``, ``FILE.py:NAME``, ``tx.SteeringLaw(tx.SteeringGains(...))``, or a
             function from a :class:`TrackingError` to ``(steering_rad, speed_mps)``.
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
             :class:`Spec`; the first is the headline.
-        stop_on: ``never``, or end as soon as the headline is ``violated`` or all is ``decided``.
-        bounds: what is vouched for of signals, such as ``cte=-25:25``, in the signal's unit; it
-            narrows intervals before the end.
-        rates: of their change per second, such as ``cte=3``.
-        latency: how late answers take effect [s], such as ``perception=0.15`` or
-            ``controller=uniform(0.1,0.3)``; other draws with ``draws=SEED.INDEX`` behind it.
-        world: ``kmwh``, the simulated one, or what a package adds (docs/extending.md).
+        stop_on: ``never``, or stop as soon as the headline is ``violated`` or all is ``decided``.
+        bounds: assumed ranges of signals, such as ``cte=-25:25``, in the signal's unit; they narrow
+            robustness intervals before the end.
+        rates: assumed maximum changes per second, such as ``cte=3``.
+        latency: delay of answers [s], such as ``perception=0.15`` or
+            ``controller=uniform(0.1,0.3)``; append ``draws=SEED.INDEX`` for other random draws.
+        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md).
 
     Returns:
         The run with its trace, robustness and outcome.
 
     Warns:
-        UserWarning: what a requirement says is likely not what is meant, or the run broke a bound
-            or rate.
+        UserWarning: a requirement is likely mistaken, or the run violated an assumed bound or rate.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
-            function answered something else.
-        UserCodeError: a function in a file failed; what a function given here raises comes through.
+            function returned an invalid answer.
+        UserCodeError: a function in a file failed; exceptions of a given function propagate.
         InfraError: the simulator failed.
     """
     eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
@@ -369,7 +368,7 @@ def run(
 def _node_words(
     eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
 ) -> tuple[NodeWords, ...]:
-    """What the nodes of a graph say of themselves for such a run, as their bags have it."""
+    """Status texts of the ROS nodes for such a run, as recorded in bags."""
     usual = dataclasses.asdict(SteeringGains())
     tuned = {
         name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
@@ -410,21 +409,21 @@ def render(
     scenario: Scenario, pose: AircraftState | tuple[float, float, float] | None = None, *,
     t_s: float = 0.0,
 ) -> Frame:
-    """Photograph a scene with the wing camera.
+    """Render a scene as seen by the wing camera.
 
     Args:
-        scenario: light, weather and runway; without a pose its start pose too, which gives the
-            first frame of its run.
+        scenario: light, weather and runway; also the start pose if ``pose`` is None, which gives
+            the first frame of its run.
         pose: ``(x_m, cte_m, he_rad)``: metres past the threshold, metres left of the centreline,
-            heading error in radians, left positive; the aircraft stands there as at the start of
-            a run. Or a whole :class:`AircraftState`.
-        t_s: simulated time [s], by which clouds and rain move.
+            heading error in radians, left positive, with the attitude of a run's start; or a full
+            :class:`AircraftState`.
+        t_s: simulated time [s], which moves clouds and rain.
 
     Returns:
         (200, 360, 3) uint8 RGB.
 
     Raises:
-        UsageError: the pose is outside what a scenario may start from, or time is negative.
+        UsageError: the pose is outside the range of start poses, or the time is negative.
     """
     if not 0 <= t_s <= _MOST_S:
         raise UsageError(f'render: t_s is {t_s:g}; expected 0 to {_MOST_S:g} seconds')
@@ -445,23 +444,23 @@ def render(
 @takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
 @says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
-    """Robustness of a requirement on a finished trace, whose last row is taken for its end.
+    """Robustness of a requirement on a finished trace, which ends at its last row.
 
     Args:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
-        trace: a row per sample, in time. ``t_ns`` (integer nanoseconds) or else ``t_s`` says when.
-            A formula reads the signals ``cte``, ``he``, ``x``, ``speed``, ``steering``,
-            ``cte_estimate``, ``he_estimate``, ``estimate_gap`` and ``unusable_share`` of the
-            columns of :attr:`Run.trace`, which are in SI units and radians, and any column with
-            numbers by its own name, in whatever unit it has. Where ``attrs['units']`` says another
-            unit of a signal's column, it is refused.
+        trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
+            The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
+            ``he_estimate``, ``estimate_gap`` and ``unusable_share`` come from the columns of
+            :attr:`Run.trace`, in SI units and radians. Any other numeric column is a signal under
+            its own name and in its own unit. A signal's column with another unit in
+            ``attrs['units']`` is rejected.
 
     Returns:
-        Signed distance from violation, in the unit of the predicate that decides; > 0 is satisfied.
+        Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
 
     Raises:
         UsageError: a bad formula, no time, a signal without a column, or one that is not finite
-            where the formula reads it (an estimate that is missing has no robustness).
+            where the formula reads it (a missing estimate has no robustness).
     """
     stamps_ns = _stamps_ns(trace)
     numbers = {
@@ -479,7 +478,7 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
 
 
 def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any]) -> None:
-    """Name columns that a formula reads and that hold no numbers: to its parser they are not there.
+    """Report non-numeric columns that a formula reads; its parser does not see them.
 
     Raises:
         UsageError: there is one, or a signal's column is in another unit than the signal.
@@ -527,10 +526,10 @@ def _check_time(trace: pd.DataFrame, name: str, kinds: str, expected: str) -> No
 
 
 def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
-    """Requirements as text that needs no file.
+    """Requirements as self-contained text.
 
     Raises:
-        UsageError: there is none, or one is not known.
+        UsageError: there is none, or one is unknown.
     """
     asked = (specs,) if isinstance(specs, str | Spec) else specs
     if not isinstance(asked, list | tuple) or not all(isinstance(one, str | Spec) for one in asked):
@@ -562,7 +561,7 @@ def _controller(given: str | Controller | Steer) -> Controller:
 
 
 def _check_answering(name: str, given: Any, method: str, arguments: int) -> None:
-    """See that it is a function of one argument, or has a method that answers."""
+    """Check that it is a function of one argument, or has the method."""
     answer, count = getattr(given, method, None), arguments
     if answer is None:
         answer, count = given, 1
@@ -573,12 +572,12 @@ def _check_answering(name: str, given: Any, method: str, arguments: int) -> None
         inspect.signature(answer).bind(*range(count))
     except TypeError as error:
         raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {error}') from None
-    except ValueError:  # of what is compiled nobody knows
+    except ValueError:  # compiled functions may have no signature
         pass
 
 
 class _Function:
-    """A function of the caller's, or his own object; what it raises comes through."""
+    """Function or object of the caller; its exceptions propagate."""
 
     def __init__(self, given: Any) -> None:
         self.word = str(getattr(given, 'word', IMPLEMENTATION))
@@ -586,7 +585,7 @@ class _Function:
         self._given = given
 
     def begin(self, scenario: Scenario | None = None) -> None:
-        """Have it forget the run before, if it has a ``begin()`` or ``reset()``."""
+        """Reset it before a run, if it has a ``begin()`` or ``reset()``."""
         for name in ('begin', 'reset'):
             forget = getattr(self._given, name, None)
             if forget is not None:
@@ -595,17 +594,17 @@ class _Function:
 
 
 class _FunctionPerception(_Function, Perception):
-    """It looks at frames, or at the truth."""
+    """Perception by a caller's function of a frame, or of the true error."""
 
     def __init__(self, given: Any) -> None:
         super().__init__(given)
         self.needs_image = bool(getattr(given, 'needs_image', True))
 
     def estimate(self, image: Frame | None, truth: TrackingError | None) -> TrackingError:
-        """What it answers."""
+        """Return the function's estimate."""
         if (image if self.needs_image else truth) is None:
             return NO_ESTIMATE
-        # A copy, for it may write on what is its own.
+        # A copy, which the function may modify.
         seen = image.copy() if self.needs_image and image is not None else None
         if hasattr(self._given, 'estimate'):
             answer = self._given.estimate(seen, None if self.needs_image else truth)
@@ -620,10 +619,10 @@ class _FunctionPerception(_Function, Perception):
 
 
 class _FunctionController(_Function, Controller):
-    """It answers estimates with commands."""
+    """Controller by a caller's function."""
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """What it answers."""
+        """Return the function's command."""
         answer = getattr(self._given, 'command', self._given)(estimate)
         found = read_command(answer)
         if found is None:

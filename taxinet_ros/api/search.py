@@ -1,4 +1,4 @@
-"""A search for failures from Python: closed loops in worker processes, without ROS."""
+"""Falsification from Python: closed-loop runs in worker processes, without ROS."""
 
 from __future__ import annotations
 
@@ -50,26 +50,26 @@ def falsify(
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
 
-    Scenes, robustness and rates are those of the command; the runs leave no bags. After Ctrl-C the
-    folder holds what was done, and ``resume=True`` goes on with it.
+    Scenes, robustness and rates equal those of the command; no bags are recorded. After Ctrl-C the
+    folder holds the finished runs, and ``resume=True`` continues.
 
     Args:
         program: word of a shipped Scenic program (``s_falsif``, ...) or path of one.
-        runs: most runs.
-        seed: of the scenes.
-        sampler: who chooses the scenes: ``active``, ``ce``, ``random``, ...; None for what the
-            program asks for, else ``active``.
-        sampler_options: its options by name.
-        perception: a word or file as of ``tx.load_perception``.
+        runs: maximum number of runs.
+        seed: seed of the scenes.
+        sampler: ``active``, ``ce``, ``random``, ...; None for the program's own choice, else
+            ``active``.
+        sampler_options: options of the sampler by name.
+        perception: a word or file as for ``tx.load_perception``.
         controller: ``steering`` or ``FILE.py:NAME``.
-        specs: as of ``tx.run``; the first, the headline, is what the sampler tries to violate.
-        settings: scenario values that replace what is drawn, in human units as in Scenic programs,
-            or ``steering.<gain>``.
-        stop_on: as of ``tx.run``.
+        specs: as for ``tx.run``; the sampler tries to violate the first, the headline.
+        settings: scenario values that override drawn ones, in the units of Scenic programs, or
+            ``steering.<gain>``.
+        stop_on: as for ``tx.run``.
         until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
-        workers: processes; the results do not depend on it.
+        workers: number of processes; results do not depend on it.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
-        resume: go on with what is in ``out``.
+        resume: continue the campaign in ``out``.
 
     Returns:
         The campaign: rows, counterexamples, rates.
@@ -77,7 +77,7 @@ def falsify(
     Raises:
         UsageError: bad input, in one line; or no scene could be run.
     """
-    check_perception(perception)  # none that only a graph could have
+    check_perception(perception)  # rejects those that need a ROS graph
     check_controller(controller)
     options = make_options(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
@@ -103,7 +103,7 @@ def falsify(
         with WorkerPool(command, workers, options.out / 'logs') as pool:
             run_search(search, pool)
         write_learned(search)
-    exit_code(search.rows)  # raises where there is nothing to tell of
+    exit_code(search.rows)  # raises if no scene could be run
     return open_campaign(options.out)
 
 

@@ -1,6 +1,6 @@
-"""The aircraft on its wheels: JSBSim, one control period at a time, with the pilot's speed hold.
+"""Taxiing aircraft: JSBSim, advanced one control period at a time, with a speed hold.
 
-Wind, gusts, the runway's friction and its slope push it, as the scenario says.
+The scenario sets wind, gusts, runway friction and slope.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from taxinet_ros.errors import InfraError, InfraKind
 
 
 class CapturedLog(jsbsim.FGLogger):
-    """Collects what JSBSim says.
+    """Collects JSBSim's log.
 
     Attributes:
-        text: everything so far.
+        text: log so far.
     """
 
     def __init__(self) -> None:
@@ -38,10 +38,10 @@ class CapturedLog(jsbsim.FGLogger):
         """Ignore the severity of the next record."""
 
     def file_location(self, filename: str, line: int) -> None:
-        """Ignore where in JSBSim's input the next record comes from."""
+        """Ignore the source location of the next record."""
 
     def message(self, message: str) -> None:
-        """Keep a piece of text."""
+        """Append a piece of text."""
         self.text += message
 
     def format(self, style: jsbsim.LogFormat) -> None:
@@ -54,7 +54,7 @@ class CapturedLog(jsbsim.FGLogger):
 
 @contextmanager
 def captured_log() -> Iterator[CapturedLog]:
-    """Catch what JSBSim logs on this thread while the context lasts."""
+    """Capture JSBSim's log on this thread within the context."""
     outer = jsbsim.get_logger()
     log = CapturedLog()
     jsbsim.set_logger(log)
@@ -66,13 +66,13 @@ def captured_log() -> Iterator[CapturedLog]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpeedGains:
-    """Tuning of one aircraft model.
+    """Speed-hold gains of one aircraft model.
 
     Attributes:
-        lever_per_mps: power lever, 0..1, per m/s of missing speed.
-        lever_per_m: growth of the lever per second and per m/s of missing speed.
+        lever_per_mps: proportional gain: power lever, 0..1, per m/s of speed error.
+        lever_per_m: integral gain: lever per second and per m/s of speed error.
         brake_per_lever: brake, 0..1, per unit of lever below its stop.
-        rolling_lever: lever that holds the taxi speed straight ahead; where the integral starts.
+        rolling_lever: lever that holds the taxi speed straight ahead; initial integral.
     """
 
     lever_per_mps: float
@@ -82,10 +82,10 @@ class SpeedGains:
 
 
 class SpeedHold:
-    """Holds a ground speed; a wanted speed of 0 closes the lever and stands on the brakes."""
+    """PI control of the ground speed; speed 0 closes the lever and applies full brakes."""
 
     def __init__(self, gains: SpeedGains) -> None:
-        """Start in balance: the lever holds a steady roll."""
+        """Start in equilibrium: the lever holds a steady roll."""
         self._gains = gains
         self._integral = gains.rolling_lever
 
@@ -101,7 +101,7 @@ class SpeedHold:
             self._integral = self._gains.rolling_lever
             return 0.0, 1.0
         missing_mps = wanted_mps - actual_mps
-        # The integral may not wind up past what the lever can give.
+        # Anti-windup: limit the integral to the lever's range.
         integral = self._integral + self._gains.lever_per_m * missing_mps * dt_s
         self._integral = min(max(integral, 0.0), 1.0)
         lever = self._integral + self._gains.lever_per_mps * missing_mps
@@ -113,12 +113,12 @@ CONTROL_PERIOD_NS = 100_000_000
 """Time between two control steps [ns]: the paper's 10 Hz."""
 PHYSICS_HZ = 120
 TAXI_SPEED_MPS = 5.0
-"""Ground speed of a scenario that names none [m/s]."""
+"""Default ground speed of a scenario [m/s]."""
 FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
-"""What the tyres hold, across and in braking, as a share of what they hold on dry pavement.
+"""Tyre friction, lateral and in braking, relative to dry pavement.
 
 Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
-EASA AMC 25.1591 has 0.05 for ice; our models have 0.8 on dry pavement.
+EASA AMC 25.1591 gives 0.05 for ice; our models have 0.8 on dry pavement.
 """
 _OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
@@ -136,18 +136,18 @@ _OUTPUTS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AircraftModel:
-    """A flight-dynamics model, and how it stands while rolling straight at the taxi speed.
+    """A flight-dynamics model and its trimmed attitude while rolling straight at taxi speed.
 
-    The attitude is that of :class:`~taxinet_ros.core.types.AircraftState`; a run that starts with
-    it neither drops nor nods.
+    The attitude follows :class:`~taxinet_ros.core.types.AircraftState`; a run that starts with it
+    has no vertical or pitch transient.
 
     Attributes:
-        name: of the model's folder, and of the file in it.
-        folder: folder of model folders, None for the models that come with JSBSim.
+        name: name of the model's folder and of the file in it.
+        folder: folder of model folders, None for JSBSim's own models.
         max_steering_rad: largest nose-wheel angle [rad].
         settled_z_m: centre of gravity above the ground [m].
         settled_pitch_rad, settled_roll_rad: attitude [rad].
-        speed_gains: tuning of the speed hold.
+        speed_gains: gains of the speed hold.
     """
 
     name: str
@@ -182,21 +182,21 @@ MODELS = {
         ),
     ),
 }
-"""Models by the word of ``Scenario.aircraft``."""
+"""Models by the value of ``Scenario.aircraft``."""
 
 
 def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bool) -> Path:
-    """A folder of one model: that of ``models``, with what only some runs need.
+    """Write a copy of a model extended for wind or slope; return its models folder.
 
-    Nothing can be added to a model that is loaded, and each step would pay for it.
+    A loaded model cannot be extended, and the extensions would slow down all runs.
 
     Args:
         models: folder of model folders.
-        name: of the model.
-        scratch: where it is written to, and what is returned.
-        windy: with what ``wind.xml`` beside the model adds to its aerodynamics.
-        sloping: with a force that :func:`_pull_down` sets, for JSBSim's ground is level and its
-            gravity straight down.
+        name: name of the model.
+        scratch: folder to write to, which is returned.
+        windy: add the aerodynamics of ``wind.xml`` beside the model.
+        sloping: add a force set by :func:`_pull_down`, since JSBSim's ground is level and its
+            gravity vertical.
     """
     tree = ET.parse(models / name / f'{name}.xml')
     root = tree.getroot()
@@ -221,14 +221,14 @@ def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bo
 
 
 def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> None:
-    """Have gravity act as on a runway that climbs: its part along it, at the centre of gravity.
+    """Apply gravity's component along a sloping runway at the centre of gravity.
 
     Args:
-        fdm: with a model of :func:`_adapted`.
-        slope_rad: of the runway, uphill positive [rad].
+        fdm: JSBSim with a model of :func:`_adapted`.
+        slope_rad: slope of the runway, uphill positive [rad].
         along_rad: true heading uphill [rad].
     """
-    # What the wheels carry is less by 1 - cos: 0.1 % at the most.
+    # Neglected: the wheel load drops by 1 - cos, at most 0.1 %.
     for axis in 'xyz':
         fdm[f'external_reactions/slope/location-{axis}-in'] = fdm[f'inertia/cg-{axis}-in']
     fdm['external_reactions/slope/x'] = -math.cos(along_rad)
@@ -237,14 +237,14 @@ def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> Non
 
 
 class Wind:
-    """The wind of a scenario: steady, or with the gusts of :class:`.Gusts`.
+    """Wind of a scenario: steady, or with :class:`.Gusts`.
 
     Attributes:
-        steady: it has no gusts.
+        steady: whether it has no gusts.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Find out where it blows to."""
+        """Compute the wind vector."""
         speed_mps, from_rad = scenario.wind_speed_mps, scenario.wind_direction_rad
         self._north_mps = -speed_mps * math.cos(from_rad)
         self._east_mps = -speed_mps * math.sin(from_rad)
@@ -252,17 +252,17 @@ class Wind:
         self._gusts = Gusts(scenario.gust_mps, int(scenario.gust_seed))
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
-        """Let it blow."""
+        """Set the mean wind in JSBSim."""
         fdm['atmosphere/wind-north-fps'] = self._north_mps / M_PER_FT
         fdm['atmosphere/wind-east-fps'] = self._east_mps / M_PER_FT
 
     def gusts(self, fdm: jsbsim.FGFDMExec, steps: int) -> Iterator[None]:
-        """Before each of so many steps of physics, blow as the gusts are where it then is."""
+        """Set the gust at the aircraft's position before each of ``steps`` physics steps."""
         north_mps = fdm['velocities/v-north-fps'] * M_PER_FT - self._north_mps
         east_mps = fdm['velocities/v-east-fps'] * M_PER_FT - self._east_mps
         way_mps = math.hypot(north_mps, east_mps)
-        # The specification turns its axes with the mean wind that is felt; what stands still in
-        # still air feels none, and any will do.
+        # The specification aligns its axes with the mean relative wind; at rest in still air there
+        # is none, and any axes will do.
         north, east = (north_mps / way_mps, east_mps / way_mps) if way_mps else (1.0, 0.0)
         for _ in range(steps):
             along, across = self._gusts.along_mps, self._gusts.across_mps
@@ -273,7 +273,7 @@ class Wind:
 
 
 class Aircraft:
-    """The aircraft of one run, rolling at the scenario's speed from the scenario's start pose.
+    """Aircraft of one run, rolling at the scenario's speed from its start pose.
 
     Attributes:
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
@@ -286,10 +286,10 @@ class Aircraft:
         """Load a model and set it on the runway.
 
         Args:
-            scenario: start pose and kind of aircraft.
+            scenario: start pose and aircraft model.
             period_ns: control period [ns], a whole number of physics steps.
-            model: that takes the place of the scenario's.
-            runway: that takes the place of the scenario's.
+            model: replaces the scenario's model.
+            runway: replaces the scenario's runway.
 
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
@@ -313,11 +313,11 @@ class Aircraft:
 
     @property
     def state(self) -> AircraftState:
-        """Present pose and motion in ``map``."""
+        """Current pose and motion in ``map``."""
         return self._state
 
     def advance(self, command: TaxiCommand) -> AircraftState:
-        """Integrate one control period with the nose wheel, the lever and the brakes held.
+        """Integrate one control period with constant nose wheel, lever and brakes.
 
         Args:
             command: nose-wheel angle, clipped to :attr:`max_steering_rad`, and speed to hold.
@@ -359,7 +359,7 @@ class Aircraft:
         return fdm
 
     def _place(self, scenario: Scenario) -> float:
-        """Put it down; the true heading along the runway there [rad]."""
+        """Set the initial pose; return the runway's true heading there [rad]."""
         pose = self._frame.to_geodetic(
             MapPose(
                 x_m=scenario.distance_m,
@@ -369,7 +369,7 @@ class Aircraft:
             )
         )
         fdm = self._fdm
-        # The height above the terrain comes after the terrain, and speeds after the attitude.
+        # Order matters: terrain before height above it, attitude before speeds.
         fdm['ic/terrain-elevation-ft'] = self._frame.elevation_m / M_PER_FT
         fdm['ic/lat-geod-rad'] = pose.latitude_rad
         fdm['ic/long-gc-rad'] = pose.longitude_rad
@@ -386,7 +386,7 @@ class Aircraft:
     def _start_rolling(self, scenario: Scenario, along_rad: float) -> None:
         fdm, lever = self._fdm, self._model.speed_gains.rolling_lever
         self._attempt(fdm.run_ic, 'run_ic')
-        # The initial conditions have no wind and a level runway, and would take them away again.
+        # Only now: initialisation would reset wind and slope.
         if self._wind is not None:
             self._wind.begin(fdm)
         if (friction := FRICTION[scenario.surface]) != FRICTION['dry']:
@@ -396,8 +396,8 @@ class Aircraft:
         propulsion = fdm.get_propulsion()
         if not propulsion.get_num_engines():  # the caravan's thrust is an external force
             return
-        # Starting an engine also opens its throttle and leaves it at full speed. One step with the
-        # motion frozen carries our lever to the engine, which then settles to its speed there.
+        # Starting an engine also opens its throttle and leaves it at full speed. One step with
+        # motion frozen passes our lever to the engine, which then settles at that speed.
         fdm['propulsion/set-running'] = _ALL
         fdm['fcs/throttle-cmd-norm'] = lever
         fdm['simulation/models/FGPropagate/enabled'] = 0
@@ -418,7 +418,7 @@ class Aircraft:
     def _attempt(
         self, action: Callable[[], bool], name: str, log: CapturedLog | None = None
     ) -> None:
-        """Do something that JSBSim refuses by an exception, or by False and a line in its log."""
+        """Call JSBSim, which signals failure by an exception, or by False and a log line."""
         try:
             done = action()
         except RuntimeError as error:

@@ -1,17 +1,17 @@
-"""Turbulence near the ground: Dryden's spectra, as in MIL-F-8785C, section 3.7.
+"""Turbulence near the ground: Dryden's spectra, MIL-F-8785C, section 3.7.
 
-The aircraft moves through a field of gusts that is carried along by the mean wind and does not
-change on the way (Taylor's hypothesis), so what it feels depends on the way that it has gone
-through the air. Along this way and across it, with s the way and L the scale length::
+The aircraft moves through a frozen gust field carried by the mean wind (Taylor's hypothesis), so
+the gust depends on the distance s travelled through the air. Along and across that path, with
+scale length L::
 
     u: (2 sigma^2 L / pi) / (1 + (L Omega)^2),            correlation exp(-s/L)
     v: (sigma^2 L / pi) (1 + 3 (L Omega)^2) / (1 + (L Omega)^2)^2,  exp(-s/L) (1 - s/2L)
 
-JSBSim has Dryden's model too. There the strength follows from the wind at 20 ft, the samples are
-those of a filter for short steps, and the generator belongs to the process; here the strength is
-given, the samples have these correlations exactly for steps of any length, and a seed says which
-they are, so that the same scene has the same gusts everywhere. Vertical gusts are left out: the
-ground stops them, and a taxiing aircraft has next to no lift.
+JSBSim has a Dryden model too, but its intensity follows from the wind at 20 ft, its filter is
+accurate only for short steps, and its generator is global to the process. Here the intensity is
+given, the correlations are exact for steps of any length, and a seed makes the gusts of a scene
+reproducible. Vertical gusts are omitted: the ground suppresses them, and a taxiing aircraft has
+hardly any lift.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ import numpy as np
 
 M_PER_FT = 0.3048
 _HEIGHT_FT = 10.0
-"""The least height that the specification has formulas for, MIL-F-8785C figure 10."""
+"""Lowest height covered by the specification's formulas, MIL-F-8785C figure 10."""
 SCALE_LENGTH_M = _HEIGHT_FT / (0.177 + 0.000823 * _HEIGHT_FT) ** 1.2 * M_PER_FT
-"""Of either horizontal component: 23 m."""
+"""Scale length of both horizontal components: 23 m."""
 _C = 1.0 - 1.0 / math.sqrt(3.0)
 
 
 class Gusts:
-    """The gusts on one aircraft's way through the air."""
+    """Gusts along one aircraft's path through the air."""
 
     def __init__(self, sigma_mps: float, seed: int) -> None:
-        """Draw the gust at the beginning.
+        """Draw the initial gust.
 
         Args:
-            sigma_mps: standard deviation of either component [m/s].
-            seed: which of all gusts.
+            sigma_mps: standard deviation of each component [m/s].
+            seed: random seed.
         """
         self._draws = np.random.Generator(np.random.PCG64(seed))
         self._sigma_mps = sigma_mps
-        # In units of sigma and L: u is one low-pass of white noise; v has two, one after the other,
-        # of which the stationary covariance is ((1/2, 1/4), (1/4, 1/4)).
+        # In units of sigma and L: u is low-pass filtered white noise; v has two low-passes in
+        # series, with stationary covariance ((1/2, 1/4), (1/4, 1/4)).
         first, second, third = self._draws.standard_normal(3).tolist()
         self._u: float = first
         self._slow: float = second * math.sqrt(0.5)
@@ -49,22 +49,22 @@ class Gusts:
 
     @property
     def along_mps(self) -> float:
-        """Of the air, in the direction in which the aircraft moves through it [m/s]."""
+        """Gust velocity in the aircraft's direction of motion through the air [m/s]."""
         return self._sigma_mps * self._u
 
     @property
     def across_mps(self) -> float:
-        """To the right of that [m/s]."""
+        """Gust velocity to the right of that direction [m/s]."""
         return self._sigma_mps * math.sqrt(3.0) * (self._slow - _C * self._slower)
 
     def advance(self, way_m: float) -> None:
-        """Go on through the air by ``way_m`` [m]."""
+        """Move through the air by ``way_m`` [m]."""
         step = way_m / SCALE_LENGTH_M
         decay = math.exp(-step)
         left = -math.expm1(-2.0 * step)  # 1 - decay^2
         first, second, third = self._draws.standard_normal(3).tolist()
         self._u = decay * self._u + math.sqrt(left) * first
-        # What the noise of this step adds to the two low-passes: covariance P - F P F'.
+        # Covariance that this step's noise adds to the two low-passes: P - F P F'.
         kept = decay * decay
         variance = 0.5 * left
         both = 0.25 * (left - 2.0 * step * kept)

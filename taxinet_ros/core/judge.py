@@ -69,10 +69,10 @@ def check_specs(
 
 
 def check_edge(spec: Spec, half_width_m: float) -> None:
-    """See that ``on_runway``, which is about the paper's runway, is asked of none of another width.
+    """Check that ``on_runway`` is used only for runways as wide as the paper's.
 
     Raises:
-        UsageError: it is.
+        UsageError: the width differs.
     """
     if spec == SHIPPED['on_runway'] and half_width_m != KMWH_HALF_WIDTH_M:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""How a run is asked for, and how it may end: with an outcome, exactly one of five.
+"""Request and result of a run; a result has exactly one of five outcomes.
 
 Only the first two outcomes carry a robustness.
 """
@@ -20,7 +20,7 @@ from taxinet_ros.errors import InfraKind
 
 
 class Outcome(enum.StrEnum):
-    """The outcome taxonomy: a system that fails its specification is not a bench that broke."""
+    """Outcome of a run; separates violated specifications from failures of the test bench."""
 
     PASS = 'PASS'
     FAIL = 'FAIL'
@@ -35,7 +35,7 @@ class Outcome(enum.StrEnum):
 
 
 class Judged(Protocol):
-    """What a judge says of a run: a :class:`.judge.Judgement`, or the message made of one."""
+    """Result of judging a run: a :class:`.judge.Judgement`, or its message."""
 
     @property
     def complete(self) -> bool:
@@ -43,7 +43,7 @@ class Judged(Protocol):
 
     @property
     def stopped_early(self) -> bool:
-        """Whether it was ended before, because its verdict was in."""
+        """Whether it was stopped before its horizon because its verdict was decided."""
 
     @property
     def satisfied(self) -> bool:
@@ -61,12 +61,12 @@ NOT_JUDGED: Mapping[str, str] = MappingProxyType({
     'kind': InfraKind.INVALID_RUN, 'who': MTL_MONITOR,
     'detail': 'the monitor had no whole, finite sequence of samples to judge',
 })
-"""What is said of a run that reached its end and could not be judged."""
+"""Detail of a run that reached its end but could not be judged."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunRequest:
-    """One run that somebody asks for.
+    """Request of one run.
 
     Attributes:
         run_id: unique name: letters, digits, ``_``, ``-`` and ``.``.

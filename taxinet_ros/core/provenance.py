@@ -1,4 +1,4 @@
-"""Which machine, libraries and code a result comes from: what its last bits depend on.
+"""Provenance of a result: machine, libraries and code, on which its exact bits depend.
 
 Two records that are equal promise equal bytes. What a library chooses for itself and does not tell
 (onnxruntime's kernels) follows from the processor's features, which are in the record.
@@ -86,7 +86,7 @@ def without_commit(facts: Provenance) -> dict[str, str]:
 
 
 def stack_id(facts: Provenance) -> str:
-    """A short name of a record, for the rows of a table: 8 hexadecimal digits."""
+    """Short identifier of a record, for tables: 8 hexadecimal digits."""
     text = json.dumps(dict(facts), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
@@ -119,7 +119,7 @@ def begun_elsewhere(before: Sequence[Provenance], now: Provenance, what: str) ->
 
 
 def words(facts: Provenance) -> str:
-    """A record in one line for people."""
+    """One-line description of a record."""
     return ', '.join(
         value if name == 'processor' else f'{name} {_short(value)}'
         for name, value in facts.items() if name not in ('processor_features', 'numpy_features')
@@ -127,7 +127,7 @@ def words(facts: Provenance) -> str:
 
 
 def known(values: Any) -> dict[str, str]:
-    """A record out of a file that anybody may have written: names and texts, the rest dropped."""
+    """Read a record from an untrusted file; anything but names and texts is dropped."""
     if not isinstance(values, Mapping):
         return {}
     return {str(name): value for name, value in values.items() if isinstance(value, str)}

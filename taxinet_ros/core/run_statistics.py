@@ -1,4 +1,4 @@
-"""Figures of one run beside its robustness: how far off, when settled, how wrong the estimates."""
+"""Statistics of one run besides its robustness: deviation, settling time, estimation errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ErrorStatistics:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunStatistics:
-    """A run in a few figures.
+    """Summary statistics of a run.
 
     Attributes:
         max_cross_track_m: greatest |cross-track error| [m].

@@ -1,4 +1,4 @@
-"""One test case: the point in the paper's six-dimensional feature space, and what belongs to it.
+"""One test case: a point in the paper's six-dimensional feature space, with its settings.
 
 Inside the program a scenario is in SI units; people write metres, degrees, percent and hours (in
 Scenic programs, on the command line, in tables). :func:`scenario_from_human` is the one door;
@@ -51,10 +51,10 @@ class Scenario:
             without it pavement and paint go on as elsewhere. Never, where nothing crosses.
         aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
         wind_speed_mps: mean wind [m/s].
-        wind_direction_rad: which it blows from [rad], from true north, clockwise.
+        wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
         gust_mps: standard deviation of the turbulence in either horizontal direction [m/s], see
             :mod:`taxinet_ros.core.gusts`.
-        gust_seed: which of all gusts; a whole number.
+        gust_seed: random seed of the gusts; a whole number.
         runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
         slope_fraction: rise of the runway by its length, uphill ahead positive.
         speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
@@ -135,27 +135,27 @@ class Scenario:
 
     @property
     def pushed(self) -> bool:
-        """Whether wind, a slope or slippery ground move the aircraft too."""
+        """Whether wind, slope or reduced friction affect the aircraft."""
         return bool(self.wind_speed_mps or self.gust_mps or self.slope_fraction) or (
             self.surface != 'dry'
         )
 
     @property
     def surface(self) -> str:
-        """What the runway's friction is that of: ``runway_state``, with ``auto`` resolved."""
+        """Runway condition: ``runway_state`` with ``auto`` resolved."""
         if self.runway_state == 'auto':
             return 'wet' if self.rain_fraction > 0 else 'dry'
         return self.runway_state
 
     def to_human(self) -> dict[str, Any]:
-        """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""
+        """The scenario in user-facing units; the inverse of :func:`scenario_from_human`."""
         return {
             field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
-    """Build a scenario from the units people type (m, degrees, percent, hours).
+    """Build a scenario from user-facing units (m, degrees, percent, hours).
 
     Args:
         values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).

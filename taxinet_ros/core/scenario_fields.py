@@ -1,16 +1,15 @@
-"""The keys of a scenario, one row each: names, units, range, words, and what people call them.
+"""Table of scenario keys: names, units, ranges, allowed words and titles.
 
-A key is the one name outside, with its unit in it: people type it in Scenic programs, after
-``--set`` and in experiments, and read it in tables, ledgers, labels and JSON. The attribute of
+A key is the user-facing name and includes its unit. It is used in Scenic programs, after ``--set``,
+in experiments, tables, ledgers, labels and JSON. The attribute of
 :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units.
 
-Where people type, a key without its unit (its short form: ``rain`` for ``rain_percent``) means the
-same; :func:`by_key` spells it out. Only short forms were there before keys had units, so they are
-in files of then, which are read likewise.
+Input also accepts a key without its unit (short form: ``rain`` for ``rain_percent``);
+:func:`by_key` expands it. Older files contain only short forms and are read in the same way.
 
-Whatever else has a line for each key (scenario message, rows and tables of runs, features of an
-analysis, world model of the programs, pages of the documentation) is made from these rows, or
-compared with them by ``tests/core/test_scenario_fields.py``.
+Everything else with an entry per key (scenario message, rows and tables of runs, features of an
+analysis, world model of the programs, pages of the documentation) is generated from this table, or
+compared with it by ``tests/core/test_scenario_fields.py``.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 """The six cloud kinds, from clear sky to dark stratus, in X-Plane 11's order."""
 
 RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
-"""The cloud kinds that rain may fall from."""
+"""Cloud kinds that allow rain."""
 
 AIRCRAFT = ('caravan', 'c172p')
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
-"""What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
+"""Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
 
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
@@ -45,7 +44,7 @@ _DECIMALS = 9
 
 
 class Kind(Enum):
-    """What a key's values are."""
+    """Type of a key's values."""
 
     NUMBER = 'number'
     WORD = 'word'
@@ -76,25 +75,25 @@ class ScenarioField:
     """One key of a scenario.
 
     Attributes:
-        key: its name outside, with the unit where it has one.
-        short: the key without its unit, '' where that is the key itself.
+        key: user-facing name, including the unit if there is one.
+        short: the key without its unit, '' if equal to the key.
         attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
             SI units.
-        title: for people, without the unit.
-        kind: of its values.
-        unit: in which people type and read it, '' for words.
-        si: how much one ``unit`` is in SI units.
-        si_unit: as it follows a number in SI units.
+        title: display name, without the unit.
+        kind: type of its values.
+        unit: user-facing unit, '' for words.
+        si: one ``unit`` in SI units.
+        si_unit: suffix of a number in SI units.
         low, high: least and greatest number in SI units, both allowed; of what depends on the
             place, at the paper's.
         anywhere: the same at some place at least, where it depends on the place.
         counted: from where and in which direction, as it follows either unit.
-        form: format of a number for people.
-        words: all that there are, in their order.
+        form: format of displayed numbers.
+        words: all allowed words, in order.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
-        absent: its value in recordings of before there was such a key, in SI units; None where
-            there always was.
+        absent: its value in recordings older than the key, in SI units; None if the key has always
+            existed.
     """
 
     key: str
@@ -116,7 +115,7 @@ class ScenarioField:
 
     @property
     def label(self) -> str:
-        """The key for people, without its unit: ``time of day``."""
+        """Display name of the key, without its unit: ``time of day``."""
         return (self.short or self.key).replace('_', ' ')
 
     @property
@@ -135,7 +134,7 @@ class ScenarioField:
         return self.unit if self.unit in ('', '°') else f' {self.unit}'
 
     def from_human(self, value: Any) -> Any:
-        """A value that a person typed, in SI units.
+        """Convert a user's value to SI units.
 
         Raises:
             UsageError: it is no number within the range, no switch or no place, where there should
@@ -174,7 +173,7 @@ class ScenarioField:
         fits = is_number(value) if self.kind is Kind.NUMBER else isinstance(value, expected)
         if switch is not (self.kind is Kind.SWITCH) or not (switch or fits):
             raise UsageError(f'scenario: {self.attribute} is {told(value)}, not {what}')
-        # A number of numpy's would take the arithmetic of the run to its own precision.
+        # A NumPy number would impose its precision on the arithmetic of the run.
         value = value if type(value) is expected else expected(value)
         low, high = limits or (self.low, self.high)
         if self.kind is Kind.NUMBER and not _within(value, low, high):
@@ -192,7 +191,7 @@ class ScenarioField:
         return value
 
     def value_words(self, value: Any) -> str:
-        """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
+        """Display text of a value, with its user-facing unit: ``10:30``, ``+2.5 deg``, ``on``."""
         if self is TIME_OF_DAY:
             return clock_words(value)
         if self.kind is Kind.SWITCH:
@@ -328,18 +327,18 @@ PLACE = ScenarioField(
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
-"""What moves the aircraft and is not in the picture."""
+"""Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
-"""Scenario keys as people type and read them."""
+"""User-facing scenario keys."""
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
-"""What may be typed for a key, and was all that there was in files of before: the key by it."""
+"""Key by its short form, which input accepts and older files use."""
 
 BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
-"""Keys whose values depend on what there is at the place."""
+"""Keys whose valid values depend on the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)
 """Keys that a Scenic program says by the place of its aircraft, which has these properties."""

@@ -43,17 +43,17 @@ class Quality:
         return self.durability == 'transient_local'
 
 
-# Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
+# Reliable, since no message may be lost; the depth exceeds the lockstep's window.
 LOCKSTEP = Quality(depth=16)
 # The window counts frames. Of each frame there is one message per formula, and several nodes report
 # how far they are; in a free run nobody waits until an answer that was lost on its way, and is sent
 # again within a second, has reached everybody, and there are at most 1000 frames in that.
 _QUEUE = 4000
-# What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
+# Inputs of the loop's nodes: a node slower than the frames gets the newest, without a backlog.
 NEWEST = Quality(depth=1)
 # Depth counts messages of all publishers together, and several nodes share node_status.
 LATCHED = Quality(depth=16, durability='transient_local')
-# Whoever looks on asks for nothing twice, so that nobody waits for him.
+# Best effort: viewers request no retransmission, so publishers never wait for them.
 LOOKING_ON = Quality(depth=16, reliability='best_effort')
 # As tf2_ros has it.
 TF2 = Quality(depth=100)
@@ -95,12 +95,12 @@ class Topic:
         return self.recorded in (PER_STEP, PER_SPEC)
 
     def listeners(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that subscribe, the recorder included."""
+        """Nodes of a run that subscribe, including the recorder."""
         names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
         return names & {SIMULATOR, *participants}
 
     def speakers(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that publish, one end each."""
+        """Nodes of a run that publish, one publisher each."""
         if self.recorded == PER_NODE:
             return {SIMULATOR, *participants}
         return set(self.publishers) & {SIMULATOR, *participants}
@@ -207,13 +207,13 @@ TF = Topic(
     carries='where base_link is in map, as odometry says',
 )
 TRANSFORMS = (TF_STATIC, TF)
-"""Where the frames are, for whoever draws them or asks tf2.
+"""Transforms of the frames, for viewers and tf2.
 
-By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
-the recorder does not listen: what a bag has of them is made of its odometry.
+By convention any node may publish its own frames here. So no node of a run uses them, and the
+recorder does not subscribe: transforms in a bag are computed from its odometry.
 """
 DIAGNOSTICS = Topic(
-    # Not relative: robots gather all diagnostics there, and names tell whose they are.
+    # Absolute: ROS collects all diagnostics there; the names identify the node.
     name='/diagnostics', type_name='diagnostic_msgs/msg/DiagnosticArray', quality=LOCKSTEP,
     publishers=(SIMULATOR, *PARTICIPANTS), subscribers=(), recorded=None,
     carries='how each node is doing, by the wall clock; anybody may speak here',

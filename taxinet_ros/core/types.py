@@ -1,4 +1,4 @@
-"""Value types of the closed loop, with the one statement of every unit, axis and sign.
+"""Value types of the closed loop; defines all units, axes and signs.
 
 Frames (REP-103, REP-105). ``map`` is the runway frame: origin on the centreline at the threshold
 of runway 04, x along the centreline in the direction of take-off, y to the left, z up. Angles are
@@ -30,7 +30,7 @@ first: a look at each field by its annotation takes ten times as long."""
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackingError:
-    """Where the aircraft is relative to the centreline: the truth, or a perception's estimate.
+    """Pose error relative to the centreline: ground truth, or a perception's estimate.
 
     Attributes:
         cte_m: cross-track error [m], left positive.
@@ -89,7 +89,7 @@ class AircraftState:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaxiCommand:
-    """What the steering controller asks of the aircraft for one control period.
+    """Command of the controller to the aircraft for one control period.
 
     Attributes:
         steering_rad: nose-wheel angle [rad], positive turns left.

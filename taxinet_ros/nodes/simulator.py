@@ -1,9 +1,9 @@
-"""The simulator node: the world, its camera, the clock, and the keeper of the lockstep.
+"""Simulator node: world, camera, clock and lockstep control.
 
 It serves the action ``run_scenario``. For each goal it publishes the scenario, waits until every
-participant is ready, then publishes frame after frame and integrates to the next only when the
-command for the present one is in. Wall-clock watchdogs turn silence into ``INFRA_ERROR``; they
-never decide a verdict.
+participant is ready, then publishes frame after frame; it integrates to the next only after the
+command for the current one has arrived. Wall-clock watchdogs turn silence into ``INFRA_ERROR``;
+they never decide a verdict.
 """
 
 from __future__ import annotations
@@ -82,17 +82,17 @@ from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
-"""Longest wait [s] for the answers to the frame that is out, when a run is to be broken off."""
+"""Maximum wait [s] for the answers to the current frame when a run is aborted."""
 
 _DELIVERY_S = 0.3
-"""What the last answer may take on its way before this node leaves the graph."""
+"""Time [s] for delivery of the last answer before this node leaves the graph."""
 
 _STALLED_S = 1.0
-"""A step that takes longer is one that somebody is awaited for."""
+"""Step duration [s] above which the missing nodes count as awaited."""
 
 _RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
 _SUSPECTED_S = 1.0
-"""How long it is awaited that somebody else turns out to have begun what a node did wrong."""
+"""Time [s] to wait for evidence that another node caused a node's protocol error."""
 
 
 _OPTIONS = (
@@ -140,7 +140,7 @@ USAGE = Usage(
 
 
 class Simulator(Node):
-    """One world at a time, stepped by the answers of the graph."""
+    """Runs one world at a time, stepped by the answers of the graph."""
 
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
@@ -211,7 +211,7 @@ class Simulator(Node):
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
 
     def waits_for(self) -> Iterable[str]:
-        """Names of those whom the run at hand waits for: see :mod:`.waiting`."""
+        """Names of the nodes that the current run waits for: see :mod:`.waiting`."""
         run = self._run
         if run is None:
             return ()
@@ -289,7 +289,7 @@ class Simulator(Node):
     def _hear(
         self, read: Callable[[Any], Any], callback: Callable[[ActiveRun, Any], None], given: Any
     ) -> None:
-        """Take a message of the active run; whatever goes wrong with it ends that run."""
+        """Handle a message of the active run; any error ends that run."""
         run = self._run
         if run is not None:
             self._attempt(run, lambda: self._take(run, callback, read(given)))
@@ -429,7 +429,7 @@ class Simulator(Node):
             self._conclude(run, run.verdict)
 
     def _publish_frame(self, run: ActiveRun) -> None:
-        # A frame takes longer than all else, so it is not made for nobody.
+        # Rendering is the slowest part, so skip it without subscribers.
         begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
@@ -445,7 +445,7 @@ class Simulator(Node):
             self._health.frames.took(time.perf_counter() - begun_s)
 
     def _tick(self) -> None:
-        """Go on with a free run, if its time has come."""
+        """Advance a free run if its next step is due."""
         run = self._run
         if run is not None and run.free is not None and run.started and run.ending is None:
             free = run.free
@@ -480,7 +480,7 @@ class Simulator(Node):
     # Endings ---------------------------------------------------------------------------------
 
     def _look_for_strangers(self, thorough: bool = False) -> None:
-        """End the run at hand if somebody speaks in it who has no part in it."""
+        """End the current run if a node outside it publishes on its topics."""
         run = self._run
         if run is not None and (stranger := self._stranger(run, thorough)) is not None:
             self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
@@ -498,7 +498,7 @@ class Simulator(Node):
         return first_stranger(topics, thorough) if run.started else None
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
-        # Nobody is blamed for what may be somebody else's.
+        # The error may be caused by a node outside the run.
         if kind != InfraKind.INTRUDER and (stranger := self._stranger(run)) is not None:
             kind, who, detail = InfraKind.INTRUDER, stranger.name, stranger.detail
         status = run.status(
@@ -517,7 +517,7 @@ class Simulator(Node):
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:
-        """End a run that nobody wants to see the end of, between two steps if that can be."""
+        """Abort a run, between two steps if possible."""
         self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
 
     def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
@@ -531,14 +531,14 @@ class Simulator(Node):
             run.finish()
 
     def _diagnose(self) -> Health:
-        """How this node is doing."""
+        """Health of this node, for diagnostics."""
         run = self._run
         if run is None:
             return self._health.look(None, '')
         return self._health.look(run, ', '.join(self._awaited(run)))
 
     def _awaited(self, run: ActiveRun) -> list[str]:
-        """Names of the nodes that a run waits for now, or in a free run has long waited for."""
+        """Names of the nodes that a run waits for; in a free run, those overdue."""
         if run.ending is not None:
             return [interface.RECORDER]
         if not run.started:

@@ -1,4 +1,4 @@
-"""A run whose simulated time goes by the wall clock, whoever has answered: the bookkeeping.
+"""Bookkeeping of free runs, whose simulated time follows the wall clock without waiting.
 
 The simulator owns one per run, in the place of the lockstep's. A frame is answered by the first
 command that names it, whenever that comes; the command that answers the newest frame holds, from
@@ -69,7 +69,7 @@ class FreeRunAccount:
         return cls(**lists, overruns=int(words['overruns']), stale=int(words['stale']))
 
     def figures(self) -> dict[str, float]:
-        """The account in a few figures, by name; those that nothing is known of are left out.
+        """Summary figures by name; unknown ones are omitted.
 
         ``unanswered``: frames without a command; ``late``: answers that came after the next frame;
         ``perception`` and ``loop`` latency, from the frame to the estimate and to the command, by
@@ -225,7 +225,7 @@ class FreeRun(Lockstep):
 
     @property
     def may_advance(self) -> bool:
-        """No answer makes time move on."""
+        """False: in a free run, answers do not advance time."""
         return False
 
     @property
@@ -272,7 +272,7 @@ class FreeRun(Lockstep):
         return self.closed and self.settled == self.last_seq and not self.missing()
 
     def silent(self, now_s: float, limit_s: float) -> str:
-        """Who has said nothing for too long, or ''; of several the one who fell silent first.
+        """Node that has been silent for too long, or ''; of several, the first to fall silent.
 
         Whom others await, and whom the simulator waits for, is silent before them.
         """

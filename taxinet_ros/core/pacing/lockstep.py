@@ -1,4 +1,4 @@
-"""The lockstep protocol as a plain state machine: who must answer what before time may move on.
+"""The lockstep protocol as a state machine: answers required before time may advance.
 
 The simulator owns one per run. Every frame is numbered; every answer names the frame that it
 answers; simulated time moves from step k to k+1 only when the command for k is in. Participants
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from taxinet_ros.core.judging import StopOn
 
 WINDOW = 8
-"""Most frames that a participant outside the control loop may lag; below the queues' depth."""
+"""Maximum lag [frames] of a participant outside the control loop; below the queue depth."""
 
 PROGRESS_EVERY = 4
 """Such a participant reports every so many steps, and at the last one."""
@@ -74,7 +74,7 @@ class Lockstep:
         return not self._not_ready
 
     def begin(self, seq: int, now_s: float = 0.0) -> None:
-        """A new frame is out; when, by the wall clock, is nothing to the lockstep."""
+        """Note a new frame; the lockstep ignores its wall-clock time."""
         self.seq = seq
 
     def answer(self, node: str, seq: int, now_s: float = 0.0) -> bool:
@@ -105,7 +105,7 @@ class Lockstep:
         return self.seq < self.last_seq and not self.missing()
 
     def missing(self) -> list[str]:
-        """Names of those whose answer is awaited now; empty if there are none.
+        """Names of the nodes whose answer is awaited now; empty if there are none.
 
         Within the chain only the first silent one is named: the others wait for it.
         """
@@ -117,6 +117,6 @@ class Lockstep:
         return [node for node, seq in self._progress.items() if seq < self._needed(node)]
 
     def _needed(self, node: str) -> int:
-        """The frame that a follower has to have seen by now."""
+        """Frame that a follower must have seen by now."""
         at_once = self.seq == self.last_seq or node in self._enders
         return self.seq if at_once else self.seq - WINDOW + 1

@@ -1,9 +1,9 @@
-"""Places out of the file ``apt.dat`` of X-Plane or FlightGear that a user has.
+"""Reads places from a user's ``apt.dat`` of X-Plane or FlightGear.
 
 Format: X-Plane airport data, versions 1000 to 1200 (developer.x-plane.com). Read are rows 1 (land
 airport), 100 (runway), 110 to 116 (pavements and their nodes), 120 (painted lines), 1201 and 1202
 (taxi routes); all others are passed by. The file of the whole world has 350 MB: it is mapped into
-the memory and searched for the one airport, and no more is read of it.
+memory and searched for the one airport; nothing else is read.
 """
 
 from __future__ import annotations

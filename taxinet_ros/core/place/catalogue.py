@@ -49,7 +49,7 @@ def find_place(text: str) -> Place:
 
 
 def typed_place(text: str) -> Place:
-    """The place that a person means.
+    """Find the place given by a user.
 
     Args:
         text: a shipped name, a YAML file, ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
@@ -86,7 +86,7 @@ def load_place(word: str) -> str:
 
 @lru_cache(maxsize=8)
 def _place_of_airport(path: str, icao: str, runway: str, zone: str) -> Place:
-    # Brings a library along that is not needed to look a place up.
+    # Imported here because it loads a library that is not needed for looking up places.
     from taxinet_ros.core.place.apt_dat import read_airport_place
 
     return find_place(read_airport_place(Path(path), icao, runway, zone).text)

@@ -62,8 +62,8 @@ class Place:
     """Where runs take place.
 
     Attributes:
-        name: lower-case word, by which people and tables call it.
-        title: for people.
+        name: lower-case identifier, used on the command line and in tables.
+        title: display name.
         icao: of the airport, or ''.
         runway: that is taxied along.
         pavements, lines, routes: what else is known of the airport's ground.

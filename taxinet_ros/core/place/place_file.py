@@ -1,4 +1,4 @@
-"""Places read from YAML files of people's, and from the JSON that scenarios carry.
+"""Reads places from user YAML files and from the JSON in scenarios.
 
 Both are one mapping with the same keys (docs/world.md). Every bad value is one line that names the
 file and the key.

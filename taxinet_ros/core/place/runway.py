@@ -1,4 +1,4 @@
-"""A runway as a value: where it lies, how large it is, of what it is made, what crosses it.
+"""Runway description: position, size, surface, markings and crossing runways.
 
 Coordinates are ``map`` coordinates in metres (see :mod:`taxinet_ros.core.types`): the origin is the
 near end of the pavement, x runs along the centreline.
@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 FOOT_M = 0.3048
 KMWH_HALF_WIDTH_M = 50 * FOOT_M
-"""Of the paper's runway, for what is judged without a place."""
+"""Half width of the paper's runway, the default without a place."""
 
 CATEGORIES = ('visual', 'nonprecision', 'precision')
 """How much is painted (FAA AC 150/5340-1): the better the instrument approach, the more."""
@@ -57,7 +57,7 @@ class Crossing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Runway:
-    """Where a runway lies and what it is, for whoever needs it: aircraft, camera, sun, pages.
+    """Position and properties of a runway, used by aircraft, camera, sun and pages.
 
     Attributes:
         threshold_deg: geodetic latitude and longitude of the origin of ``map`` [deg].

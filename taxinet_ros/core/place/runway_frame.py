@@ -1,4 +1,4 @@
-"""The runway frame ``map``: the one way to put something on the Earth and to find it again there.
+"""The runway frame ``map``: conversion between ``map`` and geodetic coordinates.
 
 x and y are coordinates of a rigid tangent frame: its plane touches the ground at the threshold, x
 points at the far end of the centreline, y is left of it. Height and attitude are taken from the
