@@ -138,7 +138,7 @@ class Journal:
         self.check_in_place()
 
     def check_in_place(self) -> None:
-        """See that the open file is still the one at its path.
+        """Check that the open file is still the one at its path.
 
         Raises:
             RecordError: it, or a folder above it, was moved, deleted or replaced. What was appended
