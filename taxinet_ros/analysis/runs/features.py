@@ -171,7 +171,7 @@ PUSHING_FEATURES = (
         words=('taxi speed of {} to {} m/s', 'taxi speed below {} m/s', 'taxi speed above {} m/s'),
     ),
 )
-"""Wind features; the gust seed is not a meaningful feature."""
+"""Features that affect the motion; the gust seed is not a meaningful feature."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)

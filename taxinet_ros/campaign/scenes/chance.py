@@ -180,7 +180,7 @@ class _Trace:
         return self._line
 
     def _look(self, frame: FrameType) -> None:
-        """Refuse a draw, unless Scenic made it internally in a line without a NumPy call."""
+        """Record a draw, unless Scenic made it internally in a line without a NumPy call."""
         now, place = _numpy_state(), (frame.f_code.co_filename, self._lines[id(frame)])
         name = _written(place) or ('' if self._scenic else 'numpy.random')
         if name and now != self._state and self.found is None:
