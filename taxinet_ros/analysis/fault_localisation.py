@@ -1,8 +1,8 @@
 """Fault localisation: find whether network or controller causes failures.
 
-The paper's (section "Error analysis and debugging"): counterexamples are run again with the
-truth in place of the network's estimates. Here are the verdicts, and the report on them:
-sentences, a table of counts, a picture, JSON.
+The paper's (section "Error analysis and debugging"): counterexamples are rerun with the truth in
+place of the network's estimates. This module has the verdicts, and the report on them: sentences, a
+table of counts, a figure, JSON.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from taxinet_ros.files.atomic import make_atomically
 
 
 class Blame(enum.StrEnum):
-    """What a failure is put down to."""
+    """The cause to which a failure is attributed."""
 
     PERCEPTION = 'perception'
     """With a perfect estimate the run passes."""
@@ -52,7 +52,7 @@ class Blame(enum.StrEnum):
 
 
 class Suffices(enum.StrEnum):
-    """Which of the two estimates has to be perfect for a run to pass."""
+    """Which of the two estimates must be perfect for a run to pass."""
 
     EITHER = 'either'
     HEADING = 'heading'
@@ -67,9 +67,9 @@ class Case:
     """One counterexample.
 
     Attributes:
-        row: as it was recorded.
+        row: the recorded run.
         trials: by word of the substitution, those that were made.
-        blame: whose fault it is.
+        blame: the attributed cause.
         suffices: which perfect estimate alone makes it pass.
     """
 
@@ -80,12 +80,12 @@ class Case:
 
     @property
     def counted(self) -> bool:
-        """Whether it came out as recorded, so that its other trials mean something."""
+        """Whether its rerun reproduced the recording, so that its other trials are meaningful."""
         control = self.trials.get(AS_RECORDED)
         return control is not None and reproduced(self.row, control)
 
     def passed(self, word: str) -> bool | None:
-        """Whether it passed with a substitution; None where nobody knows."""
+        """Whether it passed with a substitution; None if unknown."""
         trial = self.trials.get(word)
         return None if trial is None else trial.passed
 
@@ -99,9 +99,9 @@ class Localisation:
         specs: number of formulas; to pass is to satisfy all.
         perception: word or file of the network.
         failed, runs: failed and judged runs of the campaign.
-        chosen_by: sampler of its scenes, '' where they were drawn.
-        words: substitutions that were asked for, the control first.
-        cases: the counterexamples that were looked into.
+        chosen_by: sampler of its scenes, '' if they were drawn.
+        words: requested substitutions, the control first.
+        cases: the analysed counterexamples.
     """
 
     spec: str
@@ -115,17 +115,17 @@ class Localisation:
 
     @property
     def counted(self) -> tuple[Case, ...]:
-        """Those that came out as recorded."""
+        """Cases that were reproduced."""
         return tuple(case for case in self.cases if case.counted)
 
     @property
     def not_reproduced(self) -> tuple[Case, ...]:
-        """Those that came out otherwise than recorded."""
+        """Cases that were not reproduced."""
         return tuple(case for case in self.cases if case.blame is Blame.NOT_REPRODUCED)
 
     @property
     def rounded(self) -> int:
-        """Counted cases whose scene was known from the ledger only."""
+        """Counted cases whose scene is known only from the ledger."""
         return sum(not case.trials[AS_RECORDED].exact for case in self.counted)
 
     def passing(self, word: str) -> tuple[int, int, Rate]:
@@ -139,21 +139,21 @@ class Localisation:
 
     @property
     def blames(self) -> Mapping[Blame, int]:
-        """Cases by whose fault they are."""
+        """Cases by attributed cause."""
         return Counter(case.blame for case in self.cases)
 
     @property
     def sufficing(self) -> Mapping[Suffices, int]:
-        """Cases that are the perception's fault, by what alone makes them pass."""
+        """Cases attributed to perception, by the estimate that alone makes them pass."""
         return Counter(
             case.suffices for case in self.cases if case.blame is Blame.PERCEPTION
         )
 
 
 def reproduced(row: RunRow, control: Trial) -> bool:
-    """Whether a run came out as it was recorded.
+    """Whether a rerun reproduced the recording.
 
-    To the last bit where the scene is known so; else it has to fail again.
+    Bit-exact if the scene is; else it must fail again.
     """
     if control.passed is not False:
         return False
@@ -172,7 +172,7 @@ def localisation(
     rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str], spec: str, specs: int,
     perception: str, failed: int, runs: int, chosen_by: str,
 ) -> Localisation:
-    """Put the trials of some counterexamples together; see :class:`Localisation`."""
+    """Combine the trials of counterexamples; see :class:`Localisation`."""
     cases = (
         judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
         for row in rows
@@ -235,7 +235,7 @@ def localisation_report(found: Localisation) -> Report:
 
 
 def localisation_section(found: Localisation) -> Section:
-    """The evidence: a picture and a table of how many pass with which substitution."""
+    """The evidence: a figure and a table of passes by substitution."""
     return Section(
         name='fault-localisation', heading='Whose fault',
         sentences=(

@@ -1,18 +1,16 @@
 """Release gate: check acceptance thresholds on a campaign's runs; verdicts and JUnit XML.
 
-A share of runs is known within an interval only, so there are three answers. PASS: the bound of
-the interval that matters clears the threshold. FAIL: the whole interval is beyond it.
-INCONCLUSIVE: the threshold lies within, and more runs would tell; or the runs say nothing of a
-rate. Both bounds are one-sided, each at the stated confidence: a system that is just as bad as
-the threshold passes with a probability of at most 1 - confidence, and one that is just as good
-fails with no more. Where several criteria are asked for, that holds for each; the gate passes
-if all do and fails if any does.
+A share of runs is only known within an interval, so there are three verdicts. PASS: the bound of
+the relevant bound of the interval clears the threshold. FAIL: the whole interval is beyond it.
+INCONCLUSIVE: the threshold lies within it, and more runs would decide; or the runs give no rate.
+Both bounds are one-sided, each at the stated confidence: a system exactly at the threshold passes,
+or fails, with a probability of at most 1 - confidence each. With several criteria, that holds for
+each; the gate passes if all do and fails if any does.
 
-That probability is for all looks at a campaign together, so it may be watched as it goes, and
-one that does not tell may be given more runs. Half of it is spent on the one look at the number
-of runs that was planned before the first, with exact binomial bounds; the other half on all
-other looks, with bounds that hold at any number of runs. Both are in
-:mod:`taxinet_ros.campaign.rates`, with which runs count.
+That probability covers all looks at a campaign together, so it may be monitored while running, and
+an inconclusive one may be extended. Half of it is spent on the look at the number of runs planned
+before the first one, with exact binomial bounds; the other half on all other looks, with bounds
+valid at any number of runs. Both are in :mod:`taxinet_ros.campaign.rates`, with which runs count.
 
 The JUnit vocabulary is that of Ant's reports as Jenkins, GitLab and others read it: a
 ``testsuite`` with ``properties`` and ``testcase`` elements, of which those with ``failure``,
@@ -61,7 +59,7 @@ class Bounds(NamedTuple):
 
 
 class Verdict(enum.StrEnum):
-    """The answer of a gate, or of one of its criteria."""
+    """The verdict of a gate, or of one of its criteria."""
 
     PASS = 'PASS'
     FAIL = 'FAIL'
@@ -70,12 +68,12 @@ class Verdict(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GateOptions:
-    """What is asked of a campaign.
+    """Acceptance criteria of a campaign.
 
     Attributes:
         min_satisfaction: minimum share of runs that satisfy their formulas, or None.
-        max_off_runway: largest share of runs that leave the runway, or None.
-        max_infra: most runs that the bench broke.
+        max_off_runway: maximum share of runs that leave the runway, or None.
+        max_infra: maximum number of infrastructure errors.
         confidence: confidence of each one-sided bound.
     """
 
@@ -85,10 +83,10 @@ class GateOptions:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        """See that it can be asked.
+        """Check the criteria.
 
         Raises:
-            UsageError: a share is not within 0..1, or nothing is asked.
+            UsageError: a share is not within 0..1, or there is no criterion.
         """
         for name, value in (
             ('--min-satisfaction', self.min_satisfaction),
@@ -106,15 +104,15 @@ class GateOptions:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Criterion:
-    """One thing that was asked, and the answer.
+    """One criterion and its verdict.
 
     Attributes:
         name: such as ``satisfied >= 0.86``.
         verdict: the answer.
-        sentence: why, in figures.
+        sentence: explanation with figures.
         bounds: share and bounds; None for a mere count.
-        more_runs: about how many further runs would give another answer than INCONCLUSIVE if the
-            share stays as it is; None where no number does, or none is needed.
+        more_runs: approximate number of further runs for a conclusive verdict if the share stays
+            the same; None if no number suffices, or none is needed.
     """
 
     name: str
@@ -126,15 +124,15 @@ class Criterion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GateResult:
-    """What a gate says of a campaign.
+    """The result of a gate on a campaign.
 
     Attributes:
         verdict: FAIL if any criterion fails, else INCONCLUSIVE if any is, else PASS.
-        criteria: all that were asked.
+        criteria: all criteria.
         counts: runs by outcome, all five of them.
         judged: runs with a verdict.
-        effective: runs that the program itself drew, on which the shares rest.
-        notes: what a reader has to know besides.
+        effective: runs drawn by the program itself, from which shares are estimated.
+        notes: further remarks.
     """
 
     verdict: Verdict
@@ -146,16 +144,15 @@ class GateResult:
 
 
 def gate_result(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) -> GateResult:
-    """Hold a campaign against what is asked of it.
+    """Evaluate acceptance criteria on a campaign.
 
     Args:
         rows: its runs.
-        options: what is asked.
-        planned: number of runs that was to be made when the first began, 0 for as many as there
-            are.
+        options: the criteria.
+        planned: number of runs planned before the first one, 0 for the actual number.
 
     Raises:
-        UsageError: runs were stopped before one could know whether they leave the runway.
+        UsageError: runs were stopped before it was known whether they leave the runway.
     """
     counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
     satisfied = rate_of(rows, lambda row: row.outcome is Outcome.PASS, planned or None)
@@ -183,15 +180,15 @@ def bounds(found: ProgramRate, confidence: float) -> Bounds:
 
 
 def further_runs(found: ProgramRate, threshold: float, confidence: float) -> int | None:
-    """About how many further runs decide whether a share is ``threshold``.
+    """Approximate number of further runs to decide on a ``threshold``.
 
-    It supposes that the share stays as it is; without a run, that all are good.
+    It assumes that the share stays the same; without runs, that all are good.
 
     Returns:
-        None where the share is the threshold, or more than :data:`MOST_RUNS` would be needed.
+        None if the share equals the threshold, or more than :data:`MOST_RUNS` would be needed.
     """
     share = found.drawn_hits / found.drawn if found.drawn else 1.0
-    # A campaign that has not begun can plan as many; else they come on top of those planned.
+    # A campaign that has not begun can plan them; else they are added to those planned.
     ends = anytime_bounds if found.runs else share_bounds
 
     def decided(number: float) -> bool:
@@ -222,7 +219,7 @@ def _on_runway(rows: Sequence[RunRow], planned: int | None) -> ProgramRate:
 def _criterion(
     good: ProgramRate, threshold: float, options: GateOptions, *, off: bool
 ) -> Criterion:
-    """Ask for a least share of good runs; ``off`` words it as a largest share of the others."""
+    """Criterion on a minimum share of good runs; ``off`` words it as a maximum of the others."""
     found = bounds(good, options.confidence)
     more = None
     if good.runs and not good.drawn:
@@ -270,7 +267,7 @@ def _percent(share: float) -> str:
 
 
 def _rounded(number: int) -> int:
-    """Two digits of a number: nobody knows the others."""
+    """A number rounded to two significant digits."""
     return int(float(f'{number:.1e}'))
 
 
@@ -318,10 +315,10 @@ def junit_xml(
 
     Args:
         rows: the campaign's runs.
-        answer: what the gate says.
-        folder: the campaign's, to say what to run again.
+        answer: result of the gate.
+        folder: the campaign's folder, for rerun commands.
         facts: of the campaign.
-        inconclusive_passes: a criterion that is not decided is skipped, and not a failure.
+        inconclusive_passes: an undecided criterion is skipped, not a failure.
     """
     suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})
     _add_properties(suite, answer, facts)
@@ -342,7 +339,7 @@ def junit_xml(
 
 
 def rerun_command(row: RunRow, folder: Path, facts: Mapping[str, Any]) -> str:
-    """What to type to run a run again, to the last bit where its bag is there."""
+    """Command to rerun a run, bit-exact if its bag exists."""
     if row.bag:
         return shlex.join(['taxinet', 'run', '--from', str(folder / row.bag)])
     settings = [f'{key}={_setting(value)}' for key, value in row.scene.items()]

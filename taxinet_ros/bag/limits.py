@@ -105,7 +105,7 @@ def _memory(more_bytes: int) -> Iterator[None]:
 
 
 def _size(bag: Path) -> int:
-    """Bytes of a bag's files; 0 where there are none, which reading it will say."""
+    """Total bytes of a bag's files; 0 if there are none, which reading reports."""
     try:
         files = bag.glob('*.mcap') if bag.is_dir() else [bag]
         return sum(file.stat().st_size for file in files)

@@ -147,7 +147,7 @@ def stored_messages(
 
 
 def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
-    """Read the table of contents; damage is told in the result, not raised.
+    """Read the table of contents; damage is reported in the result, not raised.
 
     Args:
         path: a run folder or an ``.mcap`` file.
@@ -304,7 +304,7 @@ class Contents:
 
 
 def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
-    """Read a bag in one pass; damage is told in the result, not raised.
+    """Read a bag in one pass; damage is reported in the result, not raised.
 
     Args:
         path: a bag's folder or an ``.mcap`` file.

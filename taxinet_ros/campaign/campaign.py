@@ -47,7 +47,7 @@ class Campaign:
 
         Args:
             options: what to do.
-            participants: node names that take part in every run.
+            participants: names of the nodes in every run.
             on_row: called with each row as soon as it is on disk.
             meanwhile: called while the program's process starts, which takes seconds.
         """
@@ -86,7 +86,7 @@ class Campaign:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of all runs so far, whatever happened."""
+        """Write the table of all runs so far, even after an error."""
         self._opened.__exit__(kind, error, trace)
 
     @property

@@ -1,12 +1,12 @@
 """Check a folder of results, and repair it without losing a recorded byte.
 
-Looked at are, in the folder and in all below it: every journal (ledgers, trials, stages, rounds,
-finished images), every sealed JSON file and the files that it vouches for, a campaign's tables
-against its ledger, each bag against its row, each picture of a dataset against its label, what a
-study says that it has made, and drafts that a killed process has left. Everything else is listed as
-not checked, such as pages and plots, which are derived.
+Checks, in the folder and its subfolders: every journal (ledgers, trials, stages, rounds, finished
+images), every sealed JSON file and the files it has checksums of, a campaign's tables against its
+ledger, each bag against its row, each picture of a dataset against its label, the recorded outputs
+of a study, and drafts left by a killed process. Everything else, such as derived pages and plots,
+is listed as not checked.
 
-Repair trusts the ledger. Tables and ``campaign.json`` are written anew from it. A journal with
+Repair trusts the ledger. Tables and ``campaign.json`` are rewritten from it. A journal with
 damaged lines is kept as a copy, and its intact lines are written to a new one. A table or
 ``campaign.json`` with different content is kept as a copy too, and losses are recorded in the
 ledger, so that neither doctor nor gate takes it for complete.
@@ -157,7 +157,7 @@ def mend(folder: Path) -> list[str]:
 
 
 def _places(folder: Path) -> Iterator[Path]:
-    """The folder and all below it, but for those of bags."""
+    """The folder and its subfolders, except bags."""
     if not folder.is_dir():
         raise UsageError(f'{folder}: no such folder; name that of a campaign, experiment or study')
     yield folder
@@ -167,7 +167,7 @@ def _places(folder: Path) -> Iterator[Path]:
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag's: one stray file does not make one of what holds records."""
+    """Whether a folder is a bag; a stray bag file in a folder with records does not count."""
     if not any(folder.glob(f'*.{STORAGE_ID}')):
         return False
     kinds = ('.jsonl', '.json', '.parquet')
@@ -175,7 +175,7 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
-    """Regular files by name; what else has such a name may never end, and is not read."""
+    """Regular files by name; others, such as pipes, may block and are not read."""
     files = []
     for path in sorted(place.glob(pattern)):
         if path.is_file():
@@ -187,7 +187,7 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
 
 
 def _check_regular(place: Path) -> None:
-    for path in sorted(place.iterdir()):  # a glob for a name skips links to nowhere
+    for path in sorted(place.iterdir()):  # a glob for a name skips dangling links
         known = path.suffix == '.jsonl' or path.name in (FACTS_NAME, CSV_NAME, PARQUET_NAME)
         if known and not path.is_file():
             raise UsageError(f'{path}: is not a regular file; move it away, then repair the rest')
@@ -217,7 +217,7 @@ def _check_campaign(
 
 
 def _content(folder: Path, parsed: JournalContent, found: Examination) -> LedgerContent:
-    """What the ledger's sound lines come to."""
+    """Content of the ledger's intact lines."""
     path = folder / LEDGER_NAME
     try:
         if not parsed.troubles:
@@ -232,7 +232,7 @@ def _content(folder: Path, parsed: JournalContent, found: Examination) -> Ledger
 
 
 def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> None:
-    """Whether the tables say what the ledger says."""
+    """Check that the tables agree with the ledger."""
     names = [name for name in (CSV_NAME, PARQUET_NAME) if not (folder / name).is_file()]
     if names or not (folder / FACTS_NAME).is_file():
         names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
@@ -250,7 +250,7 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
 
 
 def _only_there(path: Path, content: LedgerContent) -> list[int]:
-    """Runs that a table has and the ledger has not."""
+    """Runs in a table but not in the ledger."""
     import pandas as pd
 
     try:
@@ -287,7 +287,7 @@ def _same_parquet(path: Path, expected: Any) -> bool:
 def _check_bag(
     bag: Path, row: RunRow, facts: Mapping[str, Any], found: Examination
 ) -> None:
-    """Whether a bag is sound, and that of its row."""
+    """Check that a bag is intact and belongs to its row."""
     found.count('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
     if not bag.is_dir():
@@ -300,12 +300,12 @@ def _check_bag(
         for what in bag_differences(row, facts, open_recording(bag)):
             found.report(bag, what)
     except (BagError, UsageError) as error:
-        if row.outcome.judged:  # of a run that broke nobody expects more
+        if row.outcome.judged:  # a broken run may lack messages
             found.report(bag, error, command)
 
 
 def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:
-    """What has an intent and no result, a result and no intent, or a bag and neither."""
+    """Check for intents without result, results without intent, and bags with neither."""
     for line in content.lost:
         if line in content.incomplete:
             found.report(folder / LEDGER_NAME, line.replace('; ', ', '))
@@ -327,7 +327,7 @@ def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> Non
 
 
 def _verdict_of(bag: Path) -> str:
-    """What a bag says of its run, in a few words."""
+    """Short text on the verdict in a bag."""
     try:
         told = open_recording(bag).facts
     except (BagError, UsageError):
@@ -342,7 +342,7 @@ def _verdict_of(bag: Path) -> str:
 
 
 def _check_sealed(place: Path, found: Examination) -> None:
-    """Sealed JSON files, and the files and journals that they vouch for."""
+    """Check sealed JSON files, and the files and journals they have checksums of."""
     for path in _files(place, '*.json', found):
         data = path.read_bytes()
         if b'"seal"' not in data and b'"checksum"' not in data:
@@ -370,7 +370,7 @@ def _check_sealed(place: Path, found: Examination) -> None:
 
 
 def _check_experiment(place: Path, found: Examination) -> None:
-    """Whether what vouches for an experiment is there, by what its arms and files tell."""
+    """Check that an experiment's sealed file exists if its arms and files imply it."""
     index = place / JSON_NAME
     if index in found.checked:
         return
@@ -381,7 +381,7 @@ def _check_experiment(place: Path, found: Examination) -> None:
     found.count('experiments without an index')
     there = [name for name, content in arms.items() if content is not None]
     missing = [name for name in arms if name not in there]
-    # An arm is begun when the one before has had all its runs.
+    # An arm starts when the previous one has completed all its runs.
     gone = [name for name in missing if any(name in _arms_before(arms, later) for later in there)]
     for name in gone:
         found.report(place / name, f'is not there, an arm of the experiment of {there[-1]}')
@@ -391,13 +391,13 @@ def _check_experiment(place: Path, found: Examination) -> None:
         why = f'{left[0]} is there' if left else why
         found.report(index, f'has no record of the experiment, although {why}', _RESUME)
     else:
-        # One that was interrupted between two arms looks just so; what --resume makes is the same.
+        # An experiment interrupted between two arms looks the same; --resume gives the same result.
         which = f', without {" and ".join(missing)}' if missing else ''
         found.notes.append(f'{place}: an unfinished experiment{which}; continue with --resume')
 
 
 def _arms(place: Path) -> dict[str, LedgerContent | None]:
-    """The arms of the experiment in a folder, in order, as one of them tells; None: not there."""
+    """The arms of the experiment in a folder, in recorded order; None for a missing one."""
     for path in sorted(place.glob(f'*/{LEDGER_NAME}')):
         names = _arm_content(path).campaign.get(ARMS, [])
         if isinstance(names, list) and path.parent.name in names:
@@ -410,7 +410,7 @@ def _arms(place: Path) -> dict[str, LedgerContent | None]:
 
 
 def _arm_content(path: Path) -> LedgerContent:
-    """What the sound lines of a ledger come to; what is wrong with it is told elsewhere."""
+    """Content of a ledger's intact lines; its damage is reported elsewhere."""
     return _content(path.parent, parse_journal(path.read_bytes()), Examination())
 
 
@@ -419,7 +419,7 @@ def _arms_before(arms: Mapping[str, object], name: str) -> list[str]:
 
 
 def _check_pictures(place: Path, found: Examination) -> None:
-    """Whether a dataset's pictures are those of its labels."""
+    """Check a dataset's pictures against its labels."""
     if not (place / _LABELS).is_file():
         if (place / _REQUEST).is_file() and not (place / _DATASET).is_file():
             found.notes.append(f'{place}: an unfinished dataset; continue with --resume')
@@ -430,7 +430,7 @@ def _check_pictures(place: Path, found: Examination) -> None:
 
     try:
         labels = pd.read_parquet(place / _LABELS, columns=[_IMAGE, _DIGEST])
-    except Exception:  # a foreign reader on untrusted bytes; the index has told of it
+    except Exception:  # a foreign reader on untrusted bytes; reported with the index
         return
     for name, digest in zip(labels[_IMAGE], labels[_DIGEST], strict=True):
         path = place / str(name)
@@ -442,7 +442,7 @@ def _check_pictures(place: Path, found: Examination) -> None:
 
 
 def _check_stages(path: Path, found: Examination) -> None:
-    """Whether what the finished stages of a study have left behind is there, and is the same."""
+    """Check that the outputs of a study's finished stages exist and are unchanged."""
     last = {
         line.event['stage']: line.event for line in parse_journal(path.read_bytes()).lines
         if line.event is not None and 'stage' in line.event
@@ -477,7 +477,7 @@ def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
 
 
 def _check_drafts(place: Path, found: Examination) -> None:
-    """Files that a process was at when it was killed."""
+    """Report files that a killed process was writing."""
     bags = {file.parent for file in place.glob(f'*/*.{STORAGE_ID}')}
     for folder in (place, *sorted(bags)):
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
@@ -489,7 +489,7 @@ def _check_drafts(place: Path, found: Examination) -> None:
 
 
 def _sound_events(content: JournalContent) -> tuple[list[dict[str, Any]], list[int]]:
-    """What a journal's sound lines say in the order in which they were written, each once.
+    """Events of a journal's intact lines in writing order, without duplicates.
 
     Returns:
         The events, and the numbers of the lines that are damaged.
@@ -506,7 +506,7 @@ def _sound_events(content: JournalContent) -> tuple[list[dict[str, Any]], list[i
 
 
 def _mend_journal(path: Path) -> list[str]:
-    """Put a damaged journal aside and write its sound lines anew; lines on what was done."""
+    """Keep a copy of a damaged journal and rewrite its intact lines; lines on the repair."""
     content = parse_journal(path.read_bytes())
     why = [f'line {number}: {words}' for number, words in content.troubles]
     events, damaged = _sound_events(content)
@@ -525,7 +525,7 @@ def _write_anew(path: Path, events: list[dict[str, Any]], damaged: list[int], as
 
 
 def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
-    """The lines of a new journal, and the link after each number of them."""
+    """The lines of a new journal, and the chain hash after each prefix."""
     lines, links = [], [JournalContent().end.link]
     for event in events:
         line, link = chained_line(links[-1], event)
@@ -535,7 +535,7 @@ def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
 
 
 def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[str]:
-    """As :func:`_mend_journal`; what is lost for good is put down in the ledger."""
+    """As :func:`_mend_journal`; permanent losses are recorded in the ledger."""
     sound, damaged = _sound_events(content)
     trusted, facts = _trusted_facts(path.parent), _sealed_facts(path.parent)
     events = possible_events(sound, trusted.values if trusted else {})
@@ -567,7 +567,7 @@ def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[st
 def _with_facts(
     events: list[dict[str, Any]], facts: SealedJson | None
 ) -> list[dict[str, Any]] | None:
-    """A ledger that has lost what the campaign is, with that put back; None if it has not."""
+    """Events with the campaign's lost facts restored; None if they are not lost."""
     if facts is None or any(event['event'] == 'campaign' for event in events):
         return None
     restored = possible_events([{'event': 'campaign', 'campaign': facts.values}, *events])
@@ -575,7 +575,7 @@ def _with_facts(
 
 
 def _needs_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
-    """Whether mending will write ``campaign.json`` and the tables anew."""
+    """Whether the repair will rewrite ``campaign.json`` and the tables."""
     trouble = Examination()
     _check_sealed(folder, trouble)
     _check_tables(folder, ledger_content(folder / LEDGER_NAME, events), trouble)
@@ -585,7 +585,7 @@ def _needs_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
 def _end_trouble(
     content: JournalContent, events: list[dict[str, Any]], ended: JournalEnd | None
 ) -> str:
-    """What the sound lines in their order lack of a ledger that ended there once, or ''."""
+    """What the intact lines lack compared to the recorded end of the ledger, or ''."""
     why = lost_end(content, ended) if ended else ''
     if not ended or content.unprotected:
         return why
@@ -597,7 +597,7 @@ def _end_trouble(
 
 
 def _sealed_facts(folder: Path) -> SealedJson | None:
-    """A sound ``campaign.json`` with a checksum."""
+    """An intact ``campaign.json`` with a checksum."""
     try:
         facts = read_facts(folder)
     except UsageError:
@@ -606,7 +606,7 @@ def _sealed_facts(folder: Path) -> SealedJson | None:
 
 
 def _trusted_facts(folder: Path) -> SealedJson | None:
-    """A sound ``campaign.json`` to whose campaign the tables belong, all of them sound too."""
+    """An intact ``campaign.json`` whose tables belong to its campaign and are intact."""
     facts = _sealed_facts(folder)
     if facts is None or not facts.files:
         return None
@@ -616,7 +616,7 @@ def _trusted_facts(folder: Path) -> SealedJson | None:
 
 
 def _missing_runs(folder: Path, events: list[dict[str, Any]]) -> list[int]:
-    """Runs that a table has and these events have not."""
+    """Runs in a table but not in these events."""
     content = ledger_content(folder / LEDGER_NAME, events)
     there = (folder / name for name in (CSV_NAME, PARQUET_NAME))
     return sorted({
@@ -625,7 +625,7 @@ def _missing_runs(folder: Path, events: list[dict[str, Any]]) -> list[int]:
 
 
 def _known_to_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
-    """Whether tables that somebody vouches for have no more than these events."""
+    """Whether the verified tables contain no more than these events."""
     content = ledger_content(folder / LEDGER_NAME, events)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     path = folder / PARQUET_NAME
@@ -633,7 +633,7 @@ def _known_to_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
 
 
 def _mend_campaign(folder: Path) -> list[str]:
-    """Write tables and ``campaign.json`` anew from a sound ledger; lines on what was done."""
+    """Rewrite tables and ``campaign.json`` from an intact ledger; lines on the repair."""
     path, trouble = folder / FACTS_NAME, Examination()
     events = [line.event for line in parse_journal((folder / LEDGER_NAME).read_bytes()).lines]
     content = ledger_content(folder / LEDGER_NAME, [event for event in events if event])
@@ -657,7 +657,7 @@ def _mend_campaign(folder: Path) -> list[str]:
 
 
 def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
-    """Whether ``campaign.json`` is damaged, or says what the ledger never did."""
+    """Whether ``campaign.json`` is damaged, or contradicts the ledger."""
     try:
         facts = read_facts(folder)
     except UsageError:
@@ -666,7 +666,7 @@ def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
 
 
 def _back_up(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
-    """Keep a copy of what is to be written over and says anything else; lines on what was done."""
+    """Copy files with different content before they are overwritten; lines on the repair."""
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     changed = [folder / FACTS_NAME] if foreign or _other_facts(folder, content) else []
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
@@ -681,7 +681,7 @@ def _back_up(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
 
 
 def _other_facts(folder: Path, content: LedgerContent) -> bool:
-    """Whether a sound ``campaign.json`` knows more than the one to be written in its place."""
+    """Whether an intact ``campaign.json`` has more facts than its replacement."""
     facts = read_facts(folder)
     if facts is None:
         return False
@@ -700,7 +700,7 @@ def _free_name(path: Path) -> Path:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Keep others from appending to a journal meanwhile."""
+    """Lock a journal against appends by others."""
     with path.open('rb') as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -17,7 +17,7 @@ aircraft's shadow). The YAML format:
       no_shadows: {set: {shadows: off}}
     compare_to: shadows             # the first arm where left out
 
-The arms of a confirmation experiment as searches: the same scenes, but for what is laid over.
+Arms run as searches with the same scenes except for the values that each arm overrides.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from taxinet_ros.files.plain_values import Section, expected, read_yaml
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
 PAIRED_SAMPLERS = ('random', 'halton', 'sobol', 'grid')
-"""Samplers that learn nothing from results, and so choose the same scenes for every arm."""
+"""Samplers that do not learn, and so choose the same scenes for every arm."""
 _KEYS = (
     'program', 'runs', 'seed', 'sampler', 'sampler_options', 'perception', 'controller', 'specs',
     'set', 'over', 'arms', 'compare_to',
@@ -66,10 +66,10 @@ class Arm:
     """One arm of an experiment.
 
     Attributes:
-        name: of it and of its folder.
-        perception: word or file, or a node of somebody's.
+        name: name of the arm and of its folder.
+        perception: name or file, or an external node.
         controller: likewise.
-        laid_over: scenario values that differ from the shared ones, human keys and units.
+        laid_over: scenario values that differ from the shared ones, in human keys and units.
         gains: steering gains, the shared ones included.
     """
 
@@ -85,13 +85,13 @@ class Experiment:
     """A confirmation experiment.
 
     Attributes:
-        name: of its file.
-        program: word of a shipped program, or path of one.
+        name: name of its file.
+        program: name of a shipped program, or path of one.
         runs: scenes, each run once in every arm.
         seed, sampler, sampler_options: how the scenes are chosen.
-        specs: formulas as text that needs no file; the first is the headline.
+        specs: formulas as self-contained text; the first is the headline.
         overrides: scenario values that all arms share.
-        over: key of the scenario that the picture is drawn over, or ''.
+        over: scenario key on the x axis of the plot, or ''.
         arms: two or more.
         compare_to: name of the arm that the others are compared to.
     """
@@ -115,15 +115,15 @@ class Experiment:
 
 
 def known_experiments() -> tuple[str, ...]:
-    """Words of the shipped experiments, sorted."""
+    """Sorted names of the shipped experiments."""
     return tuple(sorted(path.stem for path in (shipped_folder() / FOLDER).glob(f'*{SUFFIX}')))
 
 
 def find_experiment(word_or_path: str) -> Path:
-    """The file meant by a shipped experiment's word, or by a path.
+    """Find the file of a shipped experiment's name, or of a path.
 
     Raises:
-        UsageError: neither; the known words are listed.
+        UsageError: neither; the known names are listed.
     """
     if word_or_path in known_experiments():
         return shipped_folder() / FOLDER / f'{word_or_path}{SUFFIX}'
@@ -140,7 +140,7 @@ def read_experiment(path: Path) -> Experiment:
     """Read an experiment.
 
     Raises:
-        UsageError: one line with the file, the key, and what is expected there.
+        UsageError: one line with the file, the key, and the expected value.
     """
     top = Section(path, read_yaml(path), _KEYS)
     for key, kind in (('program', 'a word'), ('runs', 'a whole number'), ('arms', 'two or more')):
@@ -210,7 +210,7 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
 
 
 def _setting(given: Section, key: str) -> str:
-    """A value as --set takes it: YAML has read off as false, and a date as a date."""
+    """A value as text for --set: YAML parses off as false, and a date as a date."""
     kind = 'a number, a word, on or off'
     value = given.take(key, kind)
     if isinstance(value, bool):
@@ -267,7 +267,7 @@ def _sampler(given: Section) -> tuple[str, dict[str, str]]:
 
 
 PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
-"""What lies beside the arms once all have had their runs; the second vouches for the rest."""
+"""Result files beside the completed arms; the second has checksums of the others."""
 
 
 def with_network(experiment: Experiment, perception: str) -> Experiment:
@@ -296,13 +296,13 @@ def arm_searches(
     """One search for each arm, in a folder of its own, by the arm's name.
 
     Args:
-        experiment: what is to be done.
+        experiment: the experiment to run.
         out: folder of the experiment.
-        workers: graphs that run at once.
-        resume: continue what is there.
+        workers: number of concurrent graphs.
+        resume: continue the existing arms.
 
     Raises:
-        UsageError: the folder cannot be used, or the number of workers.
+        UsageError: the folder or the number of workers cannot be used.
     """
     if not 1 <= workers <= LAG:
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
@@ -321,7 +321,7 @@ def arm_searches(
 
 
 def _may_be_begun(experiment: Experiment, out: Path) -> bool:
-    """Whether a folder holds arms of the experiment, if only one that was just to be begun."""
+    """Whether a folder holds arms of the experiment, even one that has only been created."""
     arms = {arm.name for arm in experiment.arms}
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
     return bool(there) and (
@@ -330,7 +330,7 @@ def _may_be_begun(experiment: Experiment, out: Path) -> bool:
 
 
 def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]:
-    """The runs of every arm, by its name, out of the ledgers."""
+    """The runs of every arm by name, read from the ledgers."""
     return {
         arm.name: read_ledger(out / arm.name / LEDGER_NAME).rows for arm in experiment.arms
     }
@@ -339,10 +339,10 @@ def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]
 def check_paired(
     experiment: Experiment, rows: Mapping[str, tuple[RunRow, ...]]
 ) -> None:
-    """See that the arms had the same scenes but for what an arm lays over.
+    """Check that the arms had the same scenes except for each arm's own values.
 
     Raises:
-        UsageError: two scenes of the same number differ elsewhere, so comparing them says nothing.
+        UsageError: two scenes with the same index differ otherwise, so they cannot be compared.
     """
     first = experiment.compare_to
     base = {row.index: row for row in rows[first]}

@@ -1,7 +1,7 @@
 """Write a learned distribution as a Scenic program that draws from it.
 
 The text of the searched program is kept, with its comments and requirements; only the calls that
-make the choices are replaced, as a person would have made Figure 8 of the paper out of S_falsif::
+make the choices are replaced, as in Figure 8 of the paper, derived from S_falsif::
 
     Range(0, 2000)   ->   Options({Range(0, 200): 0.05, …, Range(1400, 1600): 0.79})
     Uniform(*KINDS)  ->   Options({'clear': 0.6, 'cirrus': 0.4})
@@ -51,7 +51,7 @@ def learned_program(
         probabilities: by name of a dimension, one number of 0 or more for each of its bins
             (categories, or equal slices of the prior); they need not add up to 1. Choices without
             any stay as they are written.
-        origin: where the probabilities come from, for the head of the text: a sentence or more.
+        origin: origin of the probabilities, for the header: one or more sentences.
 
     Returns:
         The text, and why choices are left in it as the program has them, a line each. It is found
@@ -94,7 +94,7 @@ def learned_program(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Edit:
-    """The stretch of a text in which a choice is made, and what it is to become."""
+    """The span of source text that makes a choice, and its replacement."""
 
     start: int
     end: int
@@ -104,7 +104,7 @@ class _Edit:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Text:
-    """A program, and what may be wrong with writing it anew."""
+    """The source of a program, with the checks for rewriting it."""
 
     program: Path
     source: str
@@ -112,7 +112,7 @@ class _Text:
     def weights(
         self, choice: Choice, probabilities: Mapping[str, Sequence[float]]
     ) -> tuple[float, ...]:
-        """The probabilities of a choice's bins, made to add up to 1."""
+        """The probabilities of a choice's bins, normalised to 1."""
         name = choice.dimension.name
         weights = tuple(float(weight) for weight in probabilities[name])
         bins = len(choice.dimension.prior)
@@ -124,10 +124,10 @@ class _Text:
         return tuple(weight / total for weight in weights)
 
     def refuse_resampled(self, choice: Choice, space: SearchSpace) -> None:
-        """``resample(x)`` would draw from what becomes of ``x``, and something else was learned.
+        """Refuse ``resample(x)``: it would draw from the replacement of ``x``.
 
         Raises:
-            UsageError: a choice like this one is made by it.
+            UsageError: the program resamples this choice.
         """
         for other in space.choices:
             place = other.place
@@ -141,7 +141,7 @@ class _Text:
                 raise self._refusal(f'{name} is drawn again by resample', choice.place)
 
     def edit(self, choice: Choice, weights: tuple[float, ...], *, shared: bool) -> _Edit:
-        """What is to become of the call that makes a choice."""
+        """The edit of the call that makes a choice."""
         start, end = self._span(choice)
         if shared:
             name = choice.dimension.name
@@ -149,7 +149,7 @@ class _Text:
         return _Edit(start=start, end=end, choice=choice, weights=weights)
 
     def rewrite(self, start: int, end: int, edits: Sequence[_Edit]) -> str:
-        """The text from ``start`` to ``end``, with every edit that lies within."""
+        """The text from ``start`` to ``end`` with all edits within it applied."""
         parts, at = [], start
         for edit in sorted(edits, key=lambda edit: (edit.start, -edit.end)):
             if at <= edit.start and edit.end <= end:
@@ -187,7 +187,7 @@ class _Text:
         return [(text, weight) for text, weight in items if weight > 0]
 
     def _written_options(self, edit: _Edit, edits: Sequence[_Edit]) -> list[str]:
-        """Options that are choices themselves, as they stand in the text."""
+        """Source text of options that are choices themselves."""
         name, place = edit.choice.dimension.name, edit.choice.place
         try:
             call = ast.parse(self.source[edit.start:edit.end], mode='eval').body
@@ -228,7 +228,7 @@ class _Text:
         return list(zip(parts, edit.weights, strict=True))
 
     def _arguments(self, edit: _Edit) -> list[str]:
-        """Both arguments of a call as they are written, which may be written more than once."""
+        """Source text of both arguments of a call, if it may be repeated."""
         text = self.source[edit.start:edit.end]
         name, place = edit.choice.dimension.name, edit.choice.place
         try:
@@ -267,10 +267,10 @@ class _Text:
 def _whole_numbers(
     low: int, high: int, edges: Sequence[float], weights: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """Runs of numbers with the same probability; an edge may fall amid a number's own quantiles."""
+    """Ranges of integers with equal probability; a bin edge may split an integer's quantiles."""
     count = high - low + 1
     ends = np.arange(count + 1) / count
-    # The learned distribution function is straight between the edges.
+    # The learned distribution function is linear between the edges.
     shares = np.diff(np.interp(ends, edges, np.cumsum([0.0, *weights])))
     starts = [0, *(np.flatnonzero(~np.isclose(np.diff(shares), 0, atol=1e-12)) + 1).tolist(), count]
     return [
@@ -290,7 +290,7 @@ def _ranges(
     items = []
     for piece in pieces:
         first, last = max(start, piece.start), min(end, piece.end)
-        # Edges that differ by a rounding error are one.
+        # Edges that differ by a rounding error are merged.
         if last - first > 1e-9:
             scale = (piece.high - piece.low) / (piece.end - piece.start)
             low, high = (piece.low + scale * (edge - piece.start) for edge in (first, last))
@@ -300,7 +300,7 @@ def _ranges(
 
 
 def _number(value: float) -> str:
-    # Twelve digits: what a person would have typed, 1400 and not 1400.0000000000002.
+    # Twelve digits, to write 1400 and not 1400.0000000000002.
     return f'{value:.12g}'
 
 
@@ -319,7 +319,7 @@ def _option_nodes(call: ast.expr | None) -> list[ast.expr]:
 
 
 def _offsets(call: str, node: ast.expr) -> tuple[int, int]:
-    """Where an expression of ``call`` starts and ends; Python counts columns in bytes."""
+    """Start and end of an expression of ``call``; Python counts columns in bytes."""
     lines = _line_starts(call)
 
     def offset(line: int, column: int) -> int:
@@ -340,7 +340,7 @@ def _end_of_docstring(source: str) -> int:
 
 
 def _head(program: Path, source: str, origin: str) -> str:
-    """The new docstring: where this comes from, then what the old one says."""
+    """The new docstring: the origin, then the old docstring."""
     match = _DOCSTRING.match(source)
     quoted = match[2].strip() if match else ''
     about = f'Learned from {program.name}' + (', which says of itself:' if quoted else '.')

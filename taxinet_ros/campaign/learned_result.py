@@ -33,7 +33,7 @@ _SAME = ('program', 'program_sha256', 'sampler', 'perception', 'perception_sha25
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Evidence:
-    """The failures of one search in which a choice was made.
+    """The failures of one search in which a choice was active.
 
     Attributes:
         amounts: sum of their weights, in each of the choice's bins.
@@ -45,19 +45,19 @@ class Evidence:
 
     @property
     def failures(self) -> float:
-        """Failures drawn by the program itself that are worth as much (Kish, 1965)."""
+        """Effective number of failures drawn by the program itself (Kish, 1965)."""
         return sum(self.amounts) ** 2 / self.squares if self.squares else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LearnedResult:
-    """What one search has learned.
+    """The learned distribution of one search.
 
     Attributes:
-        facts: of the search: its program, sampler, perception, seed and number of runs.
-        choices: that it made.
+        facts: program, sampler, perception, seed and number of runs of the search.
+        choices: choices that it searched.
         probabilities: of their bins, by name of the dimension, as the sampler has them.
-        evidence: by name of the dimension; empty where the weights of the runs are not known.
+        evidence: by name of the dimension; empty if the weights of the runs are unknown.
     """
 
     facts: Mapping[str, Any]
@@ -79,10 +79,10 @@ class LearnedResult:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """What the search in ``folder`` has learned.
+        """Read the learned distribution of the search in ``folder``.
 
         Raises:
-            UsageError: nothing, or it cannot be read.
+            UsageError: there is none, or it cannot be read.
         """
         path = folder / LEARNED_NAME
         try:
@@ -121,17 +121,17 @@ class Share(NamedTuple):
 
 
 class LearnedTogether:
-    """What searches that differ in their seed alone have learned."""
+    """The combined result of searches that differ only in their seed."""
 
     def __init__(self, results: Sequence[LearnedResult], folders: Sequence[Path]) -> None:
-        """Put them together.
+        """Combine the results.
 
         Args:
             results: one or more.
-            folders: where they are from, for messages.
+            folders: their folders, for messages.
 
         Raises:
-            UsageError: they are not alike, or one is named twice.
+            UsageError: they differ in more than the seed, or one is given twice.
         """
         first, *_ = told = [with_present_keys(result.facts) for result in results]
         for facts, folder in zip(told, folders, strict=True):
@@ -161,7 +161,7 @@ class LearnedTogether:
         return [self._share(choice.dimension.name, one) for one in ones]
 
     def failures(self, choice: Choice) -> float:
-        """Failures drawn by the program itself that would say as much of a choice."""
+        """Effective number of failures drawn by the program itself for a choice."""
         return sum(result.evidence[choice.dimension.name].failures for result in self.results)
 
     @property
@@ -173,10 +173,10 @@ class LearnedTogether:
         }
 
     def choice(self, name: str) -> Choice:
-        """The choice of this name, or of the other form of it, where that is a scenario key's.
+        """The choice with this name, or with the other form of the scenario key.
 
         Raises:
-            UsageError: nothing was learned of any such.
+            UsageError: there is no such choice.
         """
         choices = {choice.dimension.name: choice for choice in self.choices}
         found = choices.get(name) or choices.get(other_form(name))
@@ -197,12 +197,13 @@ class LearnedTogether:
         return self._share(choice.dimension.name, np.array(inside))
 
     def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
-        """Share of the failures, ``inside`` being what part of each bin counts.
+        """Share of the failures; ``inside`` is the counted part of each bin.
 
         The interval is the Clopper-Pearson one for as many failures as would have the variance
         (Korn and Graubard, Survey Methodology 24, 1998). Searches are the clusters of that
-        variance, with Student's quantile for their small number; they never count for more failures
-        than the weights allow (Kish), as equal shares by chance would else claim.
+        variance, with Student's quantile for their small number; the effective number of failures
+        is at most that of the weights (Kish), because shares that agree by chance would overstate
+        it.
         """
         from scipy.stats import t
 

@@ -35,12 +35,12 @@ _BEAT_S = 1.0
 def loop_worker_command(
     campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
 ) -> list[str]:
-    """What starts a worker for the runs of a campaign.
+    """Command line of a worker for the runs of a campaign.
 
     Args:
-        campaign: whose perception, controller, gains and timing they have.
-        controller_sha256: of its controller, as it is on record.
-        world_sha256: likewise of the package that brings its world, or ''.
+        campaign: gives perception, controller, gains and timing.
+        controller_sha256: recorded hash of its controller.
+        world_sha256: recorded hash of the package that provides its world, or ''.
     """
     return module_command(
         'taxinet_ros.campaign.loop_worker',
@@ -56,7 +56,7 @@ def run_in_loop(
     on_step: Callable[[int], None] = lambda seq: None,
     make_world: WorldMaker = SimulatedWorld,
 ) -> RunResult:
-    """Run what is asked for in this process.
+    """Run a request in this process.
 
     Args:
         request: what to run.
@@ -64,11 +64,11 @@ def run_in_loop(
         controller: steers.
         timing: when answers take effect.
         on_step: called with the number of every control step.
-        make_world: makes the world that it takes place in.
+        make_world: creates the world of the run.
 
     Returns:
-        The result as a graph would give it; INFRA_ERROR where somebody's function or the simulator
-        failed, or where a sample could not be judged.
+        The same result as from a graph; INFRA_ERROR if a user function or the simulator failed, or
+        a sample could not be judged.
     """
     begun_s = time.monotonic()
     judging = request.judging
@@ -109,10 +109,10 @@ def run_in_loop(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Work until there is no more to do.
+    """Serve run requests until the input ends.
 
     Returns:
-        Exit code: 0, or 2 after a mistake of the user's.
+        Exit code: 0, or 2 after a usage error.
     """
     arguments = _arguments(words)
     cv2.setNumThreads(1)  # the workers share the cores among themselves
@@ -142,7 +142,7 @@ def _work(arguments: argparse.Namespace) -> None:
         os.write(arguments.answers, encode_line(message))
 
     def beat(seq: int) -> None:
-        # Silence means that it hangs.
+        # Silence is taken for a hang.
         nonlocal told_s
         if time.monotonic() - told_s > _BEAT_S:
             told_s = time.monotonic()
@@ -151,7 +151,7 @@ def _work(arguments: argparse.Namespace) -> None:
     for line in sys.stdin.buffer:
         message = json.loads(line)
         if 'run' not in message:
-            return  # an interrupt: the run at hand has ended
+            return  # an interrupt: the current run has ended
         request = request_from_json(message['run'])
         result = run_in_loop(request, perception, controller, timing, beat, world.make)
         say(result=result_to_json(result))

@@ -67,7 +67,7 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
             texts += _read(Path(word.strip()), predicates)
         else:
             spec = parse_spec(word, predicates)
-            # What a package calls by a name is to be read where it is not installed, too.
+            # A package's named formula must be readable where the package is not installed.
             elsewhere = spec.name == word.strip() not in SHIPPED
             texts.append(
                 _written_out('--spec', spec.name, spec.text) if predicates or elsewhere else word
@@ -145,17 +145,17 @@ class CampaignOptions:
             :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
-        judging: what decides the verdicts.
+        judging: judging options of the verdicts.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
         images: runs whose camera frames are recorded, of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
-        laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
-            They leave the choice alone, where ``overrides`` take what they fix out of the search;
-            so campaigns that differ in them only have otherwise equal scenes.
+        laid_over: scenario values that override each scene after it was chosen. Unlike
+            ``overrides``, they do not remove dimensions from the search; so campaigns that differ
+            only in them have otherwise equal scenes.
         timing: when answers take effect.
-        arms: of an arm of an experiment: the folders of all arms beside each other, in order.
+        arms: folders of all arms of the experiment, in order, if it is an arm.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
         world: name of the world that they take place in, see :mod:`taxinet_ros.core.world`.
     """
@@ -178,13 +178,13 @@ class CampaignOptions:
     world: str = KMWH
 
     def check(self, first: Scenario) -> SpecCheck:
-        """Look at the requirements, and the values that were fixed, before the first run.
+        """Check the requirements and overrides before the first run.
 
         Args:
             first: scenario of the first run.
 
         Raises:
-            UsageError: a requirement that no run of this length can be judged by.
+            UsageError: a requirement cannot be evaluated on runs of this length.
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
@@ -196,7 +196,7 @@ class CampaignOptions:
 
     @property
     def standing_graph(self) -> bool:
-        """Whether the graph was there before the campaign, and outlives its broken runs."""
+        """Whether the graph was started before the campaign, and outlives its broken runs."""
         return not self.perception
 
 
@@ -207,30 +207,30 @@ def make_options(
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
     free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
 ) -> CampaignOptions:
-    """Check what a person typed.
+    """Check the command-line arguments.
 
     Args:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: as of :class:`CampaignOptions`.
+        perception: see :class:`CampaignOptions`.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
-        specs: formulas as text, or files of them; the default where empty.
-        out: folder; where None, a new one below ``bags/`` that says what it holds.
+        specs: formulas as text, or files of them; the default if empty.
+        out: folder; if None, a new one below ``bags/`` with a descriptive name.
         processes: every node a process of its own.
         images: runs whose camera frames are recorded, of :data:`IMAGES`.
-        resume: ``out`` holds a campaign that is to be continued.
+        resume: continue the campaign in ``out``.
         stop_on: ``never``, ``violated`` or ``decided``.
-        bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
-        rates: of their change per second, such as ``cte=3``.
-        controller: as of :class:`CampaignOptions`.
+        bounds: assumed bounds of signals, such as ``cte=-25:25``.
+        rates: assumed bounds of their change per second, such as ``cte=3``.
+        controller: see :class:`CampaignOptions`.
         latency: ``NAME=LATENCY`` of perception or controller.
-        free: simulated time goes by the wall clock.
+        free: simulated time follows the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
-        world: as of :class:`CampaignOptions`.
+        world: see :class:`CampaignOptions`.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: one line on the first error.
     """
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
@@ -267,7 +267,7 @@ def make_judging(
     specs: Iterable[str], stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (),
 ) -> Judging:
-    """Check what a person typed of how runs are to be judged; as :func:`make_options`.
+    """Check the judging arguments; see :func:`make_options`.
 
     Raises:
         UsageError: one line that names the option.
@@ -287,8 +287,8 @@ def check_timing(
 
     Args:
         latency: ``NAME=LATENCY`` of perception or controller.
-        free: simulated time goes by the wall clock.
-        factor: simulated seconds per second then, or ``max``; real time where None.
+        free: simulated time follows the wall clock.
+        factor: simulated seconds per second then, or ``max``; real time if None.
 
     Raises:
         UsageError: one line that names the option.
@@ -317,7 +317,7 @@ def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumption
 
 
 def new_folder(wanted: Path) -> Path:
-    """``wanted``, or where that exists, the next of ``wanted-2``, ``wanted-3``, … that does not."""
+    """``wanted``, or if it exists, the first free ``wanted-2``, ``wanted-3`` and so on."""
     candidate, number = wanted, 1
     while candidate.exists():
         number += 1
@@ -340,10 +340,10 @@ def check_new(out: Path) -> None:
 
 
 def make_out(out: Path) -> None:
-    """Make the folder that ``--out`` names, where it is not there.
+    """Create the folder of ``--out`` if it does not exist.
 
     Raises:
-        UsageError: it cannot be made there.
+        UsageError: it cannot be created there.
         OSError: the disk is full, or broken.
     """
     try:
@@ -355,10 +355,10 @@ def make_out(out: Path) -> None:
 
 
 def read_settings(settings: Iterable[str]) -> dict[str, str]:
-    """Parse ``key=value`` words; scenario keys by their short form are spelled out.
+    """Parse ``key=value`` arguments; short forms of scenario keys are expanded.
 
     Raises:
-        UsageError: one is no such word, or a key is given twice, by its short form too.
+        UsageError: an argument has another form, or a key is given twice, even by its short form.
     """
     values: dict[str, str] = {}
     for setting in settings:
@@ -375,10 +375,10 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
 
 
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
-    """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
+    """Split ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, a key is given twice, or a place is none.
+        UsageError: one is neither, a key is given twice, or a place is invalid.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}

@@ -10,11 +10,11 @@ search. The interval below is then exact for every sampler and number of runs. E
 (Halton, Sobol, grid) are dependent and do not count either; binomial intervals of them are usually
 too wide and sometimes much too narrow.
 
-**Which interval.** Where as many runs were made as were planned before the first one, it is that of
-Clopper and Pearson (Biometrika 26, 1934). Where the number of runs depends on their results
-(``--until``, a budget, Ctrl-C, further runs because the first did not tell), it is a *confidence
-sequence*, which holds at all numbers of runs together: what is left are the probabilities against
-which a gambler who bets on each run would not have multiplied the stake by 1/tail (Ville, Étude
+***Which interval.** If the number of runs equals the number planned before the first one, it is the
+Clopper-Pearson interval (Biometrika 26, 1934). If the number of runs depends on their results
+(``--until``, a budget, Ctrl-C, further runs after inconclusive ones), it is a *confidence
+sequence*, which holds at all numbers of runs simultaneously: it contains the probabilities against
+which a gambler betting on each run would not have multiplied the stake by 1/tail (Ville, Étude
 critique de la notion de collectif, 1939; Robbins, Annals of Mathematical Statistics 41, 1970;
 Ramdas et al., Statistical Science 38, 2023). ``taxinet bench intervals`` measures both.
 
@@ -57,15 +57,15 @@ class Rate(NamedTuple):
 
 
 def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]:
-    """Ends of a Clopper-Pearson interval of a share, for a number of runs that was settled before.
+    """Ends of the Clopper-Pearson interval of a share, for a number of runs fixed beforehand.
 
     Args:
-        hits: runs that count.
-        misses: runs that do not.
-        tail: probability that is left out at each end, 0.025 for an interval of 95 %.
+        hits: number of hits.
+        misses: number of misses.
+        tail: tail probability at each end, 0.025 for a 95 % interval.
     """
-    # A third of a second to import, which no run's first step is to wait for. It is the quantile
-    # of scipy.stats.beta, to the last bit, which would take ten times that.
+    # Imported here because it takes 0.3 s, which would delay a run's first step. It is
+    # bit-identical to the quantile of scipy.stats.beta, whose import takes ten times as long.
     from scipy.special import betaincinv
 
     low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
@@ -74,15 +74,15 @@ def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]
 
 
 def anytime_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]:
-    """Ends of an interval that holds at all numbers of runs together, whenever one stops.
+    """Ends of an interval that is valid at any stopping time.
 
-    Each end is that of a one-sided confidence sequence: the upper one leaves out the probabilities
+    Each end is that of a one-sided confidence sequence: the upper one excludes the probabilities
     against which Jeffreys' mixture of all smaller ones has a likelihood ratio of 1/tail or more.
 
     Args:
-        hits: runs that count.
-        misses: runs that do not.
-        tail: probability, for each end, that it is ever on the wrong side of the truth.
+        hits: number of hits.
+        misses: number of misses.
+        tail: probability, for each end, that it ever excludes the true value.
     """
     return 1 - _anytime_upper(misses, hits, tail), _anytime_upper(hits, misses, tail)
 
@@ -110,9 +110,9 @@ def rate(k: int, n: int, *, anytime: bool = False) -> Rate:
     """Share ``k`` of ``n`` independent runs with its 95 % interval.
 
     Args:
-        k: runs that count, 0..n.
-        n: runs that were judged; with none the rate is NaN and the interval everything.
-        anytime: the number of runs was not settled beforehand.
+        k: number of hits, 0..n.
+        n: number of judged runs; if 0, the rate is NaN and the interval is [0, 1].
+        anytime: the number of runs was not fixed beforehand.
 
     Raises:
         ValueError: ``k`` is not within 0..n.
@@ -125,12 +125,12 @@ def rate(k: int, n: int, *, anytime: bool = False) -> Rate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProgramRate:
-    """How often runs of the program itself are of a kind, as far as a campaign can say.
+    """Rate of one kind of run under the program itself, estimated from a campaign.
 
     Attributes:
-        runs, hits: that were made and judged, and of them those of the kind, whoever chose them.
-        drawn, drawn_hits: likewise, of those that the program itself drew.
-        anytime: whether the number of runs was not settled beforehand.
+        runs, hits: number of judged runs, and of those of the kind, from any source.
+        drawn, drawn_hits: the same for runs that the program itself drew.
+        anytime: whether the number of runs was not fixed beforehand.
         sampler: word of the sampler, or ''.
     """
 
@@ -143,19 +143,19 @@ class ProgramRate:
 
     @property
     def rate(self) -> Rate | None:
-        """Under the program itself with its 95 % interval; None where no run tells."""
+        """Rate under the program itself with its 95 % interval; None without drawn runs."""
         if not self.drawn:
             return None
         return rate(self.drawn_hits, self.drawn, anytime=self.anytime)
 
     def bounds(self, tail: float) -> tuple[float, float]:
-        """Ends of the interval that leaves out ``tail`` at each."""
+        """Ends of the interval with tail probability ``tail`` at each end."""
         ends = anytime_bounds if self.anytime else share_bounds
         return ends(self.drawn_hits, self.drawn - self.drawn_hits, tail)
 
     @property
     def why_not(self) -> str:
-        """Why there is no rate, in a sentence, and what to do; '' where there is one."""
+        """Sentence on why there is no rate, and what to do; '' if there is one."""
         if self.drawn:
             return ''
         if not self.runs:
@@ -168,7 +168,7 @@ class ProgramRate:
 
     @property
     def rests_on(self) -> str:
-        """Which runs the interval is of, and when it holds; for brackets."""
+        """The runs that the interval is based on, and its validity; for parentheses."""
         words = '95 % intervals'
         if self.drawn < self.runs:
             words += f' of the {self.drawn:,} runs that the program itself drew'
@@ -180,16 +180,15 @@ class ProgramRate:
 def rate_of(
     rows: Sequence[RunRow], hit: Callable[[RunRow], bool], planned: int | None = None
 ) -> ProgramRate:
-    """How often judged runs of the program itself are of a kind.
+    """Rate of one kind of judged run under the program itself.
 
-    Runs count in the order of their indices, up to the first that has no result yet: what ended
-    early is not a fair choice of what was begun.
+    Runs count in index order up to the first without a result: runs that finish early are a biased
+    sample.
 
     Args:
-        rows: of a campaign.
+        rows: rows of a campaign.
         hit: whether a judged run is of the kind.
-        planned: number of runs that was settled before the first of them; None for as many as
-            there are.
+        planned: number of runs fixed before the first one; None for the actual number.
     """
     outcomes = {row.index: row.outcome for row in rows}
     counted = without_gaps(outcomes)
@@ -204,12 +203,12 @@ def rate_of(
 
 
 def failure_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate:
-    """How often the program fails; as :func:`rate_of`."""
+    """Failure rate of the program; see :func:`rate_of`."""
     return rate_of(rows, lambda row: row.outcome is Outcome.FAIL, planned)
 
 
 def off_runway_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate | None:
-    """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+    """Off-runway rate; None if a run was stopped before it could be determined."""
     if any(row.outcome.judged and row.left_runway is None for row in rows):
         return None
     return rate_of(rows, lambda row: bool(row.left_runway), planned)
@@ -219,7 +218,7 @@ def without_gaps(outcomes: Mapping[int, str]) -> int:
     """Number of runs, from run 0 on, up to the first that has no result or was interrupted.
 
     Args:
-        outcomes: word of the outcome by the run's index.
+        outcomes: outcome by run index.
     """
     number = 0
     while outcomes.get(number, Outcome.INTERRUPTED) != Outcome.INTERRUPTED:
@@ -228,11 +227,11 @@ def without_gaps(outcomes: Mapping[int, str]) -> int:
 
 
 def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> bool:
-    """Whether exactly as many runs were made as were settled before the first.
+    """Whether the number of runs equals the number planned before the first one.
 
     Args:
-        outcomes: word of the outcome by the run's index. Rejected ones need not use up a run.
-        planned: None for as many as there are.
+        outcomes: outcome by run index. Rejected ones need not use up a run.
+        planned: None for the actual number.
     """
     used = sum(outcome != Outcome.REJECTED for outcome in outcomes.values())
     complete = without_gaps(outcomes) == len(outcomes)
@@ -240,23 +239,23 @@ def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> b
 
 
 def count_outcomes(rows: Sequence[RunRow], leaving_out: Iterable[Outcome] = ()) -> str:
-    """How many runs ended how, e.g. ``4 PASS, 3 INFRA_ERROR (2 timeout, 1 died)``."""
+    """Number of runs by outcome, e.g. ``4 PASS, 3 INFRA_ERROR (2 timeout, 1 died)``."""
     wanted = [outcome for outcome in Outcome if outcome not in set(leaving_out)]
     counts = {outcome.value: sum(row.outcome is outcome for row in rows) for outcome in wanted}
     return count_words(counts, count_kinds(row.kind for row in rows if row.kind))
 
 
 def count_kinds(kinds: Iterable[str]) -> dict[str, int]:
-    """How many runs the bench broke in which way, the most frequent first."""
+    """Number of infrastructure errors by kind, the most frequent first."""
     return dict(sorted(Counter(kinds).items(), key=lambda kind: (-kind[1], kind[0])))
 
 
 def count_words(counts: Mapping[str, int], kinds: Mapping[str, int]) -> str:
-    """Counts by outcome in words, those that are none left out.
+    """Counts by outcome as text, without zero counts.
 
     Args:
         counts: by outcome, in the order in which they are named.
-        kinds: how many runs the bench broke in which way.
+        kinds: number of infrastructure errors by kind.
     """
     how = f' ({kind_words(kinds)})' if kinds else ''
     return ', '.join(
@@ -266,5 +265,5 @@ def count_words(counts: Mapping[str, int], kinds: Mapping[str, int]) -> str:
 
 
 def kind_words(kinds: Mapping[str, int]) -> str:
-    """How often the bench broke in which way, in words."""
+    """Number of infrastructure errors by kind, as text."""
     return ', '.join(f'{number:,} {kind}' for kind, number in kinds.items())

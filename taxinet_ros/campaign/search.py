@@ -1,8 +1,8 @@
 """A search: a sampler chooses scenes, learns from their results, may be interrupted.
 
-A search's folder is a campaign's (:mod:`.campaign`). The runs may be under way at once and end
-in any order; the sequence of scenes depends on neither, nor on how often the search was
-resumed. The lines that a search prints stand at the end.
+A search's folder is a campaign folder (:mod:`.campaign`). Runs may be concurrent and end in any
+order; the sequence of scenes depends neither on this nor on how often the search was resumed. The
+printed lines of a search are at the end.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 
 PATIENCE = 3
-"""After so many infrastructure errors in a row of one sitting the bench is broken, not the run."""
+"""Number of consecutive infrastructure errors in one session that end the search."""
 
 
 class Search:
-    """Asks for runs and takes their answers. A context manager that owns the Scenic child.
+    """Requests runs and records their results. A context manager that owns the Scenic child.
 
     Attributes:
         options: what to do; within the ``with``, with the sampler that the program asks for.
-        notes: lines on what is not as it may seem: whose sampler it is, what a program may mean.
-        rows: one row per run that is done, in the order in which they were; after the ``with``,
-            of earlier runs that the bench broke and that were not tried again, too.
-        stopped: which rule ended the search before all its runs were done; '' where none did.
-        exhausted: whether that was for want of other points.
+        notes: notes on the origin of the sampler and on likely mistakes in the program.
+        rows: one row per completed run, in order of completion; after the ``with``, also those of
+            earlier broken runs that were not retried.
+        stopped: the rule that ended the search early, or ''.
+        exhausted: whether the sampler had no more points.
         interrupted: whether :meth:`interrupt` was called.
-        check: what is said of the requirements before the first run; only within the ``with``.
+        check: result of checking the requirements; only within the ``with``.
         book: the search on disk.
     """
 
@@ -72,12 +72,12 @@ class Search:
         self, options: SearchOptions, participants: tuple[str, ...],
         on_row: Callable[[RunRow], None] = lambda row: None,
     ) -> None:
-        """Nothing is started or written before the ``with``.
+        """Create it; nothing is started or written before the ``with``.
 
         Args:
             options: what to do.
-            participants: node names that take part in every run.
-            on_row: called with each new row as soon as it is on disk; not with those of before.
+            participants: names of the nodes in every run.
+            on_row: called with each new row once it is on disk; not with earlier ones.
         """
         self.options = options
         self.notes: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class Search:
 
         Raises:
             UsageError: the program does not compile or makes no choices, there is no such sampler,
-                the folder cannot be used, or what it holds is another search.
+                the folder cannot be used, or holds another search.
         """
         self.book.check_folder()
         with contextlib.ExitStack() as opened:
@@ -121,7 +121,7 @@ class Search:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of what there is, whatever happened."""
+        """Write the table of the rows so far, even after an error."""
         counted = {row.index for row in self.rows}
         self.rows += [
             row for index, row in sorted(self.book.rows.items())
@@ -131,11 +131,11 @@ class Search:
 
     @property
     def space(self) -> SearchSpace:
-        """What is searched; only within the ``with``."""
+        """The search space; only within the ``with``."""
         return self._source.search_space()
 
     def next(self) -> RunRequest | None:
-        """A run to begin now; None where there is none before another run has ended, or at all.
+        """The next run to start; None if none is ready or the search has ended.
 
         Raises:
             UsageError: the program failed.
@@ -156,10 +156,10 @@ class Search:
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Keep one answer. A run that the bench broke gets a second chance before that counts.
+        """Record one result; a run broken by the bench is retried once.
 
         Raises:
-            UsageError: it comes from another perception than those before; it is not kept.
+            UsageError: it is from another perception than earlier results; it is not recorded.
         """
         if news := facts_of_graph(self._campaign.out, self.book.facts, result):
             self.book.add_facts(news)
@@ -167,27 +167,27 @@ class Search:
             self._keep(self.book.finished_row(request, result))
 
     def interrupt(self) -> None:
-        """Ask for no more runs, not for second chances either. A signal handler may call it."""
+        """Request no more runs or retries; safe to call from a signal handler."""
         self.interrupted = True
 
     @property
     def perception(self) -> str:
-        """Word of the perception that is searched; '' before the graph that has it answers."""
+        """Name of the perception; '' before a standing graph has answered."""
         return str(self.book.facts['perception'])
 
     @property
     def first_planned(self) -> int:
-        """Number of runs that were planned before the first of them; only within the ``with``."""
+        """Number of runs planned before the first one; only within the ``with``."""
         return int(self.book.facts['first_runs'])
 
     def learned(self) -> Probabilities:
-        """Where the sampler has found failures; empty where it has no idea."""
+        """The sampler's failure histograms; empty if it has none."""
         return self._sampler.learned()
 
     # Asking ------------------------------------------------------------------------------------
 
     def _wants_more(self) -> bool:
-        """Whether one more run is wanted. What was begun before is always finished first."""
+        """Whether one more run is needed; runs begun earlier are always finished first."""
         if (broken := self.book.broken_in_a_row) >= PATIENCE:
             self.stopped = f'{broken} runs in a row were broken by the bench'
         if self._asked >= self._campaign.runs or self.interrupted:
@@ -198,7 +198,7 @@ class Search:
 
     def _stop_reason(self) -> str:
         options = self.options
-        # By the results that the next run depends on, so workers make no difference.
+        # Uses the results that the next run depends on, so it is independent of the workers.
         known = [row for row in self.rows if row.index < self._sampler.due]
         if options.stop is not None and options.stop.is_met(known):
             return options.stop.reached
@@ -249,7 +249,7 @@ class Search:
         self.book.keep(row)
 
     def _retries(self, index: int) -> int:
-        """How often a run was begun anew because the bench broke, in earlier sittings too."""
+        """Number of retries of a run after the bench broke, including earlier sessions."""
         before = self._earlier.to_repeat.get(index)
         broken = before is not None and before.outcome is Outcome.INFRA_ERROR
         return (before.retries if before else 0) + broken + self.book.was_retried(index)
@@ -257,9 +257,9 @@ class Search:
     def _weight(self, index: int) -> float | None:
         """Density of the program's distribution over the sampler's at a run's point, if known.
 
-        Where a requirement holds for a share of the runs only, the accepted points of a sampler
-        with another distribution than the program's have a density that nobody knows: it depends
-        on how likely the sampler and the program are to meet what this run has to meet.
+        With a requirement for only a share of the runs, the density of accepted points is unknown
+        unless the sampler draws from the program's distribution: it depends on the probability that
+        sampler and program meet this run's requirements.
         """
         weight = self._sampler.weight(index)
         return None if self.space.soft and weight != 1 else weight
@@ -307,7 +307,7 @@ class Search:
             'sampler_options': dict(self.options.sampler_options),
             'sampler_lag': LAG,
             'dimensions': [dimension.name for dimension in self._source.space()],
-            # Only the grid is laid out for a number of runs; the others may be asked for more.
+            # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
         }
 
@@ -317,7 +317,7 @@ def _digest(scenario: Scenario) -> str:
 
 
 def search_heading(options: SearchOptions) -> str:
-    """What is about to run."""
+    """Heading that describes the search."""
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     verb = 'resuming' if options.resume else 'searching'
@@ -330,7 +330,7 @@ def search_heading(options: SearchOptions) -> str:
 
 
 def space_lines(space: SearchSpace) -> list[str]:
-    """Which of a program's choices the sampler makes, and when, and which it leaves to chance."""
+    """Lines on the choices that the sampler controls, with conditions, and on the others."""
     options = {choice.dimension.name: choice.options for choice in space.searched}
     groups: dict[str, list[str]] = {}
     for choice in space.searched:
@@ -351,11 +351,11 @@ def _branch_words(branch: Branch, options: Sequence[object]) -> str:
 
 
 def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
-    """What came of it: counts, rates with their intervals, the worst run, where the table is.
+    """Summary lines: counts, rates with intervals, the worst run, path of the table.
 
     Args:
-        search: that has ended.
-        resuming: what to add to the command to continue it.
+        search: a search that has ended.
+        resuming: option that continues it.
     """
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']

@@ -1,7 +1,7 @@
-"""What a search is asked to do: a campaign, a sampler, workers, and when to stop.
+"""Options of a search: campaign, sampler, workers, and stop rules.
 
-A search that ends by what it has seen has a number of runs that depends on its results, so its
-intervals are those that hold at any number of runs (:mod:`taxinet_ros.campaign.rates`).
+With a stop rule the number of runs depends on the results, so the intervals are those valid at any
+number of runs (:mod:`taxinet_ros.campaign.rates`).
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class StopRule:
 
     @property
     def reached(self) -> str:
-        """What a search says that was ended by it."""
+        """Text for a search that this rule ended."""
         return f'{self} reached'
 
     def is_met(self, rows: Sequence[RunRow]) -> bool:
-        """Whether these runs are enough."""
+        """Whether these runs meet the rule."""
         if self.kind == FAILURES:
             return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value
         found = failure_rate(rows, 0).rate
@@ -52,7 +52,7 @@ class StopRule:
 
 
 def parse_stop_rule(text: str) -> StopRule:
-    """The rule ``failures=K`` or ``half-width=W``.
+    """Parse the rule ``failures=K`` or ``half-width=W``.
 
     Raises:
         UsageError: it is neither.
@@ -71,22 +71,22 @@ def parse_stop_rule(text: str) -> StopRule:
 
 
 DEFAULT_SAMPLER = 'active'
-"""Chooses the scenes where neither a person nor the program names a sampler."""
+"""Sampler to use if neither the user nor the program names one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
-    """One search.
+    """Options of one search.
 
     Attributes:
-        campaign: scenes of which program, judged how, with which perception, and where to.
+        campaign: program, judging, perception and output folder.
         sampler: word of the sampler that chooses the scenes; '' for the program's own, if it names
             one, else :data:`DEFAULT_SAMPLER`.
         sampler_options: its options as text, by name.
-        workers: graphs that run at once.
-        resume: continue what was interrupted.
+        workers: number of concurrent graphs.
+        resume: continue an interrupted search.
         stop: stop before all runs are done, or None.
-        budget_s: begin no run after so long [s of wall clock], or None.
+        budget_s: wall-clock time after which no run is started [s], or None.
     """
 
     campaign: CampaignOptions
@@ -102,19 +102,19 @@ def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
     resume: bool, until: str | None, budget_min: float | None,
 ) -> SearchOptions:
-    """Check what a person typed.
+    """Check the command-line arguments.
 
     Args:
-        campaign: checked already.
+        campaign: validated campaign options.
         sampler: word of the sampler; None for the program's own or the default.
         sampler_options: ``key=value`` texts.
-        workers: graphs that run at once.
-        resume: continue what was interrupted.
+        workers: number of concurrent graphs.
+        resume: continue an interrupted search.
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: one line on the first error.
     """
     if not 1 <= workers <= LAG:
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
@@ -133,14 +133,14 @@ def make_search_options(
 def with_sampler(
     options: SearchOptions, asked: ProgramSampler | None
 ) -> tuple[SearchOptions, str]:
-    """The options with the sampler that is to be used, and a line on whose wish it is.
+    """The options with the resolved sampler, and a line on its origin.
 
     Args:
-        options: as a person gave them.
-        asked: what the program asks for, or None.
+        options: options given by the user.
+        asked: the program's request, or None.
 
     Returns:
-        The options, and a line to print; '' where the program asks for nothing.
+        The options, and a line to print; '' if the program requests none.
 
     Raises:
         UsageError: an option that the sampler does not have.

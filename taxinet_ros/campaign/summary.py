@@ -1,4 +1,4 @@
-"""The lines that a campaign prints: what is run, one line per run, what came of it."""
+"""Printed lines of a campaign: heading, one line per run, and summary."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from taxinet_ros.core.scenario_fields import clock_words, pushing_words
 from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5
-"""Most runs that one line names."""
+"""Maximum number of runs named in one line."""
 
 ON_STANDING_GRAPH = 'on the graph that runs'
-"""Said where the nodes were started by somebody else."""
+"""Text for nodes that were started externally."""
 
 _STYLES = {
     Outcome.PASS: 'green',
@@ -36,7 +36,7 @@ _STYLES = {
 
 
 def campaign_heading(options: CampaignOptions) -> str:
-    """What is about to run."""
+    """Heading that describes the campaign."""
     runs = 'run' if options.runs == 1 else 'runs'
     layout = 'separate processes' if options.processes else 'one process'
     graph = f'{participants_words(options)}, {layout}'
@@ -47,7 +47,7 @@ def campaign_heading(options: CampaignOptions) -> str:
 
 
 def participants_words(options: CampaignOptions) -> str:
-    """Perception, controller and world in words; what is usual goes without saying."""
+    """Perception, controller and world as text; defaults are omitted."""
     steers = '' if options.controller == STEERING else f', controller {options.controller}'
     there = '' if options.world == KMWH else f', world {options.world}'
     late = f', {options.timing.words}' if options.timing.words else ''
@@ -55,7 +55,7 @@ def participants_words(options: CampaignOptions) -> str:
 
 
 def requirement_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:
-    """How the requirements are understood, and what they may say other than was meant."""
+    """Lines on how the requirements are interpreted, with warnings of likely mistakes."""
     lines = [] if quiet else [Text(line, style='dim') for line in check.lines]
     return [*lines, *(Text(f'warning: {line}', style='yellow') for line in check.warnings)]
 
@@ -84,13 +84,13 @@ def row_line(row: RunRow) -> Text:
 
 
 def rho_words(row: RunRow, width: int = 0) -> str:
-    """The headline's robustness, or the bounds that a run that was stopped early has of it."""
+    """The headline's robustness, or its bounds if the run was stopped early."""
     assert row.headline is not None
     return row.headline.bound_words(width)
 
 
 def scene_words(row: RunRow) -> str:
-    """A scene in a few words, in the units people read; empty where none was drawn."""
+    """Short description of a scene in human units; empty if none was drawn."""
     if row.time_of_day_h is None or row.rain_percent is None:
         return ''
     rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
@@ -103,19 +103,19 @@ def scene_words(row: RunRow) -> str:
 
 
 def _percent(value: float) -> str:
-    """A percentage without decimals, but never 0 for what is more."""
+    """A percentage without decimals; positive values are never shown as 0."""
     return f'{value:.0f}' if value >= 1 else f'{value:.1g}'
 
 
 def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
-    """Where table and bags are."""
+    """Line with the paths of table and bags."""
     here = not options.standing_graph or any(row.bag for row in rows)
     bags = f'{options.out}/<run>/' if here else "where the graph's recorder puts them"
     return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
 
 
 def campaign_summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
-    """What came of it all: counts, rate with its interval, speed, and where the table is."""
+    """Summary: counts, rate with its interval, speed, and path of the table."""
     lines = [count_outcomes(rows)]
     speeds = [row.real_time_factor for row in rows if row.outcome.judged]
     if speeds:
@@ -140,7 +140,7 @@ def _satisfied_words(failed: ProgramRate) -> str:
 
 
 def blind_words(rows: Sequence[RunRow]) -> list[str]:
-    """How many runs passed though the perception was blind; no line where none did."""
+    """Line on the runs that passed although the perception was blind, if any."""
     blind = [row.index for row in rows if row.passed_blind]
     if not blind:
         return []
@@ -152,7 +152,7 @@ def blind_words(rows: Sequence[RunRow]) -> list[str]:
 
 
 def refused_words(rows: Sequence[RunRow]) -> list[str]:
-    """What the program's requirements refused, and what it drew that could not be run."""
+    """Lines on draws rejected by the requirements, and on impossible scenes."""
     rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
     refused = sum(row.refused for row in rows)
     lines = []
@@ -167,7 +167,7 @@ def refused_words(rows: Sequence[RunRow]) -> list[str]:
 
 
 def free_words(rows: Sequence[RunRow]) -> list[str]:
-    """How free runs went; no line where none did."""
+    """Line on free runs, if any."""
     free = [row.free for row in rows if row.free and 'loop_wall_median_s' in row.free]
     if not free:
         return []
@@ -184,14 +184,14 @@ def free_words(rows: Sequence[RunRow]) -> list[str]:
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:
-    """How many runs left the runway; of a run that was stopped before, nobody knows."""
+    """Number of runs that left the runway; unknown for runs stopped before."""
     off = sum(bool(row.left_runway) for row in rows)
     stopped = any(row.stopped_early and not row.left_runway for row in rows)
     return f'{off} off the runway{" before they were stopped" if stopped else ""}'
 
 
 def stopped_words(rows: Sequence[RunRow]) -> list[str]:
-    """How many runs were stopped early and what that saved; no line where none was."""
+    """Line on the runs stopped early and the time saved, if any."""
     stopped = [row for row in rows if row.stopped_early]
     if not stopped:
         return []

@@ -1,9 +1,9 @@
 """The workers of a campaign: started when there is work, watched, replaced when they break.
 
 A worker is a process with a pipe each way. It gets ``{"run": …}`` lines on its standard input,
-and an ``{"interrupt": true}`` line where it shall end the run at hand; the end of the input
-ends it. It writes to another descriptor: ``{"seq": n}`` now and then, ``{"result": …}`` after
-each run, and ``{"error": text}`` before it leaves for a mistake of the user's.
+and an ``{"interrupt": true}`` line to end the current run; it exits at the end of the input. It
+writes to another descriptor: ``{"seq": n}`` periodically, ``{"result": …}`` after each run, and
+``{"error": text}`` before it exits on a usage error.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from taxinet_ros.processes.child import ChildProcess, open_pipe
 
 
 def encode_line(message: Mapping[str, Any]) -> bytes:
-    """One line. Floats come back as they were, NaN and infinities too."""
+    """Encode one line; floats round-trip exactly, including NaN and infinities."""
     return json.dumps(message, separators=(',', ':')).encode() + b'\n'
 
 
@@ -93,21 +93,21 @@ _GRACE_S = 5.0
 
 
 class WorkerProcess:
-    """A process that runs what it is given.
+    """A worker process that runs requests.
 
     Attributes:
-        request: the run that it is at, or None.
+        request: the current run, or None.
         seq: the control step that it last reported.
-        silent_since: when its last sign of life came, by the monotonic clock [s].
-        answers: descriptor to wait on; what comes is read with :meth:`read`.
+        silent_since: time of its last message, on the monotonic clock [s].
+        answers: descriptor to wait on; read it with :meth:`read`.
     """
 
     def __init__(self, command: Sequence[str], log: Path) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             command: arguments; ``--answers=<descriptor>`` is added.
-            log: file that takes, at its end, what the process prints.
+            log: file to which the process's output is appended.
         """
         self.request: RunRequest | None = None
         self.seq = -1
@@ -127,26 +127,26 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self._child.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it is still there."""
+        """Whether the process is alive."""
         return not self._child.dead
 
     def give(self, request: RunRequest) -> None:
-        """Have it run something; if it is dead, its answers' end says so."""
+        """Send a run; if the process is dead, :meth:`read` reports it."""
         self.request, self.seq, self.silent_since = request, -1, time.monotonic()
         self._send({'run': request_to_json(request)})
 
     def interrupt(self) -> None:
-        """Have it end the run at hand in order."""
+        """Request an orderly end of the current run."""
         self.silent_since = time.monotonic()
         self._send({'interrupt': True})
 
     def read(self) -> list[Mapping[str, Any]] | None:
-        """What it has said since the last time; None when it is gone."""
+        """Messages since the last call; None when the process has exited."""
         part = os.read(self.answers, 65536)
         if not part:
             return None
@@ -160,20 +160,20 @@ class WorkerProcess:
         return messages
 
     def end_broken_run(self, kind: str, detail: str = '') -> RunResult:
-        """End it at once; the result of the run that it was at."""
+        """Kill the process; return the result of its current run."""
         self.end(0.0 if detail else 1.0)
         return RunResult.infra_error(
             kind, 'worker', detail or self._child.how_it_ended(), self.seq
         )
 
     def close_input(self) -> None:
-        """Tell it that there is no more to do."""
+        """Close its input, so that it exits."""
         with contextlib.suppress(BrokenPipeError):
             assert self._child.process.stdin is not None
             self._child.process.stdin.close()
 
     def end(self, grace_s: float = _GRACE_S) -> None:
-        """Wait for it to leave, at most ``grace_s``, then kill it."""
+        """Wait for it to exit, at most ``grace_s``, then kill it."""
         self.close_input()
         self._child.wait(grace_s)
         self._child.end(())
@@ -189,33 +189,33 @@ class WorkerProcess:
 
 
 SILENCE_S = 120.0
-"""A worker whose run gets nowhere for so long is killed. Its start counts too."""
+"""Time without progress, including start-up, after which a worker is killed [s]."""
 _INTERRUPT_S = 20.0
-"""How long a run may take to end in order."""
+"""Time limit for an orderly end of a run [s]."""
 Answer = tuple[RunRequest, RunResult]
 
 
 class WorkerPool:
     """Up to ``size`` worker processes; a context manager that leaves none behind.
 
-    After an infrastructure error the worker is not used again: a graph that broke once is not to
-    be trusted with the next run.
+    After an infrastructure error the worker is not reused: a graph that broke once is not trusted
+    with the next run.
 
     Attributes:
-        workers: those that live, idle or at work.
+        workers: live workers, idle or busy.
         interrupted: whether :meth:`interrupt` was called.
     """
 
     def __init__(
         self, command: Sequence[str], size: int, logs: Path, silence_s: float = SILENCE_S
     ) -> None:
-        """Nothing is started before the first :meth:`give`.
+        """Create the pool; nothing is started before the first :meth:`give`.
 
         Args:
-            command: what starts a worker, see :class:`WorkerProcess`.
-            size: most workers.
-            logs: folder for what they print.
-            silence_s: how long a run may get nowhere [s of wall clock].
+            command: command of a worker, see :class:`WorkerProcess`.
+            size: maximum number of workers.
+            logs: folder for their output.
+            silence_s: wall-clock limit for a run without progress [s].
         """
         self.workers: list[WorkerProcess] = []
         self.interrupted = False
@@ -226,10 +226,10 @@ class WorkerPool:
         self._started = 0
 
     def __enter__(self) -> Self:
-        """Make the folder for logs.
+        """Create the folder for logs.
 
         Raises:
-            UsageError: that is not possible.
+            UsageError: it cannot be created.
         """
         try:
             self._logs.mkdir(exist_ok=True)
@@ -241,7 +241,7 @@ class WorkerPool:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End them all: the idle ones in order, those at work at once."""
+        """Stop all workers: idle ones orderly, busy ones immediately."""
         for worker in self.workers:
             worker.close_input()
         for worker in self.workers:
@@ -253,16 +253,16 @@ class WorkerPool:
 
     @property
     def busy(self) -> int:
-        """Number of runs under way."""
+        """Number of runs in flight."""
         return sum(worker.request is not None for worker in self.workers)
 
     @property
     def free(self) -> bool:
-        """Whether one more run could be under way."""
+        """Whether one more run can be started."""
         return self.busy < self._size and not self.interrupted
 
     def give(self, request: RunRequest) -> None:
-        """Have a free worker, or a new one, run something."""
+        """Send a run to a free worker, or to a new one."""
         idle = [worker for worker in self.workers if worker.request is None]
         for worker in idle:
             if not worker.alive:
@@ -272,10 +272,10 @@ class WorkerPool:
         worker.give(request)
 
     def answers(self, timeout_s: float) -> list[Answer]:
-        """The runs that have ended since the last call; waits for one, at most ``timeout_s``.
+        """The runs finished since the last call; waits for one, at most ``timeout_s``.
 
         Raises:
-            UsageError: a worker found a mistake of the user's.
+            UsageError: a worker reported a usage error.
         """
         busy = {worker.answers: worker for worker in self.workers if worker.request is not None}
         readable, _, _ = select.select(list(busy), [], [], timeout_s)
@@ -283,7 +283,7 @@ class WorkerPool:
         return found + self._overdue()
 
     def interrupt(self) -> None:
-        """Have every run under way end in order; there will be no more."""
+        """Request an orderly end of all runs in flight; no more may be started."""
         self.interrupted = True
         for worker in self.workers:
             if worker.request is not None:
@@ -338,24 +338,24 @@ _POLL_S = 0.2
 
 
 class RunSource(Protocol):
-    """What decides which run comes next: a search, or the shrinking of a failed run."""
+    """Source of the next run: a search, or the shrinking of a failed run."""
 
     @property
     def interrupted(self) -> bool:
-        """Whether the runs under way are to be ended, and no others begun."""
+        """Whether to end the runs in flight and start no others."""
 
     def next(self) -> RunRequest | None:
-        """A run to begin now; None where there is none before another run has ended, or at all."""
+        """The next run to start; None if none is ready or there are no more."""
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Take the answer to a run."""
+        """Record the result of a run."""
 
 
 def run_search(search: RunSource, pool: WorkerPool) -> None:
-    """Run a search to its end, or until it is interrupted and the runs under way have ended.
+    """Run a search to its end, or until it is interrupted and the runs in flight have ended.
 
     Raises:
-        UsageError: program or perception failed in a way that the user has to mend.
+        UsageError: program or perception failed with an error that the user must fix.
     """
     while True:
         if search.interrupted and not pool.interrupted:

@@ -14,13 +14,13 @@ FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def disk_words(error: OSError) -> str:
-    """What the operating system said, on one line."""
+    """The operating system's error message, on one line."""
     text = error.strerror or str(error)
     return f'[Errno {error.errno}] {text}' if error.errno else text
 
 
 def disk_error(path: Path, error: OSError) -> OSError:
-    """``error`` once more, with the file that it was about and a number in any case.
+    """Copy of ``error`` with its file name, and always with an error number.
 
     Writing to an open file raises errors without a name, and libraries raise some without a number.
     """
@@ -38,19 +38,19 @@ def sync_folder(folder: Path) -> None:
 
 
 DRAFTS = ('.*.part*', '*.tmp', '.*.draft')
-"""What :func:`draft_path` gives, and what drafts of earlier versions were called."""
+"""Name patterns of :func:`draft_path`, and of drafts of earlier versions."""
 
 
 def draft_path(path: Path) -> Path:
-    """Where a file is written before it gets its name; by its suffix libraries know its format.
+    """Path of a file's draft; it keeps the suffix, from which libraries infer the format.
 
-    It is always the same, so that one left by a kill is used up by the next try.
+    It is always the same, so that a leftover draft is overwritten by the next attempt.
     """
     return path.with_name(f'.{path.stem}.part{path.suffix}')
 
 
 def write_atomically(path: Path, data: str | bytes, *, sync: bool = True) -> None:
-    """Put ``data`` at ``path`` so that a reader sees all of it or no file, come what may.
+    """Write ``data`` to ``path`` atomically: a reader never sees a partial file.
 
     Args:
         path: the file; its folder exists.
@@ -58,7 +58,7 @@ def write_atomically(path: Path, data: str | bytes, *, sync: bool = True) -> Non
         sync: False where many files are made safe from a loss of power together, afterwards.
 
     Raises:
-        OSError: it cannot be written, with its name; what was there before is there still.
+        OSError: it cannot be written, with its name; an existing file is unchanged.
     """
     content = data.encode() if isinstance(data, str) else data
     make_atomically(path, lambda draft: draft.write_bytes(content), sync=sync)

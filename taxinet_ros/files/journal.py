@@ -5,9 +5,9 @@ are the link, a digest of the link of the line before and of this line's other w
 digest of this line alone. So a changed bit, and a line that is missing, there twice or in another
 place, is found and told apart from the others.
 
-A last line without its end is cut off when the file is opened: it was being written when the power
-went, and nobody has been told that it was kept. Whole lines that are missing there are known to
-those who have put down where a journal ended (:class:`JournalEnd`).
+A last line without its end is cut off when the file is opened: its write was interrupted, and was
+never confirmed. Missing whole lines at the end are detected by comparison with a recorded end
+(:class:`JournalEnd`).
 
 Lines of earlier versions have no checksums. Where a journal begins with such lines, the first one
 that is added has a digest of all of them for the link before it.
@@ -39,7 +39,7 @@ _START = hashlib.sha256().hexdigest()[:_DIGITS]
 
 
 class JournalEnd(NamedTuple):
-    """Where a journal ends: number of its lines, and link of the last."""
+    """End of a journal: number of lines, and link of the last."""
 
     lines: int
     link: str
@@ -62,11 +62,11 @@ class JournalLine:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JournalContent:
-    """What a journal says.
+    """Content of a journal.
 
     Attributes:
         lines: all whole lines.
-        unprotected: how many of the first ones are sound as far as one knows, without checksums.
+        unprotected: number of initial lines without checksums and without known damage.
         links: the link after each number of lines, from none on.
         whole: number of bytes up to the end of the last whole line.
         trouble: what is wrong with the bytes after them, or ''.
@@ -80,12 +80,12 @@ class JournalContent:
 
     @property
     def end(self) -> JournalEnd:
-        """Where it ends."""
+        """End of the journal."""
         return JournalEnd(len(self.lines), self.links[-1])
 
     @property
     def troubles(self) -> list[tuple[int, str]]:
-        """All that is wrong, with the number of its line, counted from 1."""
+        """All errors with their line numbers, from 1."""
         found = [(at, line.trouble) for at, line in enumerate(self.lines, 1) if line.trouble]
         return [*found, *([(len(self.lines) + 1, self.trouble)] if self.trouble else [])]
 
@@ -122,7 +122,8 @@ class Journal:
 
         Raises:
             OSError: not all of it could be written, as on a full disk; then none of it is.
-            RecordError: it was written, but where nobody looks for it; see :meth:`check_in_place`.
+            RecordError: it was written to a file that was moved or replaced; see
+                :meth:`check_in_place`.
         """
         line, link = chained_line(self._link, event)
         try:
@@ -138,7 +139,7 @@ class Journal:
         self.check_in_place()
 
     def check_in_place(self) -> None:
-        """See that the open file is still the one at its path.
+        """Check that the open file is still the one at its path.
 
         Raises:
             RecordError: it, or a folder above it, was moved, deleted or replaced. What was appended
@@ -163,17 +164,17 @@ class Journal:
             raise disk_error(self._path, error) from error
 
     def close(self) -> None:
-        """Let others open it."""
+        """Close it and release the lock."""
         os.close(self._fd)
 
 
 def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, Any]]:
-    """What the lines of a journal say, also while it is being written.
+    """Read the events of a journal, even while it is being written.
 
-    A last line without its end counts as not there.
+    A last line without its end is ignored.
 
     Args:
-        path: of the journal.
+        path: path of the journal.
         ended: where it ended once, if that is known; it may have grown since.
 
     Raises:
@@ -198,7 +199,7 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
 
 
 def damaged_line(path: Path, number: int, why: str) -> UsageError:
-    """The error for a line of a journal that is not as it was written, or says what cannot be."""
+    """The error for a damaged or inconsistent line of a journal."""
     return UsageError(
         f'{path}:{number}: damaged line ({why}); check and repair with: taxinet doctor '
         f'{path.parent}'
@@ -206,13 +207,13 @@ def damaged_line(path: Path, number: int, why: str) -> UsageError:
 
 
 def parse_journal(data: bytes) -> JournalContent:
-    """A journal's lines with all that is wrong with them; nothing is raised."""
+    """Parse a journal's lines; errors are recorded, not raised."""
     *whole, rest = data.split(b'\n')
     parsed = [_parsed(line) for line in whole]
     first = next((at for at, line in enumerate(parsed) if line.link), len(parsed))
     old = sum(not line.trouble for line in parsed[:first])
     before = sum(len(line) + 1 for line in whole[:first])
-    # What a damaged line was linked by, nobody knows.
+    # The link of a damaged line is unknown.
     links = [_digest(data[:before]) if old == first else ''] * (first + 1)
     links += [line.link for line in parsed[first:]]
     lines = [
@@ -295,7 +296,7 @@ def _unchained(line: bytes) -> JournalLine:
 
 
 def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> JournalLine:
-    """A line that is sound by itself, with what is wrong with its place."""
+    """An intact line, with any error of its position."""
     if not line.link:
         why = 'it has no checksum, but earlier lines have; was it written by an earlier version?'
         return JournalLine(event=line.event, trouble=why)
@@ -364,7 +365,7 @@ class JournalOwner:
         self.close()
 
     def close(self) -> None:
-        """Let others open it."""
+        """Close it and release the lock."""
         self._journal.close()
 
     def check_in_place(self) -> None:

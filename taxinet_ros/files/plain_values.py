@@ -2,8 +2,7 @@
 
 What such a text can do beyond being wrong is to grow when it is read (YAML's aliases and merge
 keys), to be nested deeper than Python's stack, or to take minutes. None of it gets so far here.
-Whatever is wrong with a file that a person wrote gets one line, with file, key and what is expected
-there.
+Any error in a user's file gives one line with file, key and expected value.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from taxinet_ros.errors import UsageError
 MAX_DEPTH = 100
 """Brackets within brackets; PyYAML takes seconds for a thousand."""
 MAX_BYTES = 1 << 20
-"""Longer files of people are not read: YAML takes a second for some ten thousand characters."""
+"""Size limit of user files: YAML takes 1 s for about ten thousand characters."""
 MAX_CHARS = 2**22
-"""Likewise of texts in bags."""
+"""Size limit of texts in bags."""
 YAML_TROUBLES = (
     yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError,
     RecursionError,
 )
-"""What PyYAML raises: its own errors, and whatever its constructors run into."""
+"""Exceptions of PyYAML: its own, and those of its constructors."""
 
 
 def load_json(data: bytes | str) -> Any:
@@ -77,7 +76,7 @@ class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: igno
 
 
 def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
-    """What a file of a person's holds, as plain values.
+    """Read a user's YAML file as plain values.
 
     Args:
         path: the file, UTF-8.
@@ -97,7 +96,7 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
 
 
 def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> object:
-    """What ``data``, the bytes of a person's file, stands for.
+    """Parse ``data``, the bytes of a user's YAML file.
 
     Args:
         path: the file, for the message.
@@ -166,7 +165,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 class Section:
-    """A mapping in somebody's file; hands out its values, each checked.
+    """A mapping in a user's file with checked access to its values.
 
     Every complaint is one line: the file, the keys that lead there, and what is expected.
     """
@@ -220,7 +219,7 @@ class Section:
             raise self.wrong(str(error), key) from None
 
     def take(self, key: str, kind: str) -> object:
-        """Any value; ``kind`` says what is expected where there is none."""
+        """Any value; ``kind`` names the expected value if it is missing."""
         if key not in self._values:
             raise self.wrong(f'the key {key!r} is missing; expected {kind}')
         return self._values[key]
@@ -354,7 +353,7 @@ _MOST = 2**63
 
 
 def check_kind(name: str, kind: str, value: object) -> None:
-    """See that a value is of a kind.
+    """Check the type of a value.
 
     Args:
         name: of the field, for the message.

@@ -26,7 +26,7 @@ _END = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SealedJson:
-    """What such a file says.
+    """Content of a sealed file.
 
     Attributes:
         values: without seal and checksum.
@@ -41,7 +41,7 @@ class SealedJson:
     sealed: bool = True
 
     def check_file(self, path: Path, mend: str) -> bool:
-        """See that a file is the one that is vouched for; whether any is.
+        """Check a file against its checksum; return whether it has one.
 
         Args:
             path: of the file, in the same folder.
@@ -75,7 +75,7 @@ def write_sealed(
     path: Path, values: Mapping[str, Any], files: Iterable[Path] = (),
     journals: Iterable[Path] = (),
 ) -> None:
-    """Write a sealed file that vouches for files in and below its folder as they are now.
+    """Write a sealed file with checksums of files in and below its folder.
 
     Raises:
         OSError: it cannot be written, or one of them cannot be read.

@@ -25,9 +25,9 @@ import taxinet_ros
 Ladder = Sequence[tuple[signal.Signals, float]]
 """Signals that ask a process to end, each with the grace that follows it [s]."""
 SOFT: Ladder = ((signal.SIGTERM, 5.0),)
-"""For processes that have nothing to lose."""
+"""For processes without state to save."""
 IN_ORDER: Ladder = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0))
-"""As a person would."""
+"""As a user would: Ctrl-C first."""
 _LAST_GRACE_S = 60.0
 _LAST_BYTES = 4096
 
@@ -54,11 +54,11 @@ def child_environment() -> dict[str, str]:
 class ChildProcess:
     """A child process; a context manager that leaves nothing behind.
 
-    It leads a session of its own: Ctrl-C in the terminal is for this process, which then ends what
-    it has started, in order.
+    It leads its own session: Ctrl-C in the terminal goes to this process, which then ends its
+    children in order.
 
     Attributes:
-        name: who it is, for messages.
+        name: display name, for messages.
         log: file that takes, at its end, what it prints; None where that goes elsewhere.
         process: the one that runs now, or ran last.
     """
@@ -73,7 +73,7 @@ class ChildProcess:
         """Start it.
 
         Args:
-            name: who it is, for messages.
+            name: display name, for messages.
             command: program and arguments, see :func:`module_command`.
             log: file that takes what it prints, in the place of ``stdout`` and ``stderr``.
             environment: all of it; :func:`child_environment` where None.
@@ -122,22 +122,22 @@ class ChildProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Kill it, if it is still there."""
+        """Kill it if it is alive."""
         self.end(())
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self.process.pid
 
     @property
     def code(self) -> int | None:
-        """Its exit code, negative for a signal; None as long as nobody has seen it ended."""
+        """Its exit code, negative for a signal; None until its end has been observed."""
         return self.process.returncode
 
     @property
     def dead(self) -> bool:
-        """Whether it has ended, by whatever."""
+        """Whether it has ended, for any reason."""
         return self.process.poll() is not None
 
     def send(self, number: signal.Signals) -> None:
@@ -196,7 +196,7 @@ def end_all(children: Iterable[ChildProcess], ladder: Ladder = SOFT) -> list[str
     for number, grace_s in ladder:
         for child in left:
             child.send(number)
-            child.send(signal.SIGCONT)  # One that is stopped hears nothing else.
+            child.send(signal.SIGCONT)  # A stopped process handles no other signal.
         left = _outlasting(left, grace_s)
     for child in left:
         child.kill()
@@ -205,7 +205,7 @@ def end_all(children: Iterable[ChildProcess], ladder: Ladder = SOFT) -> list[str
 
 
 def _outlasting(children: list[ChildProcess], grace_s: float) -> list[ChildProcess]:
-    """Those that are still there after a time."""
+    """The children that are still alive after a time."""
     deadline = time.monotonic() + grace_s
     return [
         child for child in children
@@ -233,7 +233,7 @@ def open_pipe() -> tuple[int, int]:
 
 
 def fill_standard_descriptors() -> None:
-    """Have 0, 1 and 2 be open, so that no file or pipe of ours becomes a standard stream."""
+    """Ensure that 0, 1 and 2 are open, so that no file or pipe becomes a standard stream."""
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
     os.close(descriptor)
@@ -256,7 +256,7 @@ def _lower(limit: int, value: int) -> None:
 
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _prctl = ctypes.CDLL(None).prctl
-"""Looked up here, for between fork and exec there is no time for it."""
+"""Looked up at import, because it is not safe between fork and exec."""
 
 
 def die_with_parent(number: signal.Signals) -> None:
@@ -275,5 +275,5 @@ def _before_program(parent: int, killed_with_parent: bool, signals_held: bool) -
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     if killed_with_parent:
         die_with_parent(signal.SIGKILL)
-        if os.getppid() != parent:  # It went before we asked.
+        if os.getppid() != parent:  # The parent died before the call.
             os.kill(os.getpid(), signal.SIGKILL)

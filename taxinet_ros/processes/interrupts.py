@@ -1,9 +1,8 @@
 """Interrupts (Ctrl-C, SIGTERM, closed terminal) and their exit codes.
 
-The first interrupt asks for an end in order, the second for an end now. An exit code is a verdict:
-0 says that every run satisfied its specifications. So where somebody's code runs, nobody but us
-decides when the process ends and with which code; beyond reach is what ends a process below
-Python, as C's ``exit`` does.
+The first interrupt requests an orderly end, the second an immediate one. An exit code is a verdict:
+0 says that every run satisfied its specifications. So user code cannot end the process or choose
+its exit code, except below Python, as with C's ``exit``.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from typing import Any, NoReturn
 from taxinet_ros.errors import ExitCode, warn_once
 
 exit_now: Callable[[int], NoReturn] = os._exit
-"""``os._exit`` as it is, for us."""
+"""The original ``os._exit``."""
 RECEIVED_STOPS: list[int] = []
 """Signals received that ask this process to end, oldest first."""
 _EXITS = ('_exit', 'execv', 'execve')
 _FORKED = ('multiprocessing.popen_fork', 'multiprocessing.forkserver')
-"""Who ends, by ``os._exit``, a child in which somebody's code is loaded: it is at its end."""
+"""Modules that may call ``os._exit``: they end children whose work is done."""
 _AGAIN_S = 0.01
 _kept_by = 0
 
@@ -52,7 +51,7 @@ def raise_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def resend_signal(number: int) -> None:
-    """Have a signal come a moment later; at once it would be where it was."""
+    """Resend a signal after a short delay; at once it would arrive at the same place."""
     who = threading.main_thread().ident
     assert who is not None
     again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, number))
@@ -105,9 +104,9 @@ def _refusing(name: str, end: Callable[..., NoReturn]) -> Callable[..., NoReturn
 
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What asks a program to end."""
+"""Signals that request the end of a program."""
 _STUCK_S = 5.0
-"""How long whoever was told to give up may take."""
+"""Time limit for code that was told to give up [s]."""
 
 
 @contextlib.contextmanager
@@ -172,7 +171,7 @@ def signals_handled(
 def handle_signals(
     handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
 ) -> dict[signal.Signals, Any]:
-    """Have signals handled, to the end of the process; what they were handled by before."""
+    """Install signal handlers until the process ends; return the previous ones."""
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         numbers = [number for number in numbers if number != signal.SIGHUP]
     return {number: signal.signal(number, handle) for number in numbers}
@@ -201,7 +200,7 @@ def lost_interrupts_resent() -> Iterator[None]:
 
 
 def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:
-    """What handles a signal by ending the process where it stands, whatever its threads are at.
+    """Signal handler that ends the process immediately, regardless of its threads.
 
     For where nothing is begun, or all is done: :attr:`ExitCode.INTERRUPTED` is told apart.
     """
@@ -215,7 +214,7 @@ def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:
 def _exit_stuck() -> None:
     line = b'taxinet: error: what is at hand does not come back; it is left where it stands\n'
     with contextlib.suppress(OSError):
-        os.write(2, line)  # not print: its lock may be held by what does not come back
+        os.write(2, line)  # not print: its lock may be held by a stuck thread
     exit_now(interrupted_exit_code(ExitCode.INTERRUPTED))
 
 

@@ -22,7 +22,7 @@ _T = TypeVar('_T')
 _P = ParamSpec('_P')
 
 SPAWN = multiprocessing.get_context('spawn')
-"""What makes events and queues that the workers share."""
+"""Context that creates the events and queues shared with the workers."""
 
 
 class ProcessPool(ProcessPoolExecutor):
@@ -31,7 +31,7 @@ class ProcessPool(ProcessPoolExecutor):
     def submit(
         self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs
     ) -> Future[_T]:
-        """Have a worker call a function; the first call starts the workers."""
+        """Call a function in a worker; the first call starts the workers."""
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return super().submit(fn, *args, **kwargs)
@@ -43,10 +43,10 @@ class ProcessPool(ProcessPoolExecutor):
 def process_pool(
     workers: int | None, name: str, start: Callable[..., object] | None = None, *arguments: Any
 ) -> Iterator[ProcessPool]:
-    """Within the ``with``, worker processes that call functions; what waits at its end is dropped.
+    """Context with worker processes that call functions; pending calls are dropped at its end.
 
     Args:
-        workers: how many; None for as many as there are cores.
+        workers: number of workers; None for the number of cores.
         name: of one, for the message when it dies.
         start: is called first in each of them.
         arguments: of ``start``.
@@ -70,7 +70,7 @@ def _begin_worker(start: Callable[..., object] | None, *arguments: Any) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker once its parent is gone, which, killed, cannot tell it to stop."""
+    """End this worker when its parent has died; a killed parent cannot stop it."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

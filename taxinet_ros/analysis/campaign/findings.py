@@ -43,8 +43,8 @@ class ChangedScenes(NamedTuple):
 
     Attributes:
         scenes: how many there are.
-        worse: failed here, satisfied by the baseline.
-        better: satisfied here, failed by the baseline.
+        worse: number failed here and satisfied by the baseline.
+        better: number satisfied here and failed by the baseline.
         p: of so uneven a change if both fail alike (McNemar's test, exact).
     """
 
@@ -56,12 +56,12 @@ class ChangedScenes(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineComparison:
-    """A campaign beside a baseline.
+    """Comparison of a campaign with a baseline.
 
     Attributes:
         baseline: the other campaign.
         rate: its failure rate.
-        difference: that of the campaign less it.
+        difference: the campaign's failure rate minus the baseline's.
         changed: in scenes that both have, or None if there are none.
         in_causes: failure rate of the baseline in each of the campaign's causes.
         off_causes: its failure rate outside all of them.
@@ -75,7 +75,7 @@ class BaselineComparison:
     off_causes: GroupRate
 
     def sentence(self, label: str, rate: GroupRate) -> str:
-        """The comparison for people.
+        """Text of the comparison.
 
         Args:
             label: of the campaign.
@@ -95,7 +95,7 @@ class BaselineComparison:
 
 
 def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> BaselineComparison:
-    """Hold a campaign against a baseline, whole and in each cause."""
+    """Compare a campaign with a baseline, overall and in each cause."""
     masks = [cause.region.mask(baseline.frame) for cause in causes.found]
     rate = baseline.rate()
     elsewhere = ~np.logical_or.reduce([np.zeros(len(baseline.frame), dtype=bool), *masks])
@@ -123,12 +123,12 @@ def _changed(one: pd.DataFrame, other: pd.DataFrame) -> ChangedScenes | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What was found.
+    """Results of an analysis.
 
     Attributes:
         runs: of the campaign.
         alpha: level of the causes.
-        ranking: features by how much they tell of failing.
+        ranking: features by how well they predict failure.
         causes, clusters, axes, tree: of the failures.
         comparisons: with the baselines, in their order.
     """
@@ -156,9 +156,9 @@ def analyse(
 
     Args:
         runs: of the campaign.
-        baselines: other campaigns to hold it against.
-        alpha: how often a cause may be named where there is none.
-        on_progress: is told what is being done.
+        baselines: other campaigns to compare with.
+        alpha: probability of naming a cause if there is none.
+        on_progress: called with the name of each step.
     """
     on_progress('features')
     ranking = rank_features(runs.frame)
@@ -195,7 +195,7 @@ def explained_runs(findings: Findings) -> pd.DataFrame:
 
 
 def failures_to_inspect(findings: Findings) -> pd.DataFrame:
-    """The failures in the order in which to look at them, as :func:`explained_runs` has them.
+    """The failures in order of inspection, as :func:`explained_runs` has them.
 
     First the most typical run of each group, then the worst one of each cause, then the second
     worst of each, and so on; so the first few show all kinds of failures.
@@ -205,7 +205,7 @@ def failures_to_inspect(findings: Findings) -> pd.DataFrame:
     typical = [one.typical for one in findings.clusters.found]
     first = failures['run_id'].isin(typical)
     others = failures[~first]
-    # What no cause explains comes after the causes in each turn.
+    # Failures without a cause come after the causes in each round.
     rank = others[CAUSE].replace(_NONE, len(findings.causes.found) + 1)
     others = others.assign(turn=others.groupby(CAUSE).cumcount(), rank=rank)
     others = others.sort_values(['turn', 'rank'], kind='stable').drop(columns=['turn', 'rank'])
@@ -218,7 +218,7 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
 
     Args:
         runs: of the campaign.
-        failures: in the order in which to look at them.
+        failures: in order of inspection.
         most: how many.
 
     Raises:
@@ -230,7 +230,7 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
             break
         folder = runs.folder / bag
         if bag and any(folder.glob('*.mcap')):
-            with contextlib.suppress(BagError):  # the page says of a damaged one that it is
+            with contextlib.suppress(BagError):  # the page reports a damaged one
                 open_recording(folder).check_is(str(run_id))
             found[str(run_id)] = folder
     return found

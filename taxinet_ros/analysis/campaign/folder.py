@@ -114,10 +114,10 @@ _TABLES = CSV_NAME, PARQUET_NAME
 
 
 def check_folder(out: Path) -> None:
-    """See that an analysis may be written to ``out``.
+    """Check that an analysis may be written to ``out``.
 
     Raises:
-        UsageError: there is something else, which no analysis has put there.
+        UsageError: it holds files that are not from an analysis.
     """
     if out.is_dir():
         if any(out.iterdir()) and _written_before(out) is None:
@@ -131,13 +131,13 @@ def write_analysis(
     findings: Findings, report: Report, out: Path, *,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Write everything, in place of what an earlier analysis has written there.
+    """Write all results, replacing those of an earlier analysis.
 
     Args:
         findings: of the analysis.
         report: on them.
         out: folder, for which :func:`check_folder` has nothing to say.
-        on_progress: is told what is being written.
+        on_progress: called with the name of each output.
 
     Returns:
         The values of ``analysis.json``.
@@ -168,7 +168,7 @@ def write_analysis(
 
 
 def csv_text(table: Table) -> str:
-    """A table as CSV with a header; empty cells are not known."""
+    """A table as CSV with a header; empty cells are unknown."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow([column.name for column in table.columns])
@@ -196,7 +196,7 @@ def _begin(out: Path) -> None:
 
 
 def _write_runs(findings: Findings, out: Path) -> None:
-    """All judged runs with cause and group: as CSV for people, as Parquet for programs."""
+    """All judged runs with cause and group, as CSV and Parquet."""
     frame = explained_runs(findings)
     make_atomically(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
     make_atomically(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))

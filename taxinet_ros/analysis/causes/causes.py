@@ -243,7 +243,7 @@ class Cause:
     p_is_bound: bool
 
     def sentence(self) -> str:
-        """The cause for people."""
+        """Display text of the cause."""
         words = self.region.words()
         remaining = '' if self.rank == 1 else 'remaining '
         share, low, high = (100 * part for part in self.attributable)
@@ -257,7 +257,7 @@ class Cause:
         )
 
     def p_words(self) -> str:
-        """The p value for people."""
+        """Display text of the p value."""
         return 'p < 0.001' if self.p < 0.001 else f'p = {self.p:.3f}'
 
 

@@ -40,7 +40,7 @@ _BINS, LEAST_IN_BIN = 12, 3
 
 
 def title_of(key: str) -> str:
-    """A key of the scenario for people, with its unit."""
+    """Display name of a scenario key, with its unit."""
     field = BY_KEY[key]
     return f'{field.title} [{field.unit}]' if field.unit else field.title
 

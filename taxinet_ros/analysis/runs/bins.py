@@ -1,4 +1,4 @@
-"""Bins of a feature that people would choose, and what the runs in each did."""
+"""Bins of a feature with round edges, and the failure rate in each."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _RUNS_PER_BIN = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Bin:
-    """Some values of a feature.
+    """A bin of a feature's values.
 
     Attributes:
-        label: for people.
+        label: display text.
         low, high: ends of numbers; equal for a single value, NaN for a word.
-        mask: which runs have them.
+        mask: the runs in the bin.
     """
 
     label: str
@@ -44,7 +44,7 @@ def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[B
     Args:
         feature: any.
         frame: the runs.
-        most: bins at most.
+        most: maximum number of bins.
     """
     if not feature.numeric:
         return [
@@ -56,7 +56,7 @@ def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[B
     found = []
     dry = values == 0
     if feature.name == RAIN.name and dry.any():
-        # Two runs in three have none: that is a group of its own.
+        # Two thirds of the runs have no rain: they get their own bin.
         found.append(Bin(label='0', low=0.0, high=0.0, mask=dry))
         if dry.all():
             return found

@@ -1,7 +1,7 @@
 """The runs of a campaign, ready for analysis, and the failure rates of groups of them.
 
-Judged runs have features; the others are counted. A rate is of drawn runs: those that the
-scenario program itself drew, not a sampler.
+Judged runs have features; the others are counted. Rates use drawn runs only: those drawn by the
+scenario program itself, not by a sampler.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from taxinet_ros.errors import UsageError
 
 
 class GroupRate(NamedTuple):
-    """How often runs of a group fail.
+    """Failure rate of a group of runs.
 
     Attributes:
         runs, failures: as they were made.
@@ -58,7 +58,7 @@ class GroupRate(NamedTuple):
 
 
 def rate_words(runs: int, rate: float, low: float, high: float) -> str:
-    """Rate and interval of so many runs; ``low`` is NaN where there is no interval."""
+    """Rate and interval from counts; ``low`` is NaN if there is no interval."""
     if not runs:
         return 'no run'
     if math.isnan(low):
@@ -67,12 +67,12 @@ def rate_words(runs: int, rate: float, low: float, high: float) -> str:
 
 
 def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupRate:
-    """Rate of the runs in a group that was chosen without a look at who failed.
+    """Failure rate of a group that was chosen independently of the results.
 
     Args:
         failed: of each run.
-        weight: 1 where the program itself drew the run, else 0, or NaN where that is not known.
-        anytime: the number of runs was not settled beforehand (:mod:`taxinet_ros.campaign.rates`).
+        weight: 1 if the program itself drew the run, else 0, or NaN if unknown.
+        anytime: the number of runs was not fixed beforehand (:mod:`taxinet_ros.campaign.rates`).
     """
     runs, failures = len(failed), int(np.count_nonzero(failed))
     drawn = weight == 1
@@ -86,7 +86,7 @@ def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupR
 
 
 class Difference(NamedTuple):
-    """A rate less another, with its 95 % interval."""
+    """Difference of two rates with its 95 % interval."""
 
     value: float
     low: float
@@ -94,14 +94,14 @@ class Difference(NamedTuple):
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves no doubt of the sign."""
+        """Whether the interval excludes zero."""
         return self.low > 0 or self.high < 0
 
 
 def difference(one: GroupRate, other: GroupRate) -> Difference:
-    """How much higher the rate of ``one`` is than that of another, independent group.
+    """Difference between the rate of ``one`` and that of another, independent group.
 
-    The interval is put together from those of the two rates (Newcombe, Statistics in Medicine 17,
+    The interval combines those of the two rates (Newcombe, Statistics in Medicine 17,
     1998, method 10; for any intervals Zou and Donner, Statistics in Medicine 27, 2008).
     """
     value = one.rate - other.rate
@@ -117,7 +117,7 @@ _RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 
 class Weighting(Enum):
-    """What a share of runs says of the program's own distribution."""
+    """How a share of runs relates to the program's own distribution."""
 
     DRAWN = 'drawn'
     """The runs were drawn from it: shares are its rates."""
@@ -132,21 +132,21 @@ class CampaignRuns:
     """A campaign's runs.
 
     Attributes:
-        label: names it beside others: its network, and the folder where that is not enough.
+        label: unique name: its network, and the folder if needed.
         path: folder or file that it was read from.
         program, perception, sampler: what was run, with what, who chose the scenes.
         spec: name of the formula that says which runs failed.
         facts: of ``campaign.json``, where there is one.
-        stacks: machines, libraries and code that made the runs; empty where nothing tells.
+        stacks: machines, libraries and code of the runs; empty if not recorded.
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
             ``rho`` (NaN where nothing is known of its size), ``rho_exact`` (False where the run was
             stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
             the features.
         others: number of runs by outcome, of those without a verdict.
-        kinds: number of runs that the bench broke, by how.
+        kinds: number of infrastructure errors by kind.
         undecided: judged runs that were stopped before this formula was decided.
-        weighting: what shares of these runs say.
-        anytime: whether the number of runs was not settled before the first of them.
+        weighting: interpretation of shares of these runs.
+        anytime: whether the number of runs was not fixed before the first one.
         blind: number of runs that passed though more of their frames had no usable estimate than
             the requirement ``usable`` allows.
     """
@@ -169,7 +169,7 @@ class CampaignRuns:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is to be known before the rates are believed, a line each."""
+        """Caveats of the rates, one line each."""
         told = self.facts.get('warnings')
         lines = [str(line) for line in told] if isinstance(told, list) else []
         if self.blind:
@@ -181,7 +181,7 @@ class CampaignRuns:
 
     @property
     def folder(self) -> Path:
-        """Where the bags are, if they are anywhere."""
+        """Folder of the bags, or None."""
         return self.path if self.path.is_dir() else self.path.parent
 
     @property
@@ -200,12 +200,12 @@ class CampaignRuns:
         return int((~self.frame['rho_exact']).sum())
 
     def rate(self, among: Mask | None = None) -> GroupRate:
-        """How often the runs fail, or those of them that are named."""
+        """Failure rate of all runs, or of the given ones."""
         among = np.ones(len(self.frame), dtype=bool) if among is None else among
         return group_rate(self.failed[among], self.weight[among], anytime=self.anytime)
 
     def off_runway(self) -> GroupRate | None:
-        """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+        """Off-runway rate; None if a run was stopped before it was known."""
         left = self.frame['left_runway']
         if left.isna().any():
             return None
@@ -213,7 +213,7 @@ class CampaignRuns:
 
 
 def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
-    """The runs of a campaign's folder, or of a table of one.
+    """Read the runs of a campaign's folder or table.
 
     Args:
         path: folder, or ``.parquet`` file.
@@ -256,10 +256,10 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
 
 
 def _timing(judged: pd.DataFrame, path: Path) -> str:
-    """When answers took effect in the runs; '' where each did at once.
+    """Timing of the answers in the runs; '' if each took effect at once.
 
     Raises:
-        UsageError: not the same in all of them, so no rate is one of all.
+        UsageError: it differs between runs, so they have no common rate.
     """
     found = judged['timing'].fillna('').unique().tolist() if 'timing' in judged.columns else []
     if len(found) > 1:
@@ -271,7 +271,7 @@ def _timing(judged: pd.DataFrame, path: Path) -> str:
 
 
 def distinct_labels(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:
-    """The campaigns with labels of which no two are equal."""
+    """The campaigns with unique labels."""
     labels = [one.label for one in campaigns]
     named = [
         replace(one, label=f'{one.label} ({one.path.stem})') if labels.count(one.label) > 1
@@ -329,7 +329,7 @@ def _weights(judged: pd.DataFrame, counted: float) -> pd.Series[float]:
 
 
 def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
-    """Whether the number of runs was not settled beforehand, and below which index runs count."""
+    """Whether the number of runs was not fixed beforehand, and the index below which runs count."""
     planned = facts.get('first_runs', facts.get('runs'))
     if planned is None:
         return False, math.inf
@@ -375,7 +375,7 @@ def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:
 
 
 def _common(column: pd.Series[str]) -> str:
-    """The values of a column, each once."""
+    """The unique values of a column."""
     return ', '.join(dict.fromkeys(str(value) for value in column.dropna() if str(value)))
 
 
@@ -384,7 +384,7 @@ def _network(perception: str) -> str:
 
 
 def facts_beside(path: Path) -> dict[str, Any]:
-    """What ``campaign.json`` beside a campaign's table says; empty where there is none.
+    """Read ``campaign.json`` beside a campaign's table; empty if there is none.
 
     Raises:
         UsageError: it is damaged.

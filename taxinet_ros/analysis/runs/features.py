@@ -1,4 +1,4 @@
-"""Features of a run's scene that it may have failed of, and how their values read."""
+"""Scene features that may explain a failure, and the display of their values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Form(Enum):
-    """How a feature's values are said."""
+    """Display format of a feature's values."""
 
     CLOCK = 'clock'
     NUMBER = 'number'
@@ -34,14 +34,14 @@ class Feature:
 
     Attributes:
         name: column of the table of runs; of an offset without its sign, ``abs_`` and the column.
-        title: for people, without its unit.
+        title: display name without unit.
         unit: of its values, '' for words and for the time of day.
-        form: how its values are said.
-        step: to which the limits of intervals are rounded, so that they can be said.
+        form: display format of its values.
+        step: rounding step of interval limits, for display.
         words: of an interval with both ends, from below, and from above; ``{}`` for the ends.
         source: column that it is made from.
         kinds: all values in their order, of words.
-        widths: of bins that people would choose, from narrow to wide.
+        widths: candidate bin widths, from narrow to wide.
     """
 
     name: str
@@ -65,20 +65,20 @@ class Feature:
         return self.form is not Form.KIND
 
     def value_words(self, value: float) -> str:
-        """One value for people, without its unit."""
+        """Display text of one value, without unit."""
         if self.form is Form.CLOCK:
             return clock_words(value)
         digits = max(0, -math.floor(math.log10(self.step)))
         return f'{value:,.{digits}f}'.replace('-', '−')
 
     def rounded(self, low: float, high: float) -> tuple[float, float]:
-        """The interval with its ends on whole steps, that holds the given one."""
+        """The given interval, widened to whole steps."""
         steps_per_unit = round(1 / self.step, 9)
         return (math.floor(low * steps_per_unit + 1e-9) / steps_per_unit,
                 math.ceil(high * steps_per_unit - 1e-9) / steps_per_unit)
 
     def interval_words(self, low: float | None, high: float | None) -> str:
-        """The interval for people; None for an end that no run lies beyond."""
+        """Display text of an interval; None for an end that no run lies beyond."""
         both, below, above = self.words
         if self is RAIN and low is None and high == 0:
             return 'no rain'
@@ -171,7 +171,7 @@ PUSHING_FEATURES = (
         words=('taxi speed of {} to {} m/s', 'taxi speed below {} m/s', 'taxi speed above {} m/s'),
     ),
 )
-"""What moves the aircraft; which of all gusts is no property that a failure could have."""
+"""Features that affect the motion; the gust seed is not a meaningful feature."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)

@@ -1,4 +1,4 @@
-"""How near to the centreline runs keep once they have had time to get there."""
+"""Cross-track error of runs after they have had time to reach the centreline."""
 
 from __future__ import annotations
 

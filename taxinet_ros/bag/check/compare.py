@@ -54,7 +54,7 @@ class FieldDifference:
     values: tuple[str, str]
 
     def __str__(self) -> str:
-        """A few words for people."""
+        """Short display text."""
         return f'step {self.seq}, {self.field}: {self.values[0]} | {self.values[1]}'
 
 

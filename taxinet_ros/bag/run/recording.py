@@ -125,7 +125,7 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @property
     def scenario(self) -> Scenario:
-        """The scene that was asked for, in SI units and radians; errors as :attr:`run`."""
+        """The requested scene, in SI units and radians; errors as :attr:`run`."""
         return self.run.request.scenario
 
     @cached_property

@@ -123,7 +123,7 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 def run_samples(
     recording: StoredRuns, names: Collection[str] | None = None
 ) -> list[RunSamples]:
-    """The samples of every run in a recording; damage is told in the result, not raised.
+    """The samples of every run in a recording; damage is reported in the result, not raised.
 
     Of these, only control steps of which every topic is there that a requirement reads count for
     it, as with the monitor during the run: see :meth:`RunSamples.seen_by`.

@@ -1,4 +1,4 @@
-"""The messages of a bag, told apart by run, and what there is of the bag as a whole.
+"""The messages of a bag, separated by run, and data of the bag as a whole.
 
 What they mean is for the readers of this folder, which take this, and for
 :class:`.recording.Recording`, which offers what they read.

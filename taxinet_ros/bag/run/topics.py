@@ -36,7 +36,7 @@ ONCE = frozenset(
 
 
 def is_topic(name: str, relative: str) -> bool:
-    """Whether ``name`` is the topic ``relative``, whatever namespace it was recorded in."""
+    """Whether ``name`` is the topic ``relative`` in any namespace."""
     return name == relative or name.endswith('/' + relative)
 
 

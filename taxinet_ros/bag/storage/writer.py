@@ -1,4 +1,4 @@
-"""An MCAP file, written so that it stays readable up to the last flush whatever happens.
+"""MCAP writer whose file stays readable up to the last flush after any failure.
 
 The record layout is the `MCAP specification <https://mcap.dev/spec>`_'s. A writer of our own,
 since ``mcap.writer`` has no way to put schemas and channels outside chunks, which decides

@@ -18,9 +18,9 @@ from taxinet_ros.errors import UsageError
 
 
 def campaign_bags(folder: Path) -> list[Path]:
-    """The bags in a campaign's folder: one for each run on record that left one, by index.
+    """The bags in a campaign's folder: one per recorded run that has one, by index.
 
-    Where there is no record, every folder in it that holds an ``.mcap`` file, by name.
+    Without a record: every subfolder with an ``.mcap`` file, by name.
 
     Raises:
         UsageError: the record is damaged.
@@ -32,11 +32,11 @@ def campaign_bags(folder: Path) -> list[Path]:
 
 
 def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
-    """Those of some requirements that a campaign's table has no column for, or an added one.
+    """The requirements without a column in a campaign's table, or with an added one.
 
     Raises:
-        UsageError: the folder holds no campaign, or one that is under way, or another formula of
-            that name judged its runs.
+        UsageError: the folder holds no campaign or a running one, or its runs were judged by
+            another formula of that name.
     """
     if not (folder / LEDGER_NAME).is_file():
         raise UsageError(f'--add: {folder / LEDGER_NAME}: no such file; not a campaign')
@@ -56,21 +56,21 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
 def add_requirements(
     folder: Path, specs: Sequence[Spec], bags: Mapping[Path, JudgedBag]
 ) -> dict[str, int]:
-    """Put on record what the bags of a campaign say of more requirements, and write its table anew.
+    """Record further requirements evaluated on a campaign's bags, and rewrite its table.
 
-    The outcomes stay: they are those of the requirements that the campaign was begun with.
+    The outcomes do not change: they are those of the campaign's original requirements.
 
     Args:
         folder: the campaign's.
-        specs: what :func:`addable` has let through.
-        bags: each judged by ``specs``, by path.
+        specs: requirements returned by :func:`addable`.
+        bags: judged bags by path.
 
     Returns:
-        By name, how many runs have a value now. One whose bag is damaged, incomplete or gone has
+        Number of runs with a value, by name. Runs whose bag is damaged, incomplete or missing have
         none.
 
     Raises:
-        UsageError: the campaign is under way, its record is damaged, or a bag is of another run.
+        UsageError: the campaign is running, its record is damaged, or a bag is of another run.
     """
     with Ledger(folder / LEDGER_NAME) as ledger:
         content = read_ledger(folder / LEDGER_NAME)

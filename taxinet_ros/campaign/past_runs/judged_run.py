@@ -36,17 +36,17 @@ class JudgedRun:
     """One run.
 
     Attributes:
-        run_id, seed, scenario: as it was asked for.
+        run_id, seed, scenario: as requested.
         specs: formulas as text, the headline first.
         outcome: how it ended.
         robustness: by the formula's name.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
-        controller, controller_fingerprint: the word of what steers, or what an unknown one said of
-            itself; and the hash that it told.
+        controller, controller_fingerprint: name of the controller, as reported by itself if
+            unknown, and its reported hash.
         timing: when answers took effect, with the run's own draws.
-        world, world_fingerprint: name of the world that it took place in, and the hash of the
-            package that brings it, or ''.
+        world, world_fingerprint: name of its world, and the hash of the package that provides it,
+            or ''.
     """
 
     run_id: str
@@ -71,7 +71,7 @@ class JudgedRun:
 
 
 def find_run(path: Path) -> JudgedRun:
-    """The run whose folder is, or was, ``path``.
+    """Find the run whose folder is, or was, ``path``.
 
     Raises:
         UsageError: there is none, its bag is damaged, or it has no scenario.
@@ -98,7 +98,7 @@ def find_run(path: Path) -> JudgedRun:
 
 
 def _place(path: Path) -> Path:
-    """Where a run's folder is: in the campaign as it is named, before that of a link's target."""
+    """Folder of a run: the given campaign path takes precedence over a link's target."""
     named = Path(os.path.abspath(path))
     return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
 
@@ -121,7 +121,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
         specs=run.request.judging.specs, outcome=outcome, robustness=robustness,
-        # A bag knows of a network's weights, not of their file.
+        # A bag has the hash of a network's weights, not their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
         controller=_controller(facts, run.controller),
@@ -132,7 +132,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
 
 
 def _controller(facts: Mapping[str, Any], said: str) -> str:
-    """Its word, where the campaign has one; else what it said of itself."""
+    """Controller name as recorded by the campaign, else as reported by itself."""
     word = str(facts.get('controller', STEERING))
     return said if said and word == STEERING else word
 
@@ -155,7 +155,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
 
 
 def _example(campaign: Path) -> str:
-    """What to say to somebody who names a campaign in place of a run."""
+    """Hint for a path that names a campaign instead of a run."""
     rows = read_ledger(campaign / LEDGER_NAME).rows
     failed = [row for row in rows if row.outcome is Outcome.FAIL]
     if not failed:
@@ -167,15 +167,15 @@ def _example(campaign: Path) -> str:
 def bag_differences(
     row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> list[str]:
-    """In what a bag tells of another run than its row and campaign do.
+    """Differences between a bag and its run's row and campaign.
 
-    What one of them does not tell, as in those of earlier versions, is not compared.
+    Values that one of them lacks, as in earlier versions, are not compared.
 
     Args:
         row: of the run.
         facts: of its campaign.
         bag: its bag.
-        whole: the bag is, so what came of the run counts too.
+        whole: whether the bag is complete, so that the run's result is compared too.
 
     Raises:
         BagError, UsageError: it cannot be read.
@@ -202,7 +202,7 @@ def bag_differences(
 
 
 def _of_scene(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
-    """What was asked for, in the units people read; a row without a scene has nothing to say."""
+    """Requested values in human units; empty for a row without a scene."""
     pairs = ((key, told.scene[key], there) for key, there in row.scene.items())
     return {
         key: (here, there) for key, here, there in pairs
@@ -211,19 +211,19 @@ def _of_scene(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
 
 
 def _near(one: Any, other: Any) -> bool:
-    """Whether two are equal, but for the ninth decimal, to which people's units are rounded."""
+    """Whether two values are equal up to the ninth decimal, to which human units are rounded."""
     if isinstance(one, float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=1e-9, abs_tol=2e-9)
     return bool(one == other)
 
 
 def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Formulas by name: those that the monitor put to the run, or was to put."""
+    """Formulas by name: those that the monitor evaluated, or was requested to."""
     own = facts.get('specs')
     if not own:
         return {}
     here = {spec.name: spec.text for spec in map(parse_spec, told.specs)}
-    # A name may have stood for another formula in another version; what was judged is spelled out.
+    # A name may have another formula in another version; the judged formula is recorded in full.
     here |= {name: told.judged[name].formula for name in here if name in told.judged}
     names = dict.fromkeys([*own, *here])
     nothing = 'not there'
@@ -233,13 +233,13 @@ def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[An
 
 
 def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
-    """What the simulator and the perception said of themselves."""
+    """Implementations as reported by the simulator and the perception."""
     eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
     prints = {eyes.fingerprint if eyes else ''} - {''}, {row.fingerprint} - {''}
     pairs: dict[str, tuple[Any, Any]] = {
         'timing': (world.implementation if world else '', row.timing), 'network': prints,
     }
-    # Words of networks are names of weights; without any, the word is all that there is.
+    # Network names stand for weights; without hashes, only the name can be compared.
     if eyes and eyes.implementation and not any(prints) and not is_node_elsewhere(row.perception):
         pairs['perception'] = (eyes.implementation, row.perception)
     return pairs
@@ -248,7 +248,7 @@ def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
 def _of_controller(
     told: RunFacts, row: RunRow, facts: Mapping[str, Any]
 ) -> dict[str, tuple[Any, Any]]:
-    """What steered. A graph that was there before its campaign has a controller of its own."""
+    """The controller. A standing graph has its own."""
     law, word = told.nodes.get('steering_controller'), facts.get('controller')
     if law is None or word is None or f'-s{row.seed}-' not in row.run_id:
         return {}
@@ -267,7 +267,7 @@ def _of_controller(
 
 
 def _of_world(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Where it took place; ours says nothing of itself in a bag."""
+    """The world; the default one is not recorded in a bag."""
     world = told.nodes.get('simulator')
     if WORLD not in facts:
         return {}
@@ -285,16 +285,16 @@ def _short(value: Any) -> str:
 def check_same_run(
     row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> None:
-    """See that a bag is that of a row, before what it holds is taken for the row's run.
+    """Check that a bag belongs to a row's run.
 
     Args:
         row: of the run.
         facts: of its campaign.
         bag: its bag.
-        whole: as of :func:`bag_differences`.
+        whole: as for :func:`bag_differences`.
 
     Raises:
-        UsageError: it is of another run.
+        UsageError: it belongs to another run.
         BagError: it cannot be read.
     """
     for what in bag_differences(row, facts, bag, whole=whole):
@@ -305,21 +305,21 @@ def check_same_run(
 
 
 class BagPlaces:
-    """Bags held against the records of the campaigns in whose folders they lie, if any."""
+    """Checks bags against the record of the campaign in whose folder they are, if any."""
 
     def __init__(self) -> None:
-        """No record is read yet."""
+        """Create it without reading any record."""
         self._records: dict[Path, LedgerContent] = {}
 
     def check(self, bag: Path | Recording, *, whole: bool = True) -> None:
-        """See that a bag is that of the run whose place it has.
+        """Check that a bag belongs to the run given by its path.
 
         Args:
             bag: a run's folder or an ``.mcap`` file, opened or only where it has such a place.
-            whole: as of :func:`bag_differences`.
+            whole: as for :func:`bag_differences`.
 
         Raises:
-            UsageError: it is of another run.
+            UsageError: it belongs to another run.
             BagError: it cannot be read.
         """
         path = bag if isinstance(bag, Path) else bag.path
@@ -344,7 +344,7 @@ class BagPlaces:
 
 
 def _record(ledger: Path) -> LedgerContent:
-    """Empty where the record is damaged: a bag can be read without it."""
+    """Content of a ledger; empty if damaged, as a bag can be read without it."""
     try:
         return read_ledger(ledger)
     except UsageError:

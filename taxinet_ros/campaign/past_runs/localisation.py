@@ -1,8 +1,8 @@
 """Localise faults: rerun a campaign's failed runs with the truth in place of the network.
 
-The trials are made in worker processes, each with something in the network's place. The folder
-holds ``trials.jsonl``, append-only and flushed to the disk after every trial: finished trials are
-never repeated, so the same command continues after an interrupt, also with more runs or other
+Trials run in worker processes, each with a substitute for the network. The folder holds
+``trials.jsonl``, append-only and flushed to the disk after every trial: finished trials are never
+repeated, so the same command continues after an interrupt, also with more runs or other
 substitutions.
 """
 
@@ -63,16 +63,16 @@ from taxinet_ros.registry import KMWH
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrialSetup:
-    """What all trials share.
+    """Settings common to all trials.
 
     Attributes:
         perception: word or file of the network.
-        judging: what decides their verdicts.
+        judging: judging options of their verdicts.
         gains: steering gains that differ from the defaults.
-        controller: word of what steers.
+        controller: name of the controller.
         timing: when answers take effect, in words.
-        world: name of the world that they take place in.
-        world_sha256: what the package that brings it has to be, or ''.
+        world: name of their world.
+        world_sha256: required hash of the package that provides it, or ''.
     """
 
     perception: str
@@ -86,7 +86,7 @@ class TrialSetup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Task:
-    """One trial to be made.
+    """One trial to run.
 
     Attributes:
         run_id: the counterexample.
@@ -105,14 +105,14 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """How a counterexample came out.
+    """Result of one trial.
 
     Attributes:
         run_id: the counterexample.
         word: of the substitution.
         passed: whether all formulas were satisfied; None where the run could not be judged.
-        detail: why it could not.
-        exact: whether its scene was known to the last bit, so that it must come out as recorded.
+        detail: why it could not be judged.
+        exact: whether its scene was bit-exact, so that it must reproduce the recorded result.
         robustness: of the headline; exact unless the run was stopped before its end.
         max_cross_track_m, settle_time_s, left_runway: of the path, see
             :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
@@ -147,10 +147,10 @@ class Trial:
 
 
 def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterator[Trial]:
-    """Make trials in worker processes; they come as they end.
+    """Run trials in worker processes; yield them as they finish.
 
-    ``tasks`` is read only as fast as trials can be made, so it may end when somebody interrupts;
-    those under way are still brought home.
+    ``tasks`` is read only as fast as trials can run, so it may end on an interrupt; trials in
+    flight are still completed.
 
     Raises:
         InfraError: a worker process died.
@@ -159,7 +159,7 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
     with process_pool(workers, 'trial worker', _start_worker, bench) as pool:
         under_way: set[Future[Trial]] = set()
         while True:
-            # One more than there are workers, so that none waits for us.
+            # One more than the workers, so that none is idle.
             for task in itertools.islice(waiting, workers + 1 - len(under_way)):
                 under_way.add(pool.submit(_trial, task))
             if not under_way:
@@ -168,7 +168,7 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
             yield from (future.result() for future in done)
 
 _worker: list[tuple[TrialSetup, Perception, Controller]] = []
-"""In a worker process: what it was started with, its network, and what steers."""
+"""State of a worker process: setup, network and controller."""
 
 
 def _start_worker(bench: TrialSetup) -> None:
@@ -185,7 +185,7 @@ def _trial(task: Task) -> Trial:
 def make_trial(
     task: Task, bench: TrialSetup, network: Perception, controller: Controller | None = None
 ) -> Trial:
-    """Run one scene in this process; the bench's controller is loaded where none is given."""
+    """Run one scene in this process; loads the bench's controller if none is given."""
     controller = controller or make_controller(bench.controller, SteeringGains(**bench.gains))
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
@@ -211,7 +211,7 @@ def _judged(task: Task, judged: Judgement) -> Trial:
         robustness=judged.readings[0].interval,
         max_cross_track_m=statistics.max_cross_track_m,
         settle_time_s=statistics.settle_time_s if settled else None,
-        # Nobody knows whether a run that was stopped would have left the runway later.
+        # After an early stop it is unknown whether the run would have left the runway.
         left_runway=statistics.left_runway or (None if stopped else False),
     )
 
@@ -226,19 +226,19 @@ TRIALS_NAME = 'trials.jsonl'
 DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
 MOST_WORKERS = 64
 Trials = Mapping[tuple[str, str], Trial]
-"""Trials by run and by word of the substitution."""
+"""Trials by run and name of the substitution."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalizeOptions:
-    """What is to be found out.
+    """Options of a fault localisation.
 
     Attributes:
-        campaign: whose failed runs are looked into.
-        rows: those of them to look into.
-        words: of the substitutions, the control first.
+        campaign: campaign with the failed runs.
+        rows: rows of the failed runs to analyse.
+        words: names of the substitutions, the control first.
         perception: word or file of the network.
-        controller: word of what steers.
+        controller: name of the controller.
         workers: processes.
         out: folder.
     """
@@ -261,18 +261,18 @@ def make_localize_options(
     campaign: Path, *, runs: int | None, words: Iterable[str], workers: int, out: Path | None,
     perception: str | None,
 ) -> LocalizeOptions:
-    """Check what a person typed.
+    """Check the command-line arguments.
 
     Args:
         campaign: the campaign's folder.
-        runs: most failed runs to look into, spread over all; None for all.
-        words: of substitutions; :data:`DEFAULT_WORDS` where empty.
+        runs: maximum number of failed runs to analyse, spread over all; None for all.
+        words: names of substitutions; :data:`DEFAULT_WORDS` if empty.
         workers: processes.
-        out: folder; where None, one below ``bags/`` named after the campaign.
-        perception: the network's file where it is elsewhere now; None for the campaign's.
+        out: folder; if None, one below ``bags/`` named after the campaign.
+        perception: the network's file if it was moved; None for the campaign's.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: one line on the first error.
     """
     if not 1 <= workers <= MOST_WORKERS:
         raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
@@ -299,15 +299,15 @@ def make_localize_options(
 def localize(
     options: LocalizeOptions, on_trial: Callable[[int], None], interrupted: Callable[[], bool],
 ) -> dict[tuple[str, str], Trial]:
-    """Make the trials that are not made yet.
+    """Run the missing trials.
 
     Args:
-        options: what is to be found out.
-        on_trial: called with the number of trials that are done, first with those of before.
-        interrupted: whether to begin no more.
+        options: options of the localisation.
+        on_trial: called with the number of completed trials, first with the earlier ones.
+        interrupted: returns whether to start no more trials.
 
     Returns:
-        The trials that were asked for, as far as they are done.
+        The requested trials that are complete.
 
     Raises:
         UsageError: the folder cannot be used, or holds trials of another campaign.
@@ -353,10 +353,10 @@ def _tasks(
 
 
 def _network(campaign: RecordedCampaign, given: str | None) -> str:
-    """The network that the campaign was run with.
+    """The network used by the campaign.
 
     Raises:
-        UsageError: it cannot be found, or is another one now.
+        UsageError: it cannot be found, or has changed.
     """
     first = campaign.counterexamples[0]
     recorded = first.fingerprint
@@ -375,10 +375,10 @@ def _network(campaign: RecordedCampaign, given: str | None) -> str:
 
 
 def _controller(campaign: RecordedCampaign) -> str:
-    """What steered in the campaign.
+    """The campaign's controller.
 
     Raises:
-        UsageError: it cannot be called here, or is another one now.
+        UsageError: it cannot be called here, or has changed.
     """
     word = str(campaign.facts.get('controller', STEERING))
     found = check_controller(word, campaign.gains)
@@ -391,7 +391,7 @@ def _controller(campaign: RecordedCampaign) -> str:
 
 
 def _facts(options: LocalizeOptions) -> dict[str, Any]:
-    """What trials depend on besides run and substitution."""
+    """Facts that trials depend on besides run and substitution."""
     campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
     world = recorded_world(campaign.facts)
@@ -425,7 +425,7 @@ def _open(options: LocalizeOptions) -> Journal:
 
 
 def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str], Trial]:
-    """The trials of before; a new journal is begun with what it is about."""
+    """The earlier trials; a new journal gets its header."""
     path, facts = options.out / TRIALS_NAME, _facts(options)
     if not journal.events:
         _begin_sitting(options, journal, facts)
@@ -436,7 +436,7 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
         try:
             if event['event'] == 'trial':
                 trial = Trial.from_json(event['trial'])
-                if trial.passed is not None:  # what could not be judged is tried again
+                if trial.passed is not None:  # unjudged trials are repeated
                     trials[trial.run_id, trial.word] = trial
             elif event['facts'] != facts:
                 raise UsageError(
@@ -455,7 +455,7 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
 def _begin_sitting(
     options: LocalizeOptions, journal: Journal, facts: Mapping[str, Any]
 ) -> None:
-    """Put down what the trials from here on are about, and what they are made on."""
+    """Record the facts and the machine of the following trials."""
     made_on = dict(provenance())
     _append(journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
 

@@ -135,10 +135,10 @@ def open_failed_campaign(folder: Path) -> RecordedCampaign:
 
 
 def spread_evenly(rows: Sequence[RunRow], most: int | None) -> tuple[RunRow, ...]:
-    """At most ``most`` of the rows, evenly spread over them; all where None."""
+    """At most ``most`` of the rows, evenly spread; all if None."""
     if most is None or most >= len(rows):
         return tuple(rows)
-    # The middles of as many equal parts: no row twice, none favoured for being first.
+    # The middle of each of ``most`` equal parts: no row twice, no bias to the first.
     return tuple(rows[(2 * k + 1) * len(rows) // (2 * most)] for k in range(most))
 
 
@@ -147,18 +147,18 @@ def scenario_of_row(
 ) -> tuple[Scenario, bool]:
     """The scenario of a run, and whether it is bit-exact.
 
-    The bag has all its bits; the ledger has nine decimals in the units people read. That is not
-    enough to repeat a run: a picture differs by a code here and there, and the loop carries it on.
+    The bag is bit-exact; the ledger has nine decimals in human units. That is not enough to repeat
+    a run: some pixels differ by one level, and the closed loop propagates it.
 
     Args:
-        row: of the run.
-        folder: of its campaign.
-        facts: of its campaign.
+        row: row of the run.
+        folder: folder of its campaign.
+        facts: facts of its campaign.
 
     Raises:
-        UsageError: the ledger has no scene of it, or the bag is of another run.
+        UsageError: the ledger has no scene of it, or the bag belongs to another run.
     """
-    # Who reads a campaign's rows need not wait for what reads bags.
+    # Imported here because reading a campaign's rows does not need the bag reader.
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 
@@ -169,7 +169,7 @@ def scenario_of_row(
             check_same_run(row, facts, recording)
             return recording.scenario, True
         except BagError:
-            pass  # a damaged bag says less than the ledger does
+            pass  # a damaged bag has less information than the ledger
     if None in row.scene.values():
         raise UsageError(f'{folder / row.run_id}: has neither a bag nor a recorded scene')
     return scenario_from_human(row.scene), False

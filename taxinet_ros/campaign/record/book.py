@@ -1,9 +1,9 @@
 """A campaign on disk: options, ledger and table, kept consistent and resumable.
 
-A plain campaign, a search, each arm of an experiment and a shrinking all hold one book. They
-choose the next scene; numbers, names and rows of runs, second chances, and what must be the same
-for a campaign to go on are here. While the book is open, its files are watched: if they are moved,
-deleted or replaced, the campaign ends, since its verdicts would be lost.
+Plain campaigns, searches, arms of experiments and shrinkings each use one book. They choose the
+next scene; the book handles run numbers, names and rows, retries, and the checks for resuming.
+While the book is open, its files are watched: if they are moved, deleted or replaced, the campaign
+ends, since its verdicts would be lost.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
 
 def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
-    """Name of a run, and of its bag, whatever the program's file is called.
+    """Name of a run and of its bag, valid for any program file name.
 
-    On a graph that outlives the campaign it begins with the name of the campaign's folder, which no
-    other one has, for all their bags are written to one place; and each attempt at a broken run
-    has a name of its own, so that what a node still says of one is not taken for the next.
+    On a standing graph it begins with the name of the campaign's folder, because all bags go to one
+    place; and each attempt at a broken run has its own name, so that late messages about one are
+    not taken for the next.
     """
     standing = options.standing_graph
     stem = options.out.name if standing else f'{_stem(options)}-s{options.seed}'
@@ -68,7 +68,7 @@ def run_request(
     options: CampaignOptions, index: int, scenario: Scenario, participants: Sequence[str],
     attempt: int = 1,
 ) -> RunRequest:
-    """What run ``index`` of a campaign asks of the graph."""
+    """The request to the graph for run ``index`` of a campaign."""
     return RunRequest(
         run_id=run_name(options, index, attempt), index=index, program=_stem(options),
         seed=options.seed, scenario=scenario, judging=options.judging,
@@ -78,7 +78,7 @@ def run_request(
 
 def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
     """The row of a run that the graph has answered."""
-    # A verdict stands only where the recorder has closed the bag, wherever its folder is by now.
+    # A verdict counts only if the recorder has closed the bag, wherever its folder is now.
     recorded = result.outcome.judged or (options.out / request.run_id).is_dir()
     bag = request.run_id if recorded and options.bags else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
@@ -92,7 +92,7 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
 
 
 def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:
-    """The row of a scene that the program's requirements refuse."""
+    """The row of a scene rejected by the program's requirements."""
     return RunRow(
         run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
         perception=options.perception, outcome=Outcome.REJECTED, detail=detail,
@@ -105,7 +105,7 @@ def _stem(options: CampaignOptions) -> str:
 
 
 def rename_broken(folder: Path) -> None:
-    """Rename ``folder``, if there is one, to the first free ``<folder>.broken-<n>``."""
+    """Rename ``folder``, if it exists, to the first free ``<folder>.broken-<n>``."""
     if not folder.exists():
         return
     number = 1
@@ -115,31 +115,30 @@ def rename_broken(folder: Path) -> None:
 
 
 _NOT_OF_A_RUN = frozenset({FACTS_NAME, draft_path(Path(FACTS_NAME)).name, LEDGER_NAME, 'logs'})
-"""What may lie in a campaign's folder before its first run."""
+"""Names that a campaign's folder may contain before its first run."""
 
 
 class CampaignBook:
     """The open record of one campaign; a context manager that writes the table at its end.
 
     Attributes:
-        facts: what ``campaign.json`` says of the campaign, from :meth:`begin` on.
-        rows: the newest row of each run by its index, as the table has them, those of earlier
-            sittings included.
-        warning: one line where these were made on another machine or version, or ''.
-        broken_in_a_row: how many runs the bench has broken since the last that it did not.
+        facts: content of ``campaign.json``, from :meth:`begin` on.
+        rows: the latest row of each run by index, as in the table, including earlier sessions.
+        warning: one line if these were made on another machine or version, or ''.
+        broken_in_a_row: number of consecutive runs broken by the bench.
     """
 
     def __init__(
         self, options: CampaignOptions, participants: Sequence[str],
         on_row: Callable[[RunRow], None] = lambda row: None, *, resume: bool = False,
     ) -> None:
-        """Nothing is touched before the ``with``.
+        """Create the book; nothing is written before the ``with``.
 
         Args:
-            options: what the campaign is asked to do.
-            participants: node names that take part in every run.
-            on_row: called with each new row as soon as it is on disk; not with those of before.
-            resume: go on with what is there.
+            options: options of the campaign.
+            participants: names of the nodes in every run.
+            on_row: called with each new row once it is on disk; not with earlier ones.
+            resume: continue the existing campaign.
         """
         self.facts: dict[str, Any] = {}
         self.rows: dict[int, RunRow] = {}
@@ -158,7 +157,7 @@ class CampaignBook:
         self._places: set[str] = set()
 
     def check_folder(self) -> None:
-        """See that the folder is new, or has a campaign to be resumed; nothing is touched.
+        """Check that the folder is new or holds a campaign to resume; nothing is changed.
 
         Raises:
             UsageError: it is not.
@@ -169,7 +168,7 @@ class CampaignBook:
             check_new(self._out)
 
     def __enter__(self) -> Self:
-        """Open the ledger, making it and the folder where there is nothing to resume.
+        """Open the ledger; create it and the folder if there is nothing to resume.
 
         Raises:
             UsageError: the folder cannot be used, or another campaign writes to it.
@@ -183,10 +182,10 @@ class CampaignBook:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of what there is, whatever happened once the campaign had begun.
+        """Write the table of the rows so far, even after an error, if the campaign had begun.
 
         Raises:
-            RecordError: it cannot be written, or the record is not in its place any more.
+            RecordError: it cannot be written, or the record has been moved.
         """
         try:
             if not self._begun:
@@ -197,20 +196,20 @@ class CampaignBook:
                 self._check_in_place()
                 write_tables(self.rows.values(), self._out, self._options.judging.names)
         except RecordError:
-            if not isinstance(error, RecordError):  # else the first trouble is the one to tell
+            if not isinstance(error, RecordError):  # else report the first error
                 raise
         finally:
             self._ledger.close()
 
     def begin(self, facts: Mapping[str, Any], before: LedgerContent = EMPTY_LEDGER) -> None:
-        """Say what the campaign is, before its first run.
+        """Record the facts of the campaign, before its first run.
 
-        Where it goes on, that is written once something is added to what there is: until then
-        whoever chooses other scenes than before may refuse all of it.
+        On a resume, they are written only once something is added to the record: until then the
+        caller may still reject the earlier runs.
 
         Args:
             facts: of the campaign.
-            before: what :func:`read_same_campaign` has found.
+            before: result of :func:`read_same_campaign`.
 
         Raises:
             RecordError: that cannot be written.
@@ -228,19 +227,19 @@ class CampaignBook:
         self._begun = True
 
     def add_facts(self, facts: Mapping[str, Any]) -> None:
-        """Write down what has become known of the campaign.
+        """Record facts that have become known.
 
         Raises:
-            RecordError: that is not possible.
+            RecordError: they cannot be written.
         """
         self.facts, self._facts_due = {**self.facts, **facts}, True
         self._write_due_facts()
 
     def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
-        """Write down that a run is about to begin; what an attempt before has left is renamed.
+        """Record that a run is about to begin; rename the remains of an earlier attempt.
 
         Raises:
-            RecordError: that is not possible.
+            RecordError: they cannot be written.
         """
         self._write_due_facts()
         self._attempts[index] += 1
@@ -254,7 +253,7 @@ class CampaignBook:
         return request
 
     def second_chance(self, request: RunRequest, result: RunResult) -> bool:
-        """Whether a run is begun anew, once, because the bench broke it; see :meth:`next_retry`.
+        """Whether a run broken by the bench is retried, once; see :meth:`next_retry`.
 
         Raises:
             RecordError: that cannot be written down.
@@ -266,11 +265,11 @@ class CampaignBook:
         return True
 
     def next_retry(self) -> RunRequest | None:
-        """A run that was given a second chance and waits for it, if there is one."""
+        """The next run waiting for its retry, or None."""
         return self._retries.pop() if self._retries else None
 
     def was_retried(self, index: int) -> bool:
-        """Whether a run has had its second chance in this sitting."""
+        """Whether a run has been retried in this session."""
         return index in self._retried
 
     def finished_row(self, request: RunRequest, result: RunResult) -> RunRow:
@@ -278,17 +277,17 @@ class CampaignBook:
         return finished_row(self._options, request, result)
 
     def rejected_row(self, index: int, detail: str) -> RunRow:
-        """The row of a scene that the program's requirements refuse."""
+        """The row of a scene rejected by the program's requirements."""
         return rejected_row(self._options, index, detail)
 
     def keep(self, row: RunRow) -> None:
-        """Write down how a run ended.
+        """Record how a run ended.
 
         Raises:
-            RecordError: that is not possible; ``rows`` has it all the same.
+            RecordError: it cannot be written; ``rows`` has it nevertheless.
         """
         self.rows[row.index] = row
-        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench had a part
+        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
             infra = row.outcome is Outcome.INFRA_ERROR
             self.broken_in_a_row = self.broken_in_a_row + 1 if infra else 0
         try:
@@ -299,7 +298,7 @@ class CampaignBook:
             self._on_row(row)
 
     def _write_place(self, scenario: Scenario) -> None:
-        """Write down, once, the whole of a place that is not shipped."""
+        """Record the full definition of a place that is not shipped, once."""
         place = find_place(scenario.place)
         if not place.shipped and place.reference not in self._places:
             self._ledger.place(place.document)
@@ -310,12 +309,12 @@ class CampaignBook:
             return
         self._facts_due = False
         with self._watched():
-            self._ledger.campaign(self.facts)  # first: what campaign.json says, the ledger has said
+            self._ledger.campaign(self.facts)  # first: facts in campaign.json must be in the ledger
             write_facts(self._out, self.facts)
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Within the ``with`` something is written; afterwards the record is seen to be there."""
+        """Context for writing; checks afterwards that the record is still in place."""
         try:
             yield
         except OSError as error:
@@ -332,7 +331,7 @@ class CampaignBook:
 
 
 def check_resumable(out: Path) -> None:
-    """See that there is a campaign in ``out`` to be continued, if one of no runs so far.
+    """Check that ``out`` holds a campaign to resume, possibly without runs.
 
     Raises:
         UsageError: there is none.
@@ -353,30 +352,30 @@ def check_resumable(out: Path) -> None:
 
 
 UNKNOWN_TO_SAMPLER = 'untold'
-"""The fact that names the runs whose results a search's sampler never gets."""
+"""The fact that lists the runs whose results a search's sampler never receives."""
 _MAY_DIFFER = frozenset({
     'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
 })
-"""Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
-may warn of more than another, and another machine or version is warned of."""
+"""Facts that may differ on a resume: more runs may be requested; the text is covered by its digest;
+warnings differ between versions; another machine or version only gives a warning."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
     'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
 }
-"""What a fact was before there was a choice, and so was not written down."""
+"""Values of facts in campaigns from before they were recorded."""
 _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
-"""Who writes campaigns that have a certain fact."""
+"""The command that writes campaigns with a certain fact."""
 
 
 def read_same_campaign(
     out: Path, facts: Mapping[str, Any], undecided: Collection[str] = ()
 ) -> LedgerContent:
-    """What was done of a campaign that is to go on; its :class:`CampaignBook` is open.
+    """The ledger content of a campaign to resume; its :class:`CampaignBook` is open.
 
     Args:
         out: the campaign's folder.
-        facts: of the campaign that is asked for.
-        undecided: names of those that are not known yet.
+        facts: facts of the requested campaign.
+        undecided: names of facts that are not known yet.
 
     Raises:
         UsageError: another campaign was begun there, or the ledger is damaged.
@@ -423,6 +422,6 @@ def _check_same_packages(
 
 
 def short_json(value: Any) -> str:
-    """A fact for a message, as it is on disk, cut where it is long."""
+    """A fact for a message, as JSON, truncated if long."""
     text = json.dumps(value)
     return text if len(text) <= 80 else text[:79] + '…'

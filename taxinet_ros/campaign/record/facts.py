@@ -29,23 +29,23 @@ ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, of which the campaign is one."""
 
 EXTENSIONS = 'extensions'
-"""The fact that names the packages of what is not shipped, with their versions and hashes."""
+"""The fact that lists the packages of extensions, with their versions and hashes."""
 
 _BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
 """Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
 
 WORLD = 'world'
-"""The fact that names the world that the runs take place in; versions without a choice had none."""
+"""The fact that names the world of the runs; absent in versions with a single world."""
 
 STACKS = 'stacks'
 """The fact that names every machine, with its libraries and code, on which runs were made."""
 
 
 def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
-    """All that a campaign's runs depend on, in plain values.
+    """Everything that a campaign's runs depend on, as plain values.
 
     Args:
-        options: what was asked for.
+        options: options of the campaign.
         program: the Scenic program's file.
     """
     return facts_of_runs(options, {
@@ -56,7 +56,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
 
 
 def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[str, Any]:
-    """All that runs depend on whose scenes come of ``scenes``, in plain values."""
+    """Everything that runs with scenes from ``scenes`` depend on, as plain values."""
     return {
         'taxinet_ros_version': __version__,
         STACKS: this_stack_record(),
@@ -75,7 +75,7 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
-        # A graph that was there before has a world of its own, of which the bags tell.
+        # A standing graph has its own world, which is recorded in the bags.
         **({} if options.standing_graph else {WORLD: options.world}),
         **extension_facts(
             perceptions=options.perception, controllers=options.controller, worlds=options.world
@@ -84,10 +84,10 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
 
 
 def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, Any]:
-    """Where perception, controller, world or sampler come from, of those that a package added.
+    """Origin of the perception, controller, world or sampler that a package provides.
 
     Args:
-        before: facts that may tell of others already.
+        before: facts that may already contain others.
         chosen: name by extension point.
     """
     found = {**before.get(EXTENSIONS, {}), **origins(**chosen)}
@@ -95,7 +95,7 @@ def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, 
 
 
 def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
-    """Name of the world that a campaign's runs take place in, and SHA-256 of who brings it, or ''.
+    """Name of the world of a campaign's runs, and SHA-256 of the package that provides it, or ''.
 
     Args:
         facts: of the campaign.
@@ -106,13 +106,13 @@ def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
 
 @contextlib.contextmanager
 def missing_packages_named(out: Path | None) -> Iterator[None]:
-    """Within the ``with``, who refuses a name that nobody has any more says whose it was.
+    """Context in which errors for unknown names also name the package that provided them.
 
     Args:
-        out: folder of the campaign that tells whose, or of several; None for none.
+        out: folder of the campaign that recorded the package, or of several; None for none.
 
     Raises:
-        UsageError: as within.
+        UsageError: as raised within.
     """
     try:
         yield
@@ -129,7 +129,7 @@ def missing_packages_named(out: Path | None) -> Iterator[None]:
 
 
 def package_words(kind: str, told: Mapping[str, str]) -> str:
-    """An extension as a campaign tells of it: what it is, whose, and the hash of its package."""
+    """Text on a recorded extension: what it is, its package, and the package's hash."""
     return (
         f'{kind.removesuffix("s")} {told["name"]} of {told["distribution"]} {told["version"]} '
         f'(sha256 {told["sha256"][:12]}…)'
@@ -137,17 +137,17 @@ def package_words(kind: str, told: Mapping[str, str]) -> str:
 
 
 def this_stack() -> str:
-    """Which of a campaign's stacks this process is."""
+    """Name of this process's record among a campaign's stacks."""
     return stack_id(provenance())
 
 
 def this_stack_record() -> dict[str, dict[str, str]]:
-    """The record of this process under its name, to be added to those of earlier sittings."""
+    """The record of this process by name, to be added to those of earlier sessions."""
     return {this_stack(): dict(provenance())}
 
 
 def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Facts with scenario keys as they are written now: before, they had no units."""
+    """Facts with current scenario keys; older ones had no units."""
     present: dict[str, Any] = {name: by_key(facts[name]) for name in _BY_KEY if name in facts}
     if 'parameters' in facts:
         present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
@@ -161,11 +161,11 @@ def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
 
 
 def stack_difference(facts: Mapping[str, Any], what: str) -> str:
-    """One line where what is there was made on another machine or version than this; else ''.
+    """A warning line if a campaign was made on another machine or version; else ''.
 
     Args:
-        facts: of the campaign as it is there.
-        what: names what is there, at the line's beginning.
+        facts: facts of the existing campaign.
+        what: name of the object, at the start of the line.
     """
     before = list(recorded_stacks(facts).values())
     words = begun_elsewhere(before or [{}], provenance(), 'the runs so far')
@@ -173,7 +173,7 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
 
 
 def read_facts(folder: Path) -> SealedJson | None:
-    """What ``campaign.json`` in a folder says; None where there is none.
+    """Read ``campaign.json`` in a folder; None if there is none.
 
     Raises:
         UsageError: it is damaged, or cannot be read.
@@ -190,11 +190,11 @@ def read_facts(folder: Path) -> SealedJson | None:
 
 
 def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``campaign.json`` into the folder ``out``; it goes on to vouch for the tables.
+    """Write ``campaign.json`` into the folder ``out``, keeping the checksums of the tables.
 
     Raises:
         OSError: it cannot be written.
-        UsageError: what is there is damaged.
+        UsageError: the existing file is damaged.
     """
     before = read_facts(out)
     files, journals = (before.files, before.journals) if before else ({}, {})
@@ -202,7 +202,7 @@ def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
 
 
 def seal_facts(folder: Path, facts: SealedJson, tables: Iterable[Path]) -> None:
-    """Have ``campaign.json`` vouch for the tables and for the ledger, as both are now.
+    """Seal ``campaign.json`` with checksums of the current tables and ledger.
 
     Raises:
         OSError: it cannot be written.

@@ -35,13 +35,13 @@ class LedgerContent:
         rows: the newest result of each index, by index.
         unfinished: indices of runs that were begun and have no result, ascending.
         attempts: how often each run was begun, by index.
-        added: formulas that were put to the runs afterwards, by name; the rows have their values.
-        never_begun: indices of rows of runs that were not begun as far as it tells, ascending;
-            rejected ones are none.
-        finished: whether the campaign has ended in good order since its last line.
-        lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
-        incomplete: those of them after which something is missing to this day.
-        places: references of the places that it has the whole of.
+        added: formulas evaluated afterwards, by name; the rows have their values.
+        never_begun: indices of rows of runs without a recorded start, ascending, except rejected
+            ones.
+        finished: whether the campaign ended normally after the last line.
+        lost: one line per removal of damaged lines (:mod:`.doctor`).
+        incomplete: those of them after which data is still missing.
+        places: references of the places whose definitions it has.
     """
 
     campaign: Mapping[str, Any]
@@ -57,13 +57,13 @@ class LedgerContent:
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
-"""What one says to which nothing was written yet."""
+"""Content of a ledger without lines."""
 
 _IDENTITY = (
     'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
     'controller_sha256', 'specs',
 )
-"""Facts that no sitting of a campaign changes."""
+"""Facts that no session of a campaign changes."""
 
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
@@ -72,7 +72,7 @@ class Ledger(JournalOwner):
     """An open ledger: one writer at a time; a context manager."""
 
     def __init__(self, path: Path) -> None:
-        """Open ``path`` to append, making it if need be; a torn last line is cut off.
+        """Open ``path`` for appending, creating it if needed; a torn last line is cut off.
 
         Raises:
             UsageError: the file cannot be opened, or another campaign is writing to it.
@@ -91,7 +91,7 @@ class Ledger(JournalOwner):
         self._append({'event': 'campaign', 'campaign': dict(values)})
 
     def place(self, document: str) -> None:
-        """Record the whole of a place, of which the rows of runs there have the reference."""
+        """Record the full definition of a place; rows contain only its reference."""
         self._append({'event': 'place', 'place': document})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
@@ -103,7 +103,7 @@ class Ledger(JournalOwner):
         """Record how a run ended.
 
         Raises:
-            ValueError: it cannot have ended like that.
+            ValueError: the row is inconsistent.
         """
         row.check()
         self._append({'event': 'result', 'row': row.to_json()})
@@ -111,12 +111,12 @@ class Ledger(JournalOwner):
     def requirement(
         self, name: str, formula: str, intervals: Mapping[int, RobustnessInterval]
     ) -> None:
-        """Record a formula that was put to the runs afterwards.
+        """Record a formula that was evaluated afterwards.
 
         Args:
-            name: of the formula.
+            name: name of the formula.
             formula: fully parenthesised.
-            intervals: least and greatest robustness by the run's index, equal where it is known.
+            intervals: lower and upper robustness bounds by run index, equal if it is known.
         """
         self._append({
             'event': 'requirement', 'name': name, 'formula': formula,
@@ -129,13 +129,13 @@ class Ledger(JournalOwner):
 
 
 def read_ledger(path: Path) -> LedgerContent:
-    """Read a ledger, also while it is being written; a torn last line counts as not there.
+    """Read a ledger, even while it is being written; a torn last line is ignored.
 
-    Where ``campaign.json`` lies beside it, the two have to say the same.
+    If ``campaign.json`` exists beside it, the two must agree.
 
     Raises:
         UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or
-            says what cannot be, or ``campaign.json`` is damaged or another campaign's.
+            inconsistent, or ``campaign.json`` is damaged or another campaign's.
     """
     facts = read_facts(path.parent)  # before the ledger, which may grow meanwhile
     ended = facts.journals.get(path.name) if facts else None
@@ -156,15 +156,15 @@ def read_ledger(path: Path) -> LedgerContent:
 def ledger_content(
     path: Path, events: Iterable[Mapping[str, Any]], *, finished: bool = False
 ) -> LedgerContent:
-    """What the lines of a ledger come to.
+    """Build the content of a ledger from its events.
 
     Args:
-        path: of the ledger, for messages.
-        events: what its lines say, in order.
+        path: path of the ledger, for messages.
+        events: parsed lines in order.
         finished: whether nothing was written since the campaign ended.
 
     Raises:
-        UsageError: ``path:line: message`` if a line says what cannot be.
+        UsageError: ``path:line: message`` if a line is inconsistent.
     """
     found = _Events()
     for number, event in enumerate(events, start=1):
@@ -196,11 +196,11 @@ def ledger_content(
 def possible_events(
     events: Iterable[Mapping[str, Any]], facts: Mapping[str, Any] | None = None
 ) -> list[dict[str, Any]]:
-    """A ledger's events without those that say what cannot be, and without another campaign's.
+    """A ledger's events without inconsistent ones and those of another campaign.
 
     Args:
-        events: what its lines say, in order.
-        facts: of the campaign whose ledger it is, where more than its first line tells of that.
+        events: parsed lines in order.
+        facts: facts of the ledger's campaign, if known from more than its first line.
     """
     found, kept, own = _Events(), [], dict(facts or {})
     foreign = False
@@ -216,14 +216,14 @@ def possible_events(
 
 
 def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
-    """Whether a line can be one of the campaign, as far as a seed tells."""
+    """Whether a line may belong to the campaign, judging by the seed."""
     return event['event'] != 'result' or facts.get('seed', event['row']['seed']) == (
         event['row']['seed']
     )
 
 
 def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
-    """Name of the first fact by which two are of different campaigns, or ''."""
+    """Name of the first fact that differs between two campaigns, or ''."""
     before, facts = with_present_keys(before), with_present_keys(facts)
     for name in _IDENTITY:
         one, other = before.get(name), facts.get(name)
@@ -234,20 +234,20 @@ def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
 
 
 def lost_event(what: str, runs: Iterable[int] = (), *, incomplete: bool = False) -> dict[str, Any]:
-    """An event for a ledger of which damaged lines were left out.
+    """Ledger event that records the removal of damaged lines.
 
     Args:
-        what: was the matter.
-        runs: those whose results were lost, as far as is known.
-        incomplete: whether something is missing until these runs have results, or for ever where
-            none are known.
+        what: description of the damage.
+        runs: runs whose results were lost, as far as known.
+        incomplete: whether data is missing until these runs have results, or permanently if none
+            are known.
     """
     told = {'runs': sorted(runs), 'incomplete': True} if incomplete else {}
     return {'event': 'lost', 'what': what, **told}
 
 
 class _Events:
-    """The lines of a ledger so far."""
+    """Accumulates the events of a ledger."""
 
     def __init__(self) -> None:
         self.campaign: dict[str, Any] = {}
@@ -259,12 +259,12 @@ class _Events:
         self._names: dict[str, int] = {}
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """One more line."""
+        """Process one event."""
         match event['event']:
             case 'campaign':
                 self._campaign(event['campaign'])
             case 'place':
-                # From now on this process knows what the references in the rows stand for.
+                # This registers the place, so that references in rows can be resolved.
                 self.places.add(find_place(event['place']).reference)
             case 'intent':
                 self._intent(event)
@@ -299,7 +299,7 @@ class _Events:
         self.rows[row.index] = row
 
     def _judge(self, event: Mapping[str, Any]) -> None:
-        """Give the rows so far what a later requirement says; a run done anew then has none."""
+        """Add a later requirement's values to the rows so far; runs repeated later have none."""
         self.added[event['name']] = event['formula']
         for index, (lower, upper) in event['intervals'].items():
             row = self.rows[int(index)]
@@ -309,7 +309,7 @@ class _Events:
 
 
 def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
-    """See that ``campaign.json`` says what the ledger does, or did before it was killed."""
+    """Check that ``campaign.json`` agrees with the ledger, or with its state before a crash."""
     told = [event['campaign'] for event in events if event['event'] == 'campaign']
     if facts in told:
         return

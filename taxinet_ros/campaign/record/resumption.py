@@ -20,16 +20,16 @@ from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_wor
 from taxinet_ros.errors import UsageError
 
 PERCEPTION_KEYS = ('perception', 'perception_sha256', 'timing')
-"""The facts that say it; all are empty until the graph has answered."""
+"""The facts on perception and timing; all are empty until the graph has answered."""
 
 
 def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> dict[str, str]:
-    """What an answer adds to the facts: who perceived, if that was not known before.
+    """Facts added by a result: the perception and timing, if not known before.
 
     Args:
         out: the campaign's folder.
-        facts: of the campaign.
-        result: the answer. Where the run broke before a perception was ready it says nothing.
+        facts: facts of the campaign.
+        result: the result; it adds nothing if the run broke before a perception was ready.
 
     Raises:
         UsageError: another perception answered than the campaign was begun with, or its answers
@@ -61,7 +61,7 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
 
 
 def _same_perception(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two are the same network whatever it is called, or both the truth."""
+    """Whether two facts name the same network under any name, or both the ground truth."""
     if one['perception_sha256'] or other['perception_sha256']:
         return bool(one['perception_sha256'] == other['perception_sha256'])
     return bool(one['perception'] == other['perception'])
@@ -74,12 +74,12 @@ def _shown(facts: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EarlierRuns:
-    """The part of a search that is done.
+    """The completed part of a search.
 
     Attributes:
-        rows: results by index of the runs that are done.
-        to_repeat: results by index of those that are done again: the bench broke them, they were
-            interrupted, or their scenes were chosen without the result of a run that broke.
+        rows: results of completed runs by index.
+        to_repeat: results by index of runs to repeat: the bench broke them, they were interrupted,
+            or their scenes were chosen without the result of a broken run.
         unknown_to_sampler: runs that the bench had broken when others, since judged, were chosen
             without their results; they may have been run again meanwhile. What was chosen stays,
             so the sampler never learns of them.
@@ -98,11 +98,11 @@ class EarlierRuns:
 
 
 def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
-    """Read what was done, which :class:`.ledger.Ledger` has locked and mended.
+    """Read the completed runs of a ledger locked and repaired by :class:`.ledger.Ledger`.
 
     Args:
         out: the campaign's folder.
-        facts: of the search that is to go on.
+        facts: facts of the search to resume.
 
     Raises:
         UsageError: another search was begun there, the ledger is damaged, or more runs were begun
@@ -138,10 +138,10 @@ def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> fr
 
 
 def _not_done(rows: Sequence[RunRow], unknown: frozenset[int]) -> list[RunRow]:
-    """The rows of runs that have to be done again.
+    """The rows of runs that must be repeated.
 
-    Among them are scenes that could not be drawn, and may have been chosen without a result that
-    there is by now. They cost no run, and come to the same where nothing has changed.
+    This includes rejected scenes, which may have been chosen without a result that is now
+    available. They cost no run, and give the same result if nothing has changed.
     """
     broken = (
         row.index for row in rows
@@ -156,6 +156,6 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int]) -> list[RunRow]:
 
 def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
     kept = {key: before[key] for key in (*of_graph, ARMS) if key in before}
-    # A search from before that was written down has its last plan on record only.
+    # Older searches recorded only their last plan.
     planned = before.get('first_runs', before.get('runs'))
     return kept if planned is None else {**kept, 'first_runs': planned}

@@ -20,7 +20,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
 SIMPLY_DRAWN = ('', 'random')
-"""Samplers of which every run is an independent draw from the program; '' is none at all."""
+"""Samplers whose runs are all independent draws from the program; '' means no sampler."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,41 +30,40 @@ class RunRow:
     Attributes:
         run_id, index: unique name, and number within the campaign from 0.
         program, seed: what the scenario was drawn from.
-        sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
-        point: the quantile that it chose for each dimension that is not idle there, by name.
-        refused: draws, or points of the sampler, that the program's requirements refused before
-            this scene.
+        sampler: name of the sampler that chose the scene, or '' if there was none.
+        point: the quantile of each active dimension, by name.
+        refused: draws or sampler points that the program's requirements rejected before this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
-        drawn: whether the scene was drawn from the program itself, whatever the results before it:
-            what rates rest on. None in a row from before that was written down.
+        drawn: whether the scene was drawn from the program itself, independently of earlier
+            results; rates are estimated from these. None in rows older than this column.
         perception, fingerprint: the swap word, and the hash of the weights; on disk
             ``perception_fingerprint``.
         timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
             where each did at once. A free run need not come out so again.
-        free: of a free run how it went, by name, see
+        free: figures of a free run by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
             runway_state, slope_percent, speed_mps, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
-        robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
-            a run that was stopped early. On disk these are ``rho``, what is known of it, and
+        robustness: by the formula's name, the headline first; judged runs only. Rho is exact unless
+            the run was stopped early. On disk these are ``rho``, what is known of it, and
             ``rho_lower`` and ``rho_upper``, the bounds of a run that was stopped early.
         stopped_early, stopped_s: whether the run ended before its end because its verdict was in,
             and when [s]; judged runs only. The figures are then those up to there.
-        left_runway, max_cross_track_m, settle_time_s: of the true path, see
-            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. Nobody knows
-            whether a run that was stopped would have left the runway later, nor when it settles.
+        left_runway, max_cross_track_m, settle_time_s: figures of the true path, see
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. After an
+            early stop it is unknown whether the run would have left the runway or settled later.
         cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
             he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
         unusable_estimates: frames without an estimate; judged runs only.
         steps: control steps that were run.
         sim_s: simulated time that passed [s].
-        retries: how often the run was begun anew because the bench broke.
+        retries: number of retries after the bench broke.
         bag: the run's bag, relative to the campaign's folder, or ''.
         stack: which record of ``stacks`` in ``campaign.json`` says on what machine, libraries and
-            code it was run, or '' in rows of before there were any.
+            code it was run, or '' in rows older than this column.
         wall_s: wall-clock time that the run took [s].
     """
 
@@ -131,7 +130,7 @@ class RunRow:
             raise ValueError(f'run {self.run_id}: has intervals {dict(self.robustness)}')
 
     def check(self) -> None:
-        """See that the row can be the result of a run, judged by the formulas that it names.
+        """Check that the row is consistent as the result of a run.
 
         Raises:
             ValueError: its robustness is not that of its outcome, its name could lead out of the
@@ -185,7 +184,7 @@ class RunRow:
 
     @property
     def unusable_share(self) -> float:
-        """Share of the run's frames without a usable estimate; 0 where there is no count."""
+        """Share of the run's frames without a usable estimate; 0 if not counted."""
         return (self.unusable_estimates or 0) / self.steps if self.steps else 0.0
 
     @property
@@ -195,7 +194,7 @@ class RunRow:
 
     @property
     def real_time_factor(self) -> float:
-        """Simulated seconds per second of wall clock; NaN where none was spent."""
+        """Simulated seconds per wall-clock second; NaN if no time was spent."""
         return self.sim_s / self.wall_s if self.wall_s > 0 else math.nan
 
     @property
@@ -204,7 +203,7 @@ class RunRow:
         return exact_rho(self.robustness)
 
     def also_judged(self, spec: str, interval: RobustnessInterval) -> Self:
-        """The row with the robustness of one more formula, put to the run after it was over.
+        """The row with the robustness of one more formula, evaluated after the run.
 
         Raises:
             ValueError: the run was not judged, or was whole and still has an interval only.
@@ -214,20 +213,20 @@ class RunRow:
         return dataclasses.replace(self, robustness={**self.robustness, spec: interval})
 
     def robustness_for_sampler(self, spec: str) -> float | None:
-        """What a sampler learns of a formula: its robustness, or None where its sign is not known.
+        """Robustness of a formula for the sampler, or None if its sign is unknown.
 
-        Of a run that was stopped early it is the bound that is nearer to zero. Its sign is right,
-        which is all that the samplers ask who tell failures from the rest; those who go by its size
-        take the run for less clear than it was.
+        For a run that was stopped early it is the bound nearer to zero. Its sign is correct, which
+        suffices for samplers that only distinguish failures; those that use its magnitude treat the
+        run as less decisive than it was.
         """
         interval = self.robustness.get(spec)
         return interval.nearest_to_zero if interval else None
 
     @property
     def from_program(self) -> bool:
-        """Whether the program itself drew the scene; where that is not on record, by the sampler.
+        """Whether the program itself drew the scene; if not recorded, inferred from the sampler.
 
-        What Halton, Sobol and the grid lay out are no independent draws.
+        Points of Halton, Sobol and the grid are not independent draws.
         """
         return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
 
@@ -244,12 +243,12 @@ class RunRow:
         """The row of a run that had a scenario.
 
         Args:
-            request: what was asked.
-            result: how it ended.
-            perception: the word that was asked for; the result has none if the bench broke.
+            request: request of the run.
+            result: result of the run.
+            perception: the requested perception; the result has none if the bench broke.
             sim_s: simulated time that passed [s].
             bag: path of the bag relative to the campaign's folder, or ''.
-            stack: which record says on what it was run, or ''.
+            stack: name of the machine record, or ''.
         """
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
@@ -266,7 +265,7 @@ class RunRow:
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
         refused: int = 0, drawn: bool | None = None,
     ) -> Self:
-        """The row with how its scene was chosen, and how often it was begun anew."""
+        """The row with how its scene was chosen, and its number of retries."""
         return dataclasses.replace(
             self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries,
             drawn=drawn,
@@ -287,13 +286,13 @@ class RunRow:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`to_json` gave, now or before scenario keys had units.
+        """Read the output of :meth:`to_json`, including old ones with keys without units.
 
         Raises:
             UsageError: a column is missing, unknown or of another kind, the outcome is none of the
                 five, or the row is none that can be (:meth:`check`).
         """
-        # Rows from before there was a key have its value of then, if they have a scene.
+        # Rows older than a key get its value at that time, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
             known.key: known.to_human(known.absent) for known in SCENARIO_FIELDS
@@ -326,7 +325,7 @@ _ATTRIBUTES = {name: attribute for attribute, name in ON_DISK.items()}
 
 
 def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:
-    """What three columns on disk say of the formulas, in the order of the formulas."""
+    """Robustness from the three columns on disk, in formula order."""
     rho, lower, upper = (values.get(name, {}) for name in _BOUNDS)
     for name, column in zip(_BOUNDS, (rho, lower, upper), strict=True):
         check_kind(name, 'Mapping[str, float]', column)
@@ -340,7 +339,7 @@ def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:
 
 
 def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
-    """The columns made of a judged run's figures; what it does not have is None, never NaN."""
+    """Columns from a judged run's figures; missing ones are None, never NaN."""
     statistics, stopped = result.statistics, result.stopped_early
     if statistics is None:
         return {}
@@ -362,7 +361,7 @@ def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
 
 
 def _degrees(angle_rad: float) -> float:
-    """An angle in degrees; an estimate may be so large that these overflow."""
+    """An angle in degrees; a very large estimate may overflow."""
     most = sys.float_info.max
     return max(-most, min(math.degrees(angle_rad), most))
 

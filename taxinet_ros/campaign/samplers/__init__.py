@@ -2,7 +2,7 @@
 
 A campaign gets one from :func:`~taxinet_ros.campaign.samplers.registry.make_sampler`. All of them
 work on quantiles of the program's own prior (:mod:`~taxinet_ros.campaign.samplers.space`), are
-wrapped so that their sequence does not depend on the number of workers
-(:mod:`~taxinet_ros.campaign.samplers.sampler`), and say which points the program itself drew, for
-rates rest on those (:mod:`taxinet_ros.campaign.rates`).
+wrapped so that their sequence is independent of the number of workers
+(:mod:`~taxinet_ros.campaign.samplers.sampler`), and report which points were drawn from the prior,
+because rates are estimated from those alone (:mod:`taxinet_ros.campaign.rates`).
 """

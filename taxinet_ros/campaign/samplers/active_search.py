@@ -1,4 +1,4 @@
-"""Active search: a Gaussian process of the robustness, asked for failures that lie apart."""
+"""Active search: find diverse failures with a Gaussian process model of the robustness."""
 
 from __future__ import annotations
 
@@ -15,69 +15,72 @@ from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point, Space, prior_point, run_generator
 
 WINDOW = 300
-"""Most results that the process knows; a prediction's cost grows with the square of it."""
+"""Most results the process is conditioned on; prediction cost grows with its square."""
 
 FITTED = 150
-"""Most results that its length scales are fitted to; a fit's cost grows with the cube of it."""
+"""Most results used to fit the length scales; fitting cost grows with its cube."""
 
 REFIT = 1.1
-"""The length scales are fitted anew when there are this many times as many results."""
+"""Refit the length scales when the number of results has grown by this factor."""
 
 CANDIDATES = 256
-"""Points of the whole space among which the next one is chosen, besides those near known ones."""
+"""Candidates drawn from the whole space, in addition to those near known points."""
 
 PARENTS = 16
-"""Lowest results, and as many failures by chance, beside which more candidates are put."""
+"""Number of lowest results, and of random failures, near which candidates are added."""
 
 ELITE = 8
-"""Candidates that are refined, and how many points are tried around each."""
+"""Number of candidates to refine, and of points to try around each."""
 
 STEPS = (0.15, 0.1, 0.03)
 """Standard deviation of a candidate's distance from its origin, round by round [quantiles]."""
 
 MISSES = 50
-"""Latest runs without a result, and refused points, that are kept away from."""
+"""Most recent runs without a result, and rejected points, to avoid."""
 
 PATIENCE = 8
-"""After so many refused points of one run it is drawn from the prior."""
+"""Rejected points of one run after which it is drawn from the prior."""
 
 CEILING = 3.0
-"""Robustness beyond this multiple of the median passing one is no news."""
+"""Robustness is clipped at this multiple of the median passing robustness."""
 
 Predict = Callable[[Floats], tuple[Floats, Floats]]
 """Mean and standard deviation of the scaled robustness at the features of some points."""
 
 
 class ActiveSearch:
-    """Chooses the point that is most probably a failure unlike those that are known.
+    """Chooses the point most likely to be a failure unlike the known ones.
 
-    To find as many members of a rare class as possible is active search (Garnett et al., Bayesian
-    Optimal Active Search and Surveying, ICML 2012); to find them spread out, coverage of the set of
+    Finding as many members of a rare class as possible is active search (Garnett et al., Bayesian
+    Optimal Active Search and Surveying, ICML 2012); finding diverse ones is covering the set of
     failures at a resolution (Malkomes et al., Beyond the Pareto Efficient Frontier: Constraint
     Active Search for Multiobjective Experimental Design, ICML 2021). Here a point's score is the
     probability of a robustness of 0 or less, times the share of its neighbourhood that no known
-    failure covers, times the share of the runs beside it that have a result at all. While failures
-    are improbable everywhere, that is the probability of improvement upon a fixed target, which
-    weighs low means against unknown places (Jones, Journal of Global Optimization 21, 2001).
+    failure covers, times the share of neighbouring runs that have a result. While failures are
+    improbable everywhere, the score equals the probability of improvement over a fixed target,
+    which trades off low means against high uncertainty (Jones, Journal of Global Optimization 21,
+    2001).
 
-    Runs take turns. In every other one *novel* means far from failures in what matters, distances
-    being measured in the process's length scales: it seeks new regions. In the others all
-    dimensions count alike: it spreads within the regions.
+    Runs alternate between two measures of novelty. Every second run measures the distance to known
+    failures in the process's length scales, to find new regions. The others weight all dimensions
+    equally, to spread points within the regions.
 
-    The process has a Matérn 3/2 kernel with one length scale a dimension, which tells what is
-    irrelevant. Categories are equal or not; an idle dimension is put at one and the same value, so
-    it makes no difference among the runs that lack it (imputation; Hutter and Osborne,
-    arXiv:1310.5738, compare it with other kernels). Runs under way count as points whose result is
-    the expected one (Ginsbourger et al., Kriging is well-suited to parallelize optimization, 2010).
+    The process has a Matérn 3/2 kernel with one length scale per dimension, which identifies
+    irrelevant dimensions. Categories are compared for equality only. An idle dimension is given a
+    constant value, so it makes no difference among the runs that lack it (imputation; Hutter and
+    Osborne, arXiv:1310.5738, compare it with other kernels). Runs in flight count as points with
+    the expected result (Ginsbourger et al., Kriging is well-suited to parallelize optimization,
+    2010).
     """
 
     def __init__(self, space: Space, seed: int, *, radius: float = 0.1) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
-            radius: around a failure, where others are no news [quantiles], above 0.
+            space: the space to search.
+            seed: seed of the campaign.
+            radius: distance from a failure within which other failures are not new [quantiles],
+                above 0.
         """
         self._space = space
         self._seed = seed
@@ -100,14 +103,14 @@ class ActiveSearch:
         return self._next()
 
     def again(self) -> Point:
-        """Another point for the same run, away from the refused ones; after some, a plain draw."""
+        """Another point for the same run, away from rejected ones; finally a prior draw."""
         self._attempt += 1
         self._misses.append(self._pending.pop())
         self._asked[-1] = len(self._quantiles)
         return self._next()
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Take a result in."""
+        """Record a result."""
         number = self._asked[index]
         self._pending.remove(number)
         if rho is None:
@@ -116,14 +119,14 @@ class ActiveSearch:
             self._learn(number, rho)
 
     def add(self, point: Point, rho: float) -> None:
-        """Take in the result of a point that was not asked for."""
+        """Record the result of a point that this sampler did not propose."""
         self._learn(self._keep(point), rho)
 
     def weight(self, index: int) -> None:
-        """Unknown."""
+        """None: the density is unknown."""
 
     def learned(self) -> Probabilities:
-        """Nothing that could be shown."""
+        """Empty: nothing is learned per dimension."""
         return {}
 
     def _next(self) -> Point:
@@ -139,13 +142,13 @@ class ActiveSearch:
         return point
 
     def _keep(self, point: Point) -> int:
-        """The point's number from now on."""
+        """Store a point; return its number."""
         self._quantiles.append(np.array(point, np.float64))  # None becomes NaN
         self._features.append(self._quantiles[-1])
         return len(self._quantiles) - 1
 
     def _learn(self, number: int, rho: float) -> None:
-        """Keep a result; of the two points in the window that are most alike the older one goes."""
+        """Store a result; drop the older of the two most similar points in a full window."""
         self._results[number] = rho
         self._window.append(number)
         if len(self._window) > WINDOW:
@@ -157,7 +160,7 @@ class ActiveSearch:
     def _chosen(self, run: int, chance: np.random.Generator) -> Floats:
         """Quantiles of the next point."""
         results = np.array([self._results[number] for number in self._window])
-        # With one and the same result everywhere there is nothing to go by but distance.
+        # If all results are equal, only distance can guide the search.
         if len(self._quantiles) < self._startup or len(set(results)) < 2:
             return self._farthest(chance)
         scaled = _scaled(results)
@@ -173,7 +176,7 @@ class ActiveSearch:
 
     @property
     def _startup(self) -> int:
-        """Points before the process is used."""
+        """Number of points before the process is used."""
         return 8 + 2 * len(self._space)
 
     def _farthest(self, chance: np.random.Generator) -> Floats:
@@ -189,7 +192,7 @@ class ActiveSearch:
     def _score(
         self, predict: Predict, others: Floats, *, spread: bool
     ) -> Callable[[Floats], Floats]:
-        """Logarithm of a point's worth, by its quantiles."""
+        """Logarithm of a point's score, as a function of its quantiles."""
         from scipy.special import log_ndtr, ndtr
 
         failures = self._features.rows(
@@ -205,7 +208,7 @@ class ActiveSearch:
         missed = self._features.rows(self._misses[-MISSES:])
 
         def near(features: Floats, points: Floats) -> Floats:
-            """How many of the points are beside each."""
+            """Number of the points near each."""
             apart = _squared_distances(features, points) / (2 * self._radius) ** 2
             beside: Floats = np.exp(-apart / 2).sum(axis=1)
             return beside
@@ -223,7 +226,7 @@ class ActiveSearch:
                 results = 1 + near(features, judged)
                 worth += np.log(results / (results + near(features, missed)))
             if not spread:
-                # A process is least sure at the edges; but half of what is near them is outside.
+                # The variance is highest at the edges, but half of their neighbourhood is outside.
                 inside = quantiles[:, free]
                 ends = (1 - inside) / self._radius, -inside / self._radius
                 worth += np.log(ndtr(ends[0]) - ndtr(ends[1])).sum(axis=1)
@@ -249,7 +252,7 @@ class ActiveSearch:
         return highest
 
     def _parents(self, chance: np.random.Generator) -> Floats:
-        """Known points near which failures may be; what is idle there, at any value."""
+        """Known points near which failures may be; idle dimensions get a random value."""
         lowest = sorted(self._results, key=self._results.__getitem__)[:PARENTS]
         failures = [number for number, rho in self._results.items() if rho <= 0]
         picked = chance.permutation(len(failures))[:PARENTS]
@@ -259,7 +262,7 @@ class ActiveSearch:
         return np.where(np.isnan(parents), chance.random(parents.shape), parents)
 
     def _beside(self, origins: Floats, step: float, chance: np.random.Generator) -> Floats:
-        """A point near each origin: some coordinates moved, some categories drawn anew."""
+        """A point near each origin: some coordinates shifted, some categories redrawn."""
         discrete = np.array([dimension.discrete for dimension in self._space])
         moved = chance.random(origins.shape) < max(0.3, 1.5 / len(self._space))
         drawn = discrete & (chance.random(origins.shape) < 0.5)
@@ -271,7 +274,7 @@ class ActiveSearch:
 
 
 class _Features:
-    """Points as rows of numbers: a column a quantile, and one for each category."""
+    """Points as feature rows: one column per quantile, and one per category."""
 
     def __init__(self, space: Space) -> None:
         self._space = space
@@ -283,24 +286,24 @@ class _Features:
         self._size = 0
 
     def append(self, quantiles: Floats) -> None:
-        """Keep the features of one more point."""
+        """Store the features of one more point."""
         if self._size == len(self._rows):
             self._rows = np.vstack((self._rows, np.zeros_like(self._rows)))
         self._rows[self._size] = self.of(quantiles[None])[0]
         self._size += 1
 
     def rows(self, numbers: Sequence[int]) -> Floats:
-        """Features of points that were kept."""
+        """Features of stored points."""
         return self._rows[np.array(numbers, np.intp)]
 
     def per_column(self, values: Floats) -> Floats:
-        """A value of each dimension, for each of its columns."""
+        """Repeat each dimension's value for each of its columns."""
         return values[self.owners]
 
     def of(self, quantiles: Floats) -> Floats:
-        """Features of points; of idle dimensions the quantile, or NaN, makes no difference.
+        """Features of points; the quantile of an idle dimension, or NaN, has no effect.
 
-        The squared distance of two categories is 1, as that of the two ends of a dimension.
+        The squared distance between two categories is 1, as between the two ends of a dimension.
         """
         columns: list[Floats] = []
         bins: list[npt.NDArray[np.intp]] = []
@@ -321,9 +324,9 @@ class _Features:
 class _Process:
     """A Gaussian process with a constant mean and a Matérn 3/2 kernel.
 
-    Mean and variance are those of greatest likelihood. The logarithms of the length scales and of
-    the noise's share of the variance are those of greatest posterior density; the prior wants long
-    ones, the longer the more dimensions there are (Hvarfner et al., Vanilla Bayesian Optimization
+    Mean and variance are maximum-likelihood estimates. The logarithms of the length scales and of
+    the noise's share of the variance are maximum a posteriori estimates; the prior favours length
+    scales that grow with the number of dimensions (Hvarfner et al., Vanilla Bayesian Optimization
     Performs Great in High Dimensions, ICML 2024).
     """
 
@@ -337,11 +340,11 @@ class _Process:
 
     @property
     def length_scales(self) -> Floats:
-        """One a dimension [quantiles]."""
+        """Length scale of each dimension [quantiles]."""
         return np.exp(self._logs[:-1])
 
     def fit(self, known: Floats, results: Floats) -> None:
-        """Find the length scales and the noise of the results at the features of some points."""
+        """Fit the length scales and the noise to results at the given features."""
         from scipy.linalg import cho_factor, cho_solve
         from scipy.optimize import minimize
 
@@ -353,7 +356,7 @@ class _Process:
         unit = np.eye(runs)
 
         def loss(logs: Floats) -> tuple[float, Floats]:
-            """Minus the posterior's logarithm, and its gradient."""
+            """Negative log posterior and its gradient."""
             inverse, noise = np.exp(-2 * logs[:-1]), math.exp(logs[-1])
             away = np.sqrt(3 * (inverse @ flat)).reshape(runs, runs)
             falling = np.exp(-away)
@@ -373,7 +376,7 @@ class _Process:
         ).x
 
     def conditioned(self, known: Floats, results: Floats, others: Floats) -> Predict:
-        """Predictions from results, and from other points with the result that is expected."""
+        """Predictor conditioned on results, and on other points with their expected result."""
         from scipy.linalg import cho_solve, solve_triangular
 
         runs, points = len(results), np.vstack((known, others))
@@ -400,26 +403,26 @@ class _Process:
 
 @cache
 def _blas() -> ThreadpoolController:
-    """The threads of NumPy and SciPy; to look for their libraries takes a millisecond."""
+    """Controller of the BLAS threads of NumPy and SciPy; cached: the look-up takes 1 ms."""
     import scipy.linalg  # noqa: F401 (has a library of its own)
 
     return ThreadpoolController()
 
 
 def _mean(precision: Floats, results: Floats) -> float:
-    """The constant mean of greatest likelihood."""
+    """Maximum-likelihood estimate of the constant mean."""
     return float(precision.sum(axis=0) @ results / precision.sum())
 
 
 def _explained(precision: Floats, results: Floats) -> tuple[Floats, float]:
-    """Weight of each result in a prediction, and the variance of greatest likelihood."""
+    """Weight of each result in a prediction, and the maximum-likelihood variance."""
     off = results - _mean(precision, results)
     weights: Floats = precision @ off
     return weights, max(float(weights @ off) / len(results), 1e-12)
 
 
 def _scaled(results: Floats) -> Floats:
-    """Robustness in units of the median passing one; how bad a failure is, is of no interest."""
+    """Robustness over the median passing robustness; the severity of failures is ignored."""
     finite = np.abs(results[np.isfinite(results)])
     passing = finite[results[np.isfinite(results)] > 0]
     unit = float(np.median(passing if len(passing) else finite)) if len(finite) else 1.0
@@ -427,7 +430,7 @@ def _scaled(results: Floats) -> Floats:
 
 
 def _squared_distances(ones: Floats, others: Floats) -> Floats:
-    """Between each row of one and each of the other."""
+    """Squared distance between each row of one array and each row of the other."""
     squares = np.square(ones).sum(axis=1)[:, None] + np.square(others).sum(axis=1)
     apart: Floats = np.maximum(squares - 2 * ones @ others.T, 0.0)
     return apart

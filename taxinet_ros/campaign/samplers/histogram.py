@@ -1,8 +1,7 @@
-"""Samplers that propose by an independent histogram per dimension, and learn these.
+"""Samplers that learn one independent histogram per dimension.
 
 Cross-entropy with importance weights, cross-entropy by VerifAI's rule, and the multi-armed
-bandit by upper confidence bounds, with the histograms, results and exact weights that they
-share.
+bandit by upper confidence bounds, with the histograms, history and exact weights that they share.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ Floats = npt.NDArray[np.float64]
 
 
 class Product:
-    """A histogram over the bins of each dimension, even within a bin.
+    """Product of one histogram per dimension, uniform within each bin.
 
     Attributes:
         probabilities: per dimension, of each of its bins (categories or buckets).
     """
 
     def __init__(self, space: Space, probabilities: Iterable[Floats]) -> None:
-        """Take histograms in the order of the dimensions, each adding up to 1.
+        """Create the product from histograms in dimension order, each summing to 1.
 
-        That of a dimension that may be idle is conditional on its being active.
+        The histogram of a dimension that may be idle is conditional on its being active.
         """
         self._space = space
         self.probabilities = tuple(probabilities)
@@ -39,7 +38,7 @@ class Product:
         self._cumulative = [_cumulative(each) for each in self.probabilities]
 
     def point(self, uniform: Iterable[float]) -> Point:
-        """The point with these quantiles of this distribution: the prior's are left unchanged."""
+        """The point at these quantiles of this distribution; under the prior they are unchanged."""
         return self._space.point(
             np.interp(quantile, cumulative, edges)
             for quantile, cumulative, edges in zip(
@@ -48,7 +47,7 @@ class Product:
         )
 
     def density(self, bins: Iterable[int]) -> float:
-        """Density over that of the prior, at a point in these bins; idle ones have no part."""
+        """Density ratio to the prior at a point in these bins; idle dimensions are ignored."""
         return math.prod(
             float(mine[number] / prior[number])
             for number, mine, prior in zip(bins, self.probabilities, self._priors, strict=True)
@@ -57,7 +56,7 @@ class Product:
 
 
 def prior_product(space: Space) -> Product:
-    """The prior as such a distribution."""
+    """The prior as a product of histograms."""
     return Product(space, (np.array(dimension.prior) for dimension in space))
 
 
@@ -67,9 +66,9 @@ def _cumulative(probabilities: Floats) -> Floats:
 
 
 LEAST = 10
-"""Failures from which on only failures are learned from."""
+"""Number of failures from which only failures are learned from."""
 ELITE = 0.1
-"""Share of the worst runs that are learned from as long as there are fewer."""
+"""Share of the worst runs to learn from until there are :data:`LEAST` failures."""
 STRENGTH = 5.0
 """Weight of the prior in the learned histograms, in failures."""
 
@@ -86,7 +85,7 @@ class History:
         return self._size
 
     def add(self, bins: Sequence[int], weight: float, rho: float) -> None:
-        """Keep one more."""
+        """Append a run."""
         if self._size == len(self._bins):
             self._bins = np.concatenate((self._bins, np.zeros_like(self._bins)))
             self._values = np.concatenate((self._values, np.zeros_like(self._values)))
@@ -95,7 +94,7 @@ class History:
         self._size += 1
 
     def sums(self, dimension: int, bins: int, amounts: Floats) -> Floats:
-        """Total of the amounts in each of the ``bins`` bins of a dimension; not of idle runs."""
+        """Sum of the amounts in each of the ``bins`` bins of a dimension, without idle runs."""
         mine = self.bins[:, dimension]
         active = mine != IDLE
         return np.bincount(mine[active], amounts[active], bins).astype(np.float64)
@@ -134,7 +133,7 @@ def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
 def failure_histograms(space: Space, history: History) -> list[Floats]:
     """Estimate of the probability of each bin given a failure under the prior, per dimension.
 
-    Of a dimension that may be idle: given a failure in which it is active.
+    For a dimension that may be idle: given a failure in which it is active.
     """
     amounts = np.where(failures(history.rhos), history.weights, 0.0)
     found = []
@@ -153,14 +152,14 @@ class HistogramSampler(ABC):
     """
 
     def __init__(self, space: Space, seed: int, floor: float, *, blind: int = 0) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
+            space: the space to search.
+            seed: seed of the campaign.
             floor: share of the runs drawn from the prior, 0..1.
-            blind: number of runs, from run 0 on, that come too early for anything to be learned,
-                and so are all drawn from the prior.
+            blind: number of initial runs that precede any learning, and so are drawn from the
+                prior.
         """
         self._space = space
         self._seed = seed
@@ -187,7 +186,7 @@ class HistogramSampler(ABC):
         chance = run_generator(self._seed, len(self._bins) - 1, self._attempt)
         *uniform, mixing = chance.random(len(self._space) + 1)
         proposal = self._proposal()
-        if not self._attempt:  # settled once: refusals must not favour either
+        if not self._attempt:  # decided once, so that rejections favour neither part
             blind = len(self._of_prior) < self._blind
             self._of_prior.append(blind or bool(mixing < self._floor))
         point = (self._space if self._of_prior[-1] else proposal).point(uniform)
@@ -202,11 +201,11 @@ class HistogramSampler(ABC):
             self._learn(index, rho)
 
     def weight(self, index: int) -> float:
-        """Density of the prior over that of the proposal as it was when asked."""
+        """Density of the prior over that of the proposal at the time of the request."""
         return self._weights[index]
 
     def drawn(self, index: int) -> bool:
-        """Whether the run is of the prior's share, or came before anything was learned."""
+        """Whether the run belongs to the prior's share, or preceded any learning."""
         return self._of_prior[index]
 
     def learned(self) -> Probabilities:
@@ -215,15 +214,15 @@ class HistogramSampler(ABC):
 
     @abstractmethod
     def _proposal(self) -> Product:
-        """What to draw the next point from, but for the prior's share."""
+        """Distribution of the next point, apart from the prior's share."""
 
     @abstractmethod
     def _learn(self, index: int, rho: float) -> None:
-        """Take a result in."""
+        """Record a result."""
 
 
 def by_name(space: Space, probabilities: Iterable[Floats]) -> Probabilities:
-    """Histograms in the order of the dimensions, as plain numbers by name."""
+    """Histograms in dimension order as plain numbers, keyed by dimension name."""
     return {
         dimension.name: tuple(float(each) for each in histogram)
         for dimension, histogram in zip(space, probabilities, strict=True)
@@ -235,7 +234,7 @@ class CrossEntropy(HistogramSampler):
 
     Minimises the cross entropy to the distribution of the failures under the prior (Rubinstein and
     Kroese, The Cross-Entropy Method, 2004), so :meth:`learned` estimates the probability of each
-    bin given a failure, and does not collapse to the likeliest bin as
+    bin given a failure. It does not collapse to the likeliest bin, unlike
     :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule` does. Before the first fit the
     points are those of the random sampler.
     """
@@ -243,11 +242,11 @@ class CrossEntropy(HistogramSampler):
     def __init__(
         self, space: Space, seed: int, *, floor: float = 0.3, every: int = 50,
     ) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
+            space: the space to search.
+            seed: seed of the campaign.
             floor: share of the runs drawn from the prior, above 0, at most 1.
             every: number of results between two fits.
         """
@@ -272,22 +271,22 @@ class VerifaiRule(HistogramSampler):
 
     This is the rule by which Fremont et al. (Formal Analysis and Redesign of a Neural Network-Based
     Aircraft Taxiing System with VerifAI, CAV 2020) learned their failure distribution; it starts
-    from the prior, and a robustness of 0 is a failure. It ends on the likeliest failures alone, and
-    drifts in dimensions that do not matter: the closer ``alpha`` is to 1, the slower. The default
-    is VerifAI's own, for the paper names no other. It remembers some ten failures, so that what one
-    search comes to depends on chance: ask several, that differ in their seed. The rule has no plain
-    draws; a ``floor`` gives it some.
+    from the prior, and a robustness of 0 is a failure. It converges to the likeliest failures
+    alone, and drifts in irrelevant dimensions; both are slower the closer ``alpha`` is to 1. The
+    default is VerifAI's; the paper gives no other. It remembers about ten failures, so the outcome
+    of one search depends on chance: run several with different seeds. The rule draws nothing from
+    the prior unless ``floor`` is set.
     """
 
     def __init__(
         self, space: Space, seed: int, *, alpha: float = 0.9, floor: float = 0.0,
     ) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
-            alpha: what one failure leaves of the histograms, above 0, below 1.
+            space: the space to search.
+            seed: seed of the campaign.
+            alpha: factor by which a failure shrinks the histograms, above 0, below 1.
             floor: share of the runs drawn from the prior, 0..1.
         """
         super().__init__(space, seed, floor)
@@ -304,35 +303,35 @@ class VerifaiRule(HistogramSampler):
         for each, number in zip(histograms, self._bins[index], strict=True):
             if number != IDLE:
                 each[number] += 1 - self._alpha
-        # Where it was idle this leaves the histogram as it was.
+        # An idle dimension's histogram is unchanged.
         self._current = Product(self._space, (each / np.sum(each) for each in histograms))
 
 
 class Bandit(HistogramSampler):
     """UCB1 (Auer, Cesa-Bianchi and Fischer, Machine Learning 47, 2002), one per dimension.
 
-    The reward is 1 for a failure and 0 otherwise. Pulls whose result is still to come count as
-    pulls, so runs in flight together do not all try the same. Some runs are drawn from the prior,
-    which keeps the density known: a point is drawn evenly from the chosen bins otherwise.
+    The reward is 1 for a failure and 0 otherwise. Pulls in flight count as pulls, so concurrent
+    runs do not all try the same bins. Some runs are drawn from the prior, which keeps the density
+    known; the others are drawn uniformly from the chosen bins.
     """
 
     def __init__(
         self, space: Space, seed: int, *, floor: float = 0.1, explore: float = 0.3,
     ) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
+            space: the space to search.
+            seed: seed of the campaign.
             floor: share of the runs drawn from the prior, above 0, at most 1.
             explore: factor of the confidence bound ``sqrt(ln(pulls) / pulls of the arm)``, 0 or
-                more; the root of 2 in the source, whose rewards are not as rare as failures.
+                more; sqrt(2) in the source, where rewards are less rare than failures.
         """
         super().__init__(space, seed, floor)
         self._explore = explore
         self._pulls = [np.zeros(len(dimension.prior)) for dimension in space]
         self._history = History(len(space))
-        # Ties fall by chance, lest untried bins of all dimensions be tried along a diagonal.
+        # Break ties at random, or untried bins of all dimensions would be tried diagonally.
         chance = np.random.default_rng(seed)
         self._orders = [chance.permutation(len(dimension.prior)) for dimension in space]
 
@@ -343,7 +342,7 @@ class Bandit(HistogramSampler):
         return point
 
     def again(self) -> Point:
-        """Another point for the same run; the refused one is no pull."""
+        """Another point for the same run; the rejected one does not count as a pull."""
         self._count(-1)
         point = super().again()
         self._count(1)
@@ -355,7 +354,7 @@ class Bandit(HistogramSampler):
                 pulls[number] += amount
 
     def learned(self) -> Probabilities:
-        """Where failures are under the prior, estimated as the cross-entropy sampler does."""
+        """Failure histograms under the prior, estimated as by the cross-entropy sampler."""
         return by_name(self._space, failure_histograms(self._space, self._history))
 
     def _learn(self, index: int, rho: float) -> None:
@@ -369,7 +368,7 @@ class Bandit(HistogramSampler):
         )
 
     def _arm(self, number: int, dimension: Dimension, rewards: Floats) -> Floats:
-        """All of the probability on the most promising bin that the prior knows of."""
+        """All probability on the most promising bin with a prior probability above 0."""
         prior = np.array(dimension.prior)
         pulls = self._pulls[number]
         results = self._history.sums(number, len(prior), np.ones_like(rewards))

@@ -1,13 +1,12 @@
-"""Optimisers of Optuna behind our interface: TPE, CMA-ES, and Bayesian optimisation.
+"""Optuna optimisers as samplers: TPE, CMA-ES and Bayesian optimisation.
 
-They minimise the robustness over quantiles, so categories keep the share that the prior gives
-them. The density of what they propose is unknown, so no rate can be estimated from their runs.
-Optuna is imported when it is needed.
+They minimise the robustness over quantiles, so categories keep their prior share. Their proposal
+density is unknown, so no rate can be estimated from their runs. Optuna is imported on first use.
 
-To TPE a dimension that may be idle is a conditional parameter, known in the trials that have
-it. CMA-ES knows no such thing and would draw it blindly ever after; it moves all of them all
-the time, and the coordinates of idle ones are dropped. Bayesian optimisation takes the next run
-where a Gaussian process expects most improvement.
+TPE treats a dimension that may be idle as a conditional parameter, present in the trials that have
+it. CMA-ES has no conditional parameters; it always varies all dimensions, and the coordinates of
+idle ones are dropped. Bayesian optimisation places the next run where a Gaussian process expects
+the most improvement.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ SEEDS = 1 << 32
 
 
 class StudySampler:
-    """One study of Optuna, a trial a run."""
+    """An Optuna study with one trial per run."""
 
     def __init__(self, space: Space, sampler: BaseSampler, *, conditional: bool) -> None:
         """Start the study.
 
         Args:
-            space: what to search.
-            sampler: of Optuna, fresh and seeded.
-            conditional: whether it knows parameters that are not in every trial.
+            space: the space to search.
+            sampler: a fresh, seeded Optuna sampler.
+            conditional: whether it supports parameters that are not in every trial.
         """
         self._space = space
         self._conditional = conditional
@@ -66,7 +65,7 @@ class StudySampler:
         return self._suggested()
 
     def again(self) -> Point:
-        """Another trial; the refused one has failed."""
+        """Another trial; the rejected one is reported as failed."""
         self.tell(len(self._trials) - 1, None)
         return self._suggested()
 
@@ -94,7 +93,7 @@ class StudySampler:
         return self._study.ask(dict.fromkeys(_names(self._space), unit))
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Report a trial; one without a result has failed."""
+        """Report a trial; one without a result is reported as failed."""
         from optuna.trial import TrialState
 
         with quiet():
@@ -104,7 +103,7 @@ class StudySampler:
                 self._study.tell(self._trials[index], rho)
 
     def add(self, point: Point, rho: float) -> None:
-        """Take in the result of a point that was not asked for. CMA-ES makes nothing of it."""
+        """Record the result of a point that the study did not propose; CMA-ES ignores it."""
         from optuna.distributions import FloatDistribution
         from optuna.trial import create_trial
 
@@ -121,10 +120,10 @@ class StudySampler:
             ))
 
     def weight(self, index: int) -> None:
-        """Unknown."""
+        """None: the density is unknown."""
 
     def learned(self) -> Probabilities:
-        """Nothing that could be shown."""
+        """Empty: nothing is learned per dimension."""
         return {}
 
 
@@ -132,9 +131,9 @@ def tpe(space: Space, seed: int, *, startup: int) -> StudySampler:
     """Tree-structured Parzen estimator (Bergstra et al., NeurIPS 2011), all dimensions together.
 
     Args:
-        space: what to search.
-        seed: of the campaign.
-        startup: results from which on it is used; plain draws before.
+        space: the space to search.
+        seed: seed of the campaign.
+        startup: number of results before it is used; draws from the prior until then.
     """
     from optuna.samplers import TPESampler
 
@@ -147,14 +146,14 @@ def tpe(space: Space, seed: int, *, startup: int) -> StudySampler:
 
 
 def cmaes(space: Space, seed: int, *, population: int) -> StudySampler:
-    """CMA-ES (Hansen, arXiv:1604.00772), which begins in the middle of the prior.
+    """CMA-ES (Hansen, arXiv:1604.00772), starting at the median of the prior.
 
-    It settles on one minimum and stays there.
+    It converges to a single minimum.
 
     Args:
-        space: what to search.
-        seed: of the campaign.
-        population: runs per generation; 0 for the usual, 4 + 3 ln(dimensions).
+        space: the space to search.
+        seed: seed of the campaign.
+        population: runs per generation; 0 for the default, 4 + 3 ln(dimensions).
     """
     from optuna.samplers import CmaEsSampler
 
@@ -165,12 +164,12 @@ def cmaes(space: Space, seed: int, *, population: int) -> StudySampler:
 
 
 def _names(space: Space) -> list[str]:
-    """Of the dimensions in a study; they sort as the dimensions do."""
+    """Parameter names of the dimensions in a study; they sort in dimension order."""
     return [f'{number:04d}' for number in range(len(space))]
 
 
 def new_study(sampler: BaseSampler) -> Study:
-    """An empty study in memory that minimises."""
+    """An empty in-memory study that minimises."""
     import optuna
 
     return optuna.create_study(sampler=sampler, study_name='samplers')
@@ -178,7 +177,7 @@ def new_study(sampler: BaseSampler) -> Study:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Optuna without its log of every trial, and without its remarks on what is experimental."""
+    """Silence Optuna's log of every trial and its warnings about experimental features."""
     import optuna
 
     before = optuna.logging.get_verbosity()
@@ -192,31 +191,30 @@ def quiet() -> Iterator[None]:
 
 
 PATIENCE = 8
-"""After so many refused points of one run it is drawn from the prior: the process is not told where
-the requirements do not hold, and might never leave."""
+"""Rejected points of one run after which it is drawn from the prior: the process does not learn
+where the requirements fail, and might never leave such a region."""
 
 
 class Bayes:
     """Optuna's Gaussian process (Matérn 5/2, log expected improvement) on a window of the results.
 
-    A fit's cost grows with the cube of its points, so it sees the best and the latest of them only.
-    Improvement is that of the next run together with those under way, which keeps it away from
-    them. Each point follows from the seed, its number and the results alone.
+    Fitting cost grows with the cube of the points, so only the best and the latest are used. The
+    improvement is computed jointly with the runs in flight, which keeps the next run away from
+    them. Each point depends only on the seed, its number and the results.
 
-    Categories are categories to the process. Which one it tries next has nothing to do with their
-    shares under the prior; those rule the plain draws at the start. A dimension that is idle in a
-    run is put at one and the same value there, so it makes no difference among such runs; what the
-    process proposes for it is dropped.
+    Categories are categorical parameters of the process. Their prior shares affect only the initial
+    draws from the prior. A dimension that is idle in a run is given a constant value, so it makes
+    no difference among such runs; the value proposed for it is dropped.
     """
 
     def __init__(self, space: Space, seed: int, *, startup: int = 10, window: int = 100) -> None:
-        """Know nothing yet.
+        """Create the sampler without any results.
 
         Args:
-            space: what to search.
-            seed: of the campaign.
-            startup: results from which on the process is used; plain draws before.
-            window: most results it is fitted to, half of them the best and half the latest.
+            space: the space to search.
+            seed: seed of the campaign.
+            startup: number of results before the process is used; draws from the prior until then.
+            window: most results to fit, half of them the best and half the latest.
         """
         self._seed = seed
         self._startup = startup
@@ -237,7 +235,7 @@ class Bayes:
         return self._next()
 
     def again(self) -> Point:
-        """Another point for the same run, away from the refused ones; after some, a plain draw."""
+        """Another point for the same run, away from rejected ones; finally a prior draw."""
         self._refused.append(self._points[-1])
         return self._next()
 
@@ -252,22 +250,22 @@ class Bayes:
         return self._points[-1]
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Take a result in."""
+        """Record a result."""
         number = self._asked[index]
         self._pending.remove(number)
         if rho is not None:
             self._results[number] = rho
 
     def add(self, point: Point, rho: float) -> None:
-        """Take in the result of a point that was not asked for."""
+        """Record the result of a point that this sampler did not propose."""
         self._points.append(point)
         self._results[len(self._points) - 1] = rho
 
     def weight(self, index: int) -> None:
-        """Unknown."""
+        """None: the density is unknown."""
 
     def learned(self) -> Probabilities:
-        """Nothing that could be shown."""
+        """Empty: nothing is learned per dimension."""
         return {}
 
     def _improvement(self, index: int, attempt: int) -> Point:
@@ -282,7 +280,7 @@ class Bayes:
         return self._point(trial.params)
 
     def _trials(self) -> list[FrozenTrial]:
-        """The results in the window, the runs under way, and the points refused for this one."""
+        """Trials: results in the window, runs in flight, and this run's rejected points."""
         from optuna.trial import TrialState, create_trial
 
         chosen = in_window(self._results, self._window)
@@ -309,11 +307,11 @@ class Bayes:
 
     @staticmethod
     def _constant(dimension: Dimension) -> float | int:
-        """Where a dimension is put while it is idle."""
+        """Value of a dimension while it is idle."""
         return int(np.argmax(dimension.prior)) if dimension.discrete else 0.5
 
     def _point(self, params: Mapping[str, float | int]) -> Point:
-        """The point of the parameters, in the middle of a category's interval."""
+        """The point of the parameters; a category maps to the middle of its interval."""
         found: list[float] = []
         for dimension in self._space:
             value = params[dimension.name]
@@ -324,7 +322,7 @@ class Bayes:
 
 
 def _distributions(space: Space) -> dict[str, BaseDistribution]:
-    """What Optuna is to search: quantiles, and numbers of possible categories."""
+    """Optuna's search space: quantiles, and indices of the possible categories."""
     from optuna.distributions import CategoricalDistribution, FloatDistribution
 
     return {
@@ -350,6 +348,6 @@ def in_window(results: Mapping[int, float], window: int) -> list[int]:
 
 
 def finite(values: list[float]) -> list[float]:
-    """The values, infinite ones at the ends of the others' range."""
+    """The values, with infinite ones clipped to the range of the finite ones."""
     known = [value for value in values if math.isfinite(value)] or [0.0]
     return [min(max(value, min(known)), max(known)) for value in values]

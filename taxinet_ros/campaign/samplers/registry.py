@@ -1,4 +1,4 @@
-"""The table of samplers, and the one function that makes one by its word."""
+"""The table of samplers, and the function that makes one by name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _T = TypeVar('_T')
 
 
 def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
-    """The option that a rate rests on."""
+    """The option ``floor``: the share of runs that a rate is estimated from."""
     return {'floor': Option(
         meaning='share of the runs drawn from the program, on which rates rest',
         default=default, low=low, high=1.0,
@@ -40,15 +40,15 @@ def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SamplerKind:
-    """A sampler of the table that says of each run whether it was drawn from the program itself.
+    """A sampler of the table that reports for each run whether it was drawn from the prior.
 
-    A rate rests on those runs alone (:mod:`taxinet_ros.campaign.rates`), so it is as valid with a
-    new sampler as with any other, whatever that does with the rest.
+    Rates are estimated from those runs alone (:mod:`taxinet_ros.campaign.rates`), so they are valid
+    with any sampler, whatever it does with the other runs.
 
     Attributes:
         meaning: what it does, in a line.
-        make: makes one from space, seed, number of runs and the values of its options.
-        options: by name.
+        make: factory; takes space, seed, number of runs and option values.
+        options: the sampler's options by name.
     """
 
     meaning: str
@@ -60,14 +60,15 @@ def proposer_kind(
     meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
     options: Mapping[str, Option] | None = None,
 ) -> SamplerKind:
-    """The row of a sampler that only proposes: a share of plain draws is mixed in for it.
+    """The table row of a sampler that only proposes: a share of prior draws is mixed in.
 
     Args:
         meaning: what it does, in a line.
-        make: makes one, as :attr:`Kind.make`. One that has a method ``add`` is told of the draws.
-        floor: share of plain draws where the option ``floor`` is not given. With 0 there are none,
-            so no rate either, and its sequence is undisturbed.
-        options: of its own.
+        make: factory, as :attr:`Kind.make`. A sampler with a method ``add`` receives the drawn
+        results.
+        floor: default of the option ``floor``, the share of prior draws. With 0 there is no rate,
+            and the sampler's sequence is unchanged.
+        options: its own options.
     """
     return SamplerKind(
         meaning=meaning, options={**(options or {}), **_floor_option(floor)},
@@ -188,24 +189,24 @@ CMAES = proposer_kind(
 
 
 class PluginSampler(Sampler):
-    """A package's sampler: what its code does wrong is said in one line, and whose it is."""
+    """A package's sampler; its errors become one-line usage errors that name the package."""
 
     def __init__(self, extension: Extension, make: Callable[[], Sampler], space: Space) -> None:
-        """Make it.
+        """Create the sampler.
 
         Args:
-            extension: where it comes from.
-            make: makes the package's own.
-            space: that its points have to be of.
+            extension: where the sampler comes from.
+            make: creates the package's sampler.
+            space: the space its points must belong to.
 
         Raises:
-            UsageError: its code fails, here as in every method.
+            UsageError: the package's code fails; every method raises it.
         """
         self._extension, self._space = extension, space
         self._sampler = self._call(make)
 
     def ask(self) -> Point:
-        """See :class:`.Sampler`; so below."""
+        """See :class:`.Sampler`."""
         return self._checked(self._call(self._sampler.ask))
 
     def again(self) -> Point:
@@ -217,15 +218,15 @@ class PluginSampler(Sampler):
         self._call(lambda: self._sampler.tell(index, rho))
 
     def weight(self, index: int) -> float | None:
-        """As its own."""
+        """See :class:`.Sampler`."""
         return self._call(lambda: self._sampler.weight(index))
 
     def drawn(self, index: int) -> bool:
-        """As its own."""
+        """See :class:`.Sampler`."""
         return self._call(lambda: self._sampler.drawn(index))
 
     def learned(self) -> Probabilities:
-        """As its own."""
+        """See :class:`.Sampler`."""
         return self._call(self._sampler.learned)
 
     def _checked(self, point: Point) -> Point:
@@ -242,7 +243,7 @@ class PluginSampler(Sampler):
 
 
 def _kind(extension: Extension, found: object) -> SamplerKind:
-    """The kind that a package gives a name, with what its code does wrong in one line."""
+    """Check the sampler kind that a package registers; errors become one-line usage errors."""
     if not isinstance(found, SamplerKind):
         raise UsageError(
             f'{extension.words}: {extension.target} is {type(found).__name__}; expected a '
@@ -256,24 +257,24 @@ def _kind(extension: Extension, found: object) -> SamplerKind:
 
 
 SAMPLERS: Mapping[str, SamplerKind] = Extensions(registry.SAMPLERS, _kind)
-"""Every sampler by its word."""
+"""Every sampler by name."""
 
 
 def make_sampler(
     name: str, dimensions: Iterable[Dimension], seed: int, runs: int, /, **options: str | float
 ) -> Lagged:
-    """The sampler of a campaign.
+    """Make the sampler of a campaign.
 
     Args:
-        name: word of :data:`SAMPLERS`.
-        dimensions: what to search.
-        seed: of the campaign, 0 or more.
-        runs: number of runs planned, which the grid is laid out for; more may be asked for.
-        options: of the sampler, numbers or their text.
+        name: key of :data:`SAMPLERS`.
+        dimensions: the dimensions to search.
+        seed: seed of the campaign, 0 or more.
+        runs: number of runs planned, which determines the grid; more may be requested.
+        options: sampler options, as numbers or text.
 
     Raises:
-        UsageError: unknown word or option (the known ones are listed), a value that is not allowed,
-            a negative seed, or dimensions that make no space.
+        UsageError: unknown name or option (the known ones are listed), an invalid value, a negative
+            seed, or dimensions that form no valid space.
     """
     values = check_sampler(name, options)
     if seed < 0:
@@ -288,15 +289,15 @@ def make_sampler(
 
 
 def drawn_share(name: str, options: Mapping[str, str | float]) -> float:
-    """Share of a sampler's runs that the program itself draws: those that a rate can rest on."""
+    """Share of a sampler's runs drawn from the prior, from which rates are estimated."""
     return check_sampler(name, options).get('floor', 1.0)
 
 
 def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
-    """The value of every option of a sampler, the given ones and the defaults.
+    """All option values of a sampler, given and default.
 
     Raises:
-        UsageError: unknown word or option (the known ones are listed), or a value that is not
+        UsageError: unknown name or option (the known ones are listed), or a value that is not
             allowed.
     """
     kind = SAMPLERS.get(name)

@@ -1,10 +1,10 @@
-"""What every sampler can do, its options, and the two wrappers that campaigns put around it.
+"""The sampler interface, its options, and the two wrappers that campaigns put around it.
 
-:class:`Lagged` makes its sequence independent of the number of workers and the order of their
-answers: a run is asked for with the results of the runs up to ``LAG`` before it, neither fewer
-nor more. So up to ``LAG`` runs can be under way at once, and one worker gets the same points as
-eight. A campaign that was interrupted is taken up by asking again and telling what its ledger
-holds. :class:`WithDrawn` mixes in a fixed share of plain draws, on which a rate can rest.
+:class:`Lagged` makes the sequence independent of the number of workers and the order of their
+results: each run is requested with exactly the results of the runs up to ``LAG`` before it. So up
+to ``LAG`` runs can be in flight at once, and one worker gets the same points as eight. An
+interrupted campaign resumes by repeating the requests and telling the results in its ledger.
+:class:`WithDrawn` mixes in a fixed share of draws from the prior, from which rates are estimated.
 """
 
 from __future__ import annotations
@@ -22,75 +22,75 @@ Probabilities = Mapping[str, tuple[float, ...]]
 """Probability of each category or bucket, by name of the dimension."""
 
 
-class Exhausted(Exception):  # noqa: N818 (an end, not a fault)
-    """A sampler has proposed all the points that it has."""
+class Exhausted(Exception):  # noqa: N818 (signals the end, not an error)
+    """The sampler has no more points to propose."""
 
 
 class Sampler(Protocol):
     """Proposes points, and may learn from their results.
 
-    A sampler's whole state follows from its space, its seed and the calls made, so it is restored
-    by repeating them; there is no state to be saved.
+    A sampler's state is determined by its space, its seed and the calls made, so it is restored by
+    repeating the calls; no state is saved.
     """
 
     def ask(self) -> Point:
-        """The point of the next run: of run 0 at the first call, then of 1, 2 and so on.
+        """The point of the next run: run 0 at the first call, then 1, 2 and so on.
 
         Raises:
-            Exhausted: there is no other one; nothing is asked for any more.
+            Exhausted: no points are left; the sampler is not called again.
         """
 
     def again(self) -> Point:
-        """Another point for the run that was asked for last.
+        """Another point for the last requested run.
 
-        The program's requirements refuse the former one. It counts for nothing, and nothing has
-        been told since it was asked for. Accepted points are then distributed as the proposal is
-        where the requirements hold.
+        The program's requirements rejected the previous point. It is discarded, and no result has
+        been told since the request. Accepted points then follow the proposal conditioned on the
+        requirements.
 
         Raises:
-            Exhausted: there is no other one.
+            Exhausted: no points are left.
         """
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Take the result of a run, in the order of the indices.
+        """Record the result of a run, in index order.
 
         Args:
-            index: number of the run, which has been asked for.
-            rho: its robustness, a failure where it is 0 or less; None where there is none (broken
-                bench, rejected, interrupted), of which nothing is learned.
+            index: number of a requested run.
+            rho: its robustness, a failure if 0 or less; None without a result (broken bench,
+                rejected, interrupted), from which nothing is learned.
         """
 
     def weight(self, index: int) -> float | None:
         """Density of the prior over that of the proposal, at the last point of run ``index``.
 
-        None where the density is unknown. Results multiplied by it have the mean of the prior, if
-        no points were refused. Where some were, the mean of the weights is no longer 1, but the
-        share of the requirements' space under the prior over that under the proposal, which nobody
-        knows and which changes as a sampler learns; weighted sums over the sum of the weights
-        (self-normalised) still tend to the mean of the prior where the requirements hold.
+        None where the density is unknown. If no points were rejected, weighted results have the
+        mean under the prior. If some were, the mean of the weights is not 1 but the ratio of the
+        acceptance probabilities under the prior and the proposal, which is unknown and changes as
+        the sampler learns. Self-normalised sums (weighted sum over sum of weights) still converge
+        to the mean under the prior conditioned on the requirements.
         """
 
     def drawn(self, index: int) -> bool:
-        """Whether the point of run ``index`` was drawn from the program itself.
+        """Whether the point of run ``index`` was drawn from the prior.
 
-        That is: from the prior, independently of all other points, and whether it is drawn was
-        settled by seed and index alone, never by a result. Rates rest on these runs and no others
+        It is then independent of all other points, and the decision to draw it depends on seed and
+        index alone, never on a result. Rates are estimated from these runs only
         (:mod:`taxinet_ros.campaign.rates`).
         """
 
     def learned(self) -> Probabilities:
-        """Where failures are, by what has been told; empty where the sampler has no idea of it."""
+        """Estimated failure histograms by the results so far; empty if the sampler has none."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Option:
-    """A number that a sampler takes.
+    """A numeric option of a sampler.
 
     Attributes:
         meaning: in a few words.
-        default: value where none is given.
-        low, high: ends of what is allowed, both included.
-        whole: whether it is a whole number.
+        default: value if none is given.
+        low, high: allowed range, inclusive.
+        whole: whether it must be an integer.
     """
 
     meaning: str
@@ -100,10 +100,10 @@ class Option:
     whole: bool = False
 
     def parse(self, where: str, given: str | float) -> float:
-        """The value that was given.
+        """Parse a given value.
 
         Raises:
-            UsageError: it is no such number.
+            UsageError: it is not an allowed number.
         """
         try:
             value = float(given)
@@ -120,7 +120,7 @@ def split_options(texts: Iterable[str]) -> dict[str, str]:
     """Keys and values of ``key=value`` texts, for ``make_sampler(…, **options)``.
 
     Raises:
-        UsageError: a text is no such thing, or a key is given twice.
+        UsageError: a text has another form, or a key is given twice.
     """
     found: dict[str, str] = {}
     for text in texts:
@@ -136,7 +136,7 @@ def split_options(texts: Iterable[str]) -> dict[str, str]:
 def parse_options(
     sampler: str, known: Mapping[str, Option], given: Mapping[str, str | float]
 ) -> dict[str, float]:
-    """The value of every option of a sampler, the given ones and the defaults.
+    """All option values of a sampler, given and default.
 
     Raises:
         UsageError: an unknown option (the known ones are listed), or a value that is not allowed.
@@ -152,14 +152,14 @@ def parse_options(
 
 
 LAG = 8
-"""Most runs under way at once."""
+"""Maximum number of runs in flight."""
 
 
 class Lagged:
-    """A sampler for several workers: tickets out in order, results in as they come."""
+    """A sampler for several workers: issues tickets in order, takes results in any order."""
 
     def __init__(self, sampler: Sampler, lag: int = LAG) -> None:
-        """Wrap a sampler that has not been asked yet; it must not be used by anyone else."""
+        """Wrap an unused sampler; no other caller may use it."""
         self._sampler = sampler
         self._lag = lag
         self._asked = 0
@@ -168,14 +168,14 @@ class Lagged:
 
     @property
     def ready(self) -> bool:
-        """Whether the results that the next run depends on are in."""
+        """Whether the results that the next run depends on have arrived."""
         return all(index in self._waiting for index in range(self._told, self.due))
 
     def next(self) -> tuple[int, Point]:
         """The next run: its number, which is the ticket to :meth:`tell` with, and its point.
 
         Raises:
-            RuntimeError: a result that it depends on is missing; ask :attr:`ready` before.
+            RuntimeError: a result that it depends on is missing; check :attr:`ready` first.
         """
         if not self.ready:
             missing = next(i for i in range(self._told, self.due) if i not in self._waiting)
@@ -188,10 +188,10 @@ class Lagged:
         return self._asked - 1, point
 
     def again(self) -> Point:
-        """Another point for the run that :meth:`next` gave last, whose point was refused.
+        """Another point for the last run of :meth:`next`, whose point was rejected.
 
         Raises:
-            RuntimeError: none was given, or it has its result.
+            RuntimeError: no run was issued, or it has its result.
         """
         index = self._asked - 1
         if index < self._told or index in self._waiting:
@@ -199,14 +199,14 @@ class Lagged:
         return self._sampler.again()
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Take the result of a run, in any order.
+        """Record the result of a run, in any order.
 
         Args:
             index: the ticket.
-            rho: robustness; None where there is none, of which nothing is learned.
+            rho: robustness; None without a result, from which nothing is learned.
 
         Raises:
-            ValueError: no such ticket was given out, it has its result already, or rho is NaN.
+            ValueError: no such ticket was issued, it has its result already, or rho is NaN.
         """
         self._check_asked(index)
         if index < self._told or index in self._waiting:
@@ -219,25 +219,25 @@ class Lagged:
         """Density of the prior over the proposal's at a run's point; None where it is unknown.
 
         Raises:
-            ValueError: the run was not asked for.
+            ValueError: the run was not requested.
         """
         self._check_asked(index)
         return self._sampler.weight(index)
 
     def drawn(self, index: int) -> bool:
-        """Whether a run's point was drawn from the program itself; as of the sampler.
+        """Whether a run's point was drawn from the prior, by the wrapped sampler.
 
         Raises:
-            ValueError: the run was not asked for.
+            ValueError: the run was not requested.
         """
         self._check_asked(index)
         return self._sampler.drawn(index)
 
     def learned(self) -> Probabilities:
-        """Where failures are, by all results that are in; empty where the sampler has no idea."""
+        """Estimated failure histograms by all results so far; empty if the sampler has none."""
         if not self._waiting or not self._sampler.learned():
             return self._sampler.learned()
-        ahead = copy.deepcopy(self._sampler)  # the sampler itself must not know of them yet
+        ahead = copy.deepcopy(self._sampler)  # the sampler itself must not learn them yet
         for index, rho in sorted(self._waiting.items()):
             ahead.tell(index, rho)
         return ahead.learned()
@@ -253,52 +253,52 @@ class Lagged:
 
 
 _STREAM = 1
-"""Keeps these random numbers apart from those that the sampler itself draws for a run."""
+"""Random stream that is independent of the sampler's own draws for a run."""
 
 
 class Proposer(Protocol):
-    """A sampler whose own points say nothing of a rate; its runs are numbered by themselves."""
+    """A sampler whose points cannot estimate a rate; it numbers its own runs."""
 
     def ask(self) -> Point:
         """The point of its next run."""
 
     def again(self) -> Point:
-        """Another point for the run that was asked for last; as a sampler does."""
+        """Another point for the last requested run; see :class:`Sampler`."""
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Take the result of a run that it has asked for, in order; as a sampler does."""
+        """Record the result of one of its runs, in order; see :class:`Sampler`."""
 
     def weight(self, index: int) -> float | None:
-        """Density of the prior over that of its proposal; None where it is unknown."""
+        """Density of the prior over that of its proposal; None if unknown."""
 
     def learned(self) -> Probabilities:
-        """Where failures are; empty where it has no idea of it."""
+        """Estimated failure histograms; empty if it has none."""
 
 
 @runtime_checkable
 class Listener(Protocol):
-    """A proposer that learns from points which it has not asked for, too."""
+    """A proposer that also learns from points that it did not propose."""
 
     def add(self, point: Point, rho: float) -> None:
-        """Take in the result of a point that was not asked for."""
+        """Record the result of a point that it did not propose."""
 
 
 class WithDrawn:
-    """Has some runs drawn from the program itself, and a sampler choose the others.
+    """Draws some runs from the prior, and lets a sampler choose the others.
 
-    Which ones is a matter of the index alone, evenly spread, and their points of seed and index. So
-    the draws are independent of each other and of all results, whatever the sampler makes of them:
-    a stratum of plain Monte Carlo.
+    The index alone decides which runs are drawn, evenly spread; their points depend on seed and
+    index. So the draws are independent of each other and of all results, whatever the sampler does
+    with them: a stratum of plain Monte Carlo.
     """
 
     def __init__(self, sampler: Proposer, space: Space, seed: int, share: float) -> None:
-        """Wrap a sampler that has not been asked yet.
+        """Wrap an unused sampler.
 
         Args:
             sampler: chooses the other runs.
-            space: what is searched.
-            seed: of the campaign.
-            share: of the runs to draw, 0..1.
+            space: the space to search.
+            seed: seed of the campaign.
+            share: share of the runs to draw from the prior, 0..1.
         """
         self._sampler = sampler
         self._space = space
@@ -321,7 +321,7 @@ class WithDrawn:
         return self._points[-1] or self._sampler.ask()
 
     def again(self) -> Point:
-        """Another point for the same run, drawn again or chosen again."""
+        """Another point for the same run, from the same source."""
         if self._points[-1] is None:
             return self._sampler.again()
         self._attempt += 1
@@ -333,11 +333,11 @@ class WithDrawn:
         return self._space.point(chance.random(len(self._space)))
 
     def _drawn_until(self, runs: int) -> int:
-        """How many of the first runs are drawn; a share such as 0.1 is no exact number."""
+        """Number of drawn runs among the first ``runs``; a share such as 0.1 is inexact."""
         return math.floor(self._share * runs + 1e-9)
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Pass a result on, under the sampler's own number."""
+        """Forward a result under the sampler's own run number."""
         point = self._points[index]
         if point is None:
             self._sampler.tell(self._own[index], rho)
@@ -345,11 +345,11 @@ class WithDrawn:
             self._sampler.add(point, rho)
 
     def weight(self, index: int) -> float | None:
-        """As of the sampler where it chooses all runs; that of a mixture is unknown."""
+        """The sampler's weight if it chooses all runs; that of a mixture is unknown."""
         return None if self._share else self._sampler.weight(index)
 
     def drawn(self, index: int) -> bool:
-        """Whether the run was drawn."""
+        """Whether the run was drawn from the prior."""
         return self._points[index] is not None
 
     def learned(self) -> Probabilities:

@@ -1,9 +1,9 @@
-"""What a search may vary: the random choices of a program, each seen as a unit interval.
+"""The search space: the random choices of a program, each mapped to the unit interval.
 
-A program's own prior stays in force whatever the sampler does: a sampler proposes *quantiles*
-of it, and the program's inverse distribution function turns them into values. A point that is
-uniform in the unit cube is therefore a draw from the prior. Random numbers are drawn by the
-number of the run, without state, so those of any run can be had at any time.
+A sampler proposes *quantiles* of the program's prior, and the program's inverse distribution
+function turns them into values. A point that is uniform in the unit cube is therefore a draw from
+the prior. Random numbers depend on the run number and no state, so those of any run can be
+generated at any time.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from taxinet_ros.errors import UsageError
 Point = tuple[float | None, ...]
 """One quantile in [0, 1) per dimension; None for a dimension that is idle at this point."""
 IDLE = -1
-"""Stands for the bin of a dimension that is idle."""
+"""Bin number of an idle dimension."""
 BELOW_ONE = math.nextafter(1.0, 0.0)
 """The largest quantile."""
 
 
 class Branch(NamedTuple):
-    """Categories of another dimension under which a choice is made at all.
+    """Categories of another dimension under which a choice is made.
 
     Attributes:
         parent: name of the other dimension, which is discrete.
-        categories: their numbers.
+        categories: the category numbers.
     """
 
     parent: str
@@ -45,13 +45,12 @@ class Dimension:
 
     Attributes:
         name: unique in its space, and readable: ``ego.position.x``, ``time_of_day_h``, ``weather``.
-        weights: of a discrete choice, the prior's weight of each category; quantiles fall to the
-            categories in this order, each owning an interval as long as its share. Empty: the
-            choice is continuous.
+        weights: prior weight of each category of a discrete choice; each category owns an interval
+            of quantiles as long as its share, in this order. Empty: the choice is continuous.
         low, high: values at quantile 0 and 1 of a continuous choice, for display only.
         buckets: number of equal slices of a continuous choice for samplers that keep histograms.
-        when: the choice is made where one of these branches is taken, and is idle elsewhere: it
-            then has no coordinate and no influence. Empty: it is made always.
+        when: the choice is made if one of these branches is taken, and is idle otherwise: it then
+            has no coordinate and no influence. Empty: it is always made.
     """
 
     name: str
@@ -62,7 +61,7 @@ class Dimension:
     when: tuple[Branch, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what no sampler could work with.
+        """Validate the weights and buckets.
 
         Raises:
             UsageError: a weight is negative or not finite, all are zero, or there are no buckets.
@@ -90,7 +89,7 @@ class Dimension:
 
     @property
     def prior(self) -> tuple[float, ...]:
-        """Probability of each bin before anything is known; they add up to 1."""
+        """Prior probability of each bin; they sum to 1."""
         return tuple(high - low for low, high in pairwise(self.edges))
 
     def bin(self, quantile: float) -> int:
@@ -101,16 +100,16 @@ class Dimension:
 class Space(tuple[Dimension, ...]):
     """The dimensions of a program, in the order of a point's coordinates.
 
-    A dimension may hang on others (:attr:`Dimension.when`), which come before it.
+    A dimension may depend on others (:attr:`Dimension.when`), which precede it.
     """
 
     _branches: tuple[tuple[tuple[int, frozenset[int]], ...], ...]
 
     def __new__(cls, dimensions: Iterable[Dimension]) -> Self:
-        """See that the dimensions make a space.
+        """Create a space; validate the names and dependencies of its dimensions.
 
         Raises:
-            UsageError: two have one name, or one hangs on what is no category of one before it.
+            UsageError: two share a name, or one depends on no category of an earlier one.
         """
         space = super().__new__(cls, dimensions)
         numbers: dict[str, int] = {}
@@ -137,9 +136,9 @@ class Space(tuple[Dimension, ...]):
         return not branches or any(bins[parent] in taken for parent, taken in branches)
 
     def point(self, quantiles: Iterable[float]) -> Point:
-        """The point with these quantiles 0 … 1 where its dimensions are not idle.
+        """The point with these quantiles 0 … 1 in its active dimensions.
 
-        A 1, which rounding may give, falls just below. Of an idle dimension the quantile is
+        A 1, which rounding may give, is moved just below. The quantile of an idle dimension is
         dropped, so a point that is uniform in the unit cube gives a draw from the prior.
         """
         point: list[float | None] = []
@@ -155,17 +154,18 @@ class Space(tuple[Dimension, ...]):
         return tuple(point)
 
     def bins(self, point: Point) -> tuple[int, ...]:
-        """Bin of each coordinate; :data:`IDLE` where there is none."""
+        """Bin of each coordinate; :data:`IDLE` for an idle dimension."""
         return tuple(
             IDLE if quantile is None else dimension.bin(quantile)
             for dimension, quantile in zip(self, point, strict=True)
         )
 
     def check(self, point: Point) -> None:
-        """See that a point belongs to this space.
+        """Check that a point belongs to this space.
 
         Raises:
-            ValueError: not one quantile in [0, 1) for each dimension that is not idle there.
+            ValueError: it lacks a quantile in [0, 1) for each active dimension, or has one for an
+            idle one.
         """
         if len(point) != len(self):
             raise ValueError(f'{len(point)} quantiles for {len(self)} dimensions')
@@ -179,10 +179,10 @@ class Space(tuple[Dimension, ...]):
 
 
 def make_space(dimensions: Iterable[Dimension]) -> Space:
-    """A space of the dimensions.
+    """Make a space of the dimensions.
 
     Raises:
-        UsageError: there are none, or they do not fit together.
+        UsageError: there are none, or they are inconsistent.
     """
     space = Space(dimensions)
     if not space:
@@ -196,15 +196,15 @@ def run_generator(
     """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more).
 
     Args:
-        seed: of the campaign.
-        index: of the run.
-        attempt: how many points of this run were refused before.
-        stream: another one has independent numbers for the same run.
+        seed: seed of the campaign.
+        index: number of the run.
+        attempt: number of points of this run rejected before.
+        stream: different streams have independent numbers for the same run.
     """
     key = (index, attempt, stream) if stream else (index, attempt) if attempt else (index,)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def prior_point(space: Space, seed: int, index: int, attempt: int = 0) -> Point:
-    """The point of run ``index`` where it is simply drawn from the prior."""
+    """The point of run ``index`` if it is drawn from the prior."""
     return space.point(run_generator(seed, index, attempt).random(len(space)))

@@ -1,4 +1,4 @@
-"""Samplers that learn nothing: plain draws, Halton's and Sobol's points, and the grid.
+"""Samplers that do not learn: independent draws, Halton and Sobol points, and the grid.
 
 The grid has every combination of evenly spaced quantiles and of categories, in an order that
 covers the space early.
@@ -29,29 +29,29 @@ if TYPE_CHECKING:
 
 
 BLOCK = 256
-"""Points that are computed at once; a power of two, as Sobol's wants."""
+"""Number of points computed at once; a power of two, as Sobol sequences require."""
 
 
 class FromPrior:
-    """What is the same for all of them: every weight is 1, and results change nothing."""
+    """Common base: every weight is 1, and results are ignored."""
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Nothing is learned."""
+        """Ignore the result."""
 
     def weight(self, index: int) -> float:
-        """1: the point is distributed as the prior says."""
+        """1: the point follows the prior."""
         return 1.0
 
     def learned(self) -> Probabilities:
-        """Nothing."""
+        """Empty: nothing is learned."""
         return {}
 
 
 class Random(FromPrior):
-    """Independent draws: run i's point depends on the seed and i only."""
+    """Independent draws: the point of run i depends only on the seed and i."""
 
     def drawn(self, index: int) -> bool:
-        """True: every one."""
+        """True: every run is drawn from the prior."""
         return True
 
     def __init__(self, space: Space, seed: int) -> None:
@@ -71,10 +71,10 @@ class Random(FromPrior):
 
 
 class QuasiRandom(FromPrior):
-    """Points that leave smaller gaps than independent ones, each by itself uniform.
+    """Low-discrepancy points, each marginally uniform.
 
-    A refused point is replaced by a plain draw. The sequence's next point would depend on the one
-    before it, and with a requirement that holds in some runs only, so would where runs end up.
+    A rejected point is replaced by an independent draw, because the next point of the sequence
+    depends on the one before it, which would bias accepted points.
     """
 
     def __init__(self, space: Space, seed: int, engine: qmc.QMCEngine) -> None:
@@ -89,14 +89,14 @@ class QuasiRandom(FromPrior):
         return next(self._points)
 
     def again(self) -> Point:
-        """A draw for the same run."""
+        """An independent draw for the same run."""
         self._attempt += 1
         return prior_point(self._space, self._seed, self._index, self._attempt)
 
 
 def halton(space: Space, seed: int) -> QuasiRandom:
     """Halton's sequence, its digits permuted at random (Owen, arXiv:1706.02808)."""
-    from scipy.stats import qmc  # half a second that only these two are worth
+    from scipy.stats import qmc  # 0.5 s import that only these two need
 
     return QuasiRandom(space, seed, qmc.Halton(len(space), scramble=True, rng=seed))
 
@@ -104,7 +104,7 @@ def halton(space: Space, seed: int) -> QuasiRandom:
 def sobol(space: Space, seed: int) -> QuasiRandom:
     """Sobol's sequence, scrambled (Owen, Journal of Complexity 14, 1998).
 
-    It is best balanced after a number of runs that is a power of two: take 1024 rather than 1000.
+    It is best balanced when the number of runs is a power of two: use 1024 rather than 1000.
     """
     from scipy.stats import qmc
 
@@ -119,27 +119,27 @@ def _points(space: Space, engine: qmc.QMCEngine) -> Iterator[Point]:
 Cell = tuple[float, float, float]
 """Lowest and highest quantile of a cell of one dimension, and its probability."""
 MOST_BRANCHES = 10_000
-"""Combinations of options that decide which other choices are made; each has a grid of its own."""
+"""Most combinations of options that decide which other choices are made; one grid each."""
 
 
 class Grid:
-    """The cells of a full grid, one run in the middle of each; nothing is learned.
+    """The cells of a full grid, one run in the middle of each; it does not learn.
 
-    A category counts as one cell however likely it is, so the rare ones are tried as often as the
-    others; the weight sets that right. Options that decide which other choices are made have a grid
-    of the others for each of their combinations: an idle dimension has no cells, so no scene comes
-    twice. When all cells have been visited they are visited again in the same order, each run then
-    somewhere within its cell; without ranges there are no other points, and that is the end.
+    A category counts as one cell regardless of its probability, so rare ones are tried as often as
+    the others; the weight corrects for this. Each combination of options that decide which other
+    choices are made has its own grid: an idle dimension has no cells, so no scene is repeated. When
+    all cells have been visited they are visited again in the same order, at a random point in each
+    cell; without continuous dimensions the sampler is then exhausted.
     """
 
     def __init__(self, space: Space, seed: int, runs: int, *, points: int = 0) -> None:
-        """Lay the grid; it is not enumerated.
+        """Define the grid without enumerating it.
 
         Args:
-            space: what to search.
-            seed: of the campaign; gives the order of the cells.
-            runs: number of runs that the grid should fit into.
-            points: cells per continuous dimension; 0 for as many as fit into the runs.
+            space: the space to search.
+            seed: seed of the campaign; determines the order of the cells.
+            runs: number of runs that the grid should fit.
+            points: cells per continuous dimension; 0 for as many as fit the runs.
 
         Raises:
             UsageError: more than :data:`MOST_BRANCHES` combinations of options decide what else is
@@ -162,10 +162,10 @@ class Grid:
         return self.again()
 
     def again(self) -> Point:
-        """The one after it, for the same run."""
+        """The next point of the grid, for the same run."""
         if self._finite and self._visits == self.cells:
             raise Exhausted(f'all {self.cells} combinations of the grid have been tried')
-        # Each grid once, then always the one of which the least part has been visited.
+        # Each grid once, then always the one with the smallest visited share.
         grid = min(self._grids, key=lambda grid: grid.visits / grid.order.cells)
         cells = grid.next()
         self._weights[-1] = math.prod(share for _, _, share in cells) * self.cells
@@ -178,29 +178,29 @@ class Grid:
         )
 
     def tell(self, index: int, rho: float | None) -> None:
-        """Nothing is learned."""
+        """Ignore the result."""
 
     def weight(self, index: int) -> float:
         """Probability of the point's cell under the prior over that in the grid."""
         return self._weights[index]
 
     def learned(self) -> Probabilities:
-        """Nothing."""
+        """Empty: nothing is learned."""
         return {}
 
 
 class _Subgrid:
-    """The grid of the choices that are made under one combination of options.
+    """The grid of the choices made under one combination of options.
 
     Attributes:
-        order: in which its cells are visited.
-        visits: how many were.
+        order: visiting order of its cells.
+        visits: number of visits so far.
     """
 
     def __init__(
         self, space: Space, cells: list[list[Cell]], bins: tuple[int | None, ...], seed: int
     ) -> None:
-        """Take the cells of every dimension, and the bins of those that decide on others."""
+        """Create it from the cells of every dimension, and the bins of the parent dimensions."""
         self._sides = [
             [(0.0, 0.0, 1.0)] if number == IDLE else
             mine if number is None else [_cell(dimension, number)]
@@ -210,25 +210,25 @@ class _Subgrid:
         self.visits = 0
 
     def next(self) -> list[Cell]:
-        """One cell of each dimension, of an idle one any."""
+        """The next cell of each dimension; any cell for an idle one."""
         digits = self.order.digits(self.visits)
         self.visits += 1
         return [side[digit] for side, digit in zip(self._sides, digits, strict=True)]
 
 
 class CellOrder:
-    """A one-to-one numbering of the cells of a grid whose beginnings are spread evenly.
+    """A one-to-one numbering of the cells of a grid whose prefixes are spread evenly.
 
-    As many successive cells as the longest side has make a Latin hypercube: none of its rows is
-    visited twice. The next such set is the same, moved along the other sides by the cell that this
-    very order has on the grid of those sides.
+    Successive cells, as many as the longest side has, form a Latin hypercube: none of its rows is
+    visited twice. The next set is the same, shifted along the other sides by the cell given by this
+    order, applied recursively to the grid of those sides.
 
     Attributes:
         cells: number of cells.
     """
 
     def __init__(self, sizes: list[int], seed: int) -> None:
-        """Number the cells of a grid with these sides, shuffled by a seed."""
+        """Number the cells of a grid with these side lengths, shuffled by a seed."""
         self.cells = math.prod(sizes)
         self._sizes = sizes
         self._longest_first = sorted(range(len(sizes)), key=lambda side: -sizes[side])
@@ -239,7 +239,7 @@ class CellOrder:
         }
 
     def digits(self, index: int) -> list[int]:
-        """Place of cell ``index`` along each side; the numbering begins again after the last."""
+        """Coordinates of cell ``index``; the numbering wraps around after the last."""
         index %= self.cells
         digits = [0] * len(self._sizes)
         steps: list[int] = []
@@ -255,9 +255,9 @@ class CellOrder:
 
 
 def _branches(space: Space) -> list[tuple[int | None, ...]]:
-    """Every combination of the options that decide on others: the bins of these, where active.
+    """Every combination of options that decide on other choices, as bins.
 
-    :data:`IDLE` is the bin of whatever is idle, None that of a choice that may be any.
+    :data:`IDLE` is the bin of an idle dimension, None that of an unrestricted choice.
     """
     parents = {parent for dimension in space for parent, _ in dimension.when}
     found = []
@@ -278,7 +278,7 @@ def _combinations(
         yield bins
         return
     dimension = space[len(bins)]
-    # None is no category; what is not a parent decides on nothing.
+    # None is no category; only parent dimensions decide on others.
     if not space.active(len(bins), [IDLE if each is None else each for each in bins]):
         choices: list[int | None] = [IDLE]
     elif dimension.name in parents:
@@ -292,7 +292,7 @@ def _combinations(
 def _sizes(
     space: Space, branches: list[tuple[int | None, ...]], runs: int, points: int
 ) -> list[int]:
-    """Number of cells of each dimension where it is active."""
+    """Number of cells of each dimension when it is active."""
     sizes = [sum(share > 0 for share in each.prior) if each.discrete else points or 1
              for each in space]
     continuous = [number for number, each in enumerate(space)

@@ -1,1 +1,1 @@
-"""Scenes: Scenic programs, what they draw, and their choices as a search space."""
+"""Scenes: Scenic programs, their draws, and their random choices as a search space."""

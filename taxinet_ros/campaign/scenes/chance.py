@@ -1,11 +1,10 @@
-"""Chance and clocks outside Scenic: what a program draws or reads while it is compiled.
+"""Detection of randomness and clocks outside Scenic while a program is compiled.
 
-Python's ``random`` is drawn from once, when the program is compiled, and the value is then the same
-in all runs, though the program reads as if it varied. A clock or the entropy of the operating
-system gives another program in each worker and after each interruption. Both are refused by line.
-
-Whoever draws with a generator of a seed of its own (``random.Random(3)``) has asked for the same
-numbers in all runs, and gets them; Scenic and the libraries may draw for themselves.
+A draw from Python's ``random`` happens once, at compile time, so its value is the same in all runs
+although the program reads as if it varied. A clock or the operating system's entropy gives a
+different program in each worker and after each interruption. Both are refused with their line. A
+generator with its own seed (``random.Random(3)``) explicitly gives the same numbers in all runs and
+is allowed; Scenic and the libraries may draw internally.
 
 Only the Scenic child may import this module.
 """
@@ -68,10 +67,10 @@ _MENDS = (
 
 
 def compile_watched(compile_program: Callable[[], Compiled]) -> Compiled:
-    """Compile a program, and refuse what it draws or reads from elsewhere meanwhile.
+    """Compile a program; refuse random draws and clock reads outside Scenic.
 
     Raises:
-        ProgramError: the first such word, its line, and what to write instead.
+        ProgramError: the first such call, its line, and what to write instead.
     """
     watch = _Watch()
     before = _numpy_state()
@@ -88,7 +87,7 @@ def compile_watched(compile_program: Callable[[], Compiled]) -> Compiled:
 
 
 def check_clocks(nodes: Iterable[ast.AST], filename: str) -> None:
-    """Refuse clocks in the text of a program: a function of it may read one for each scene."""
+    """Refuse clocks in a program's source: a function may read one for each scene."""
     for node in nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             name = ast.unparse(node.func)
@@ -97,7 +96,7 @@ def check_clocks(nodes: Iterable[ast.AST], filename: str) -> None:
 
 
 class _Watch:
-    """Sees every call of Python and of C but those that go from C to C, as NumPy's do."""
+    """Observes every Python and C call except calls from C to C, such as NumPy's."""
 
     def __init__(self) -> None:
         self.found: ProgramError | None = None
@@ -127,7 +126,7 @@ class _Watch:
 
 
 def _of_program(frame: FrameType | None) -> Place | None:
-    """The line of a program that led here; None where Scenic or a library did for itself."""
+    """The program line that caused the call; None if Scenic or a library made it internally."""
     while frame is not None:
         name = frame.f_code.co_filename
         if name.startswith((_SCENIC, _LOGGING, _IMPORTING)):
@@ -139,8 +138,8 @@ def _of_program(frame: FrameType | None) -> Place | None:
 
 
 def _refuse_numpy(compile_again: Callable[[], Any]) -> None:
-    """Find the line that draws from NumPy's generator, now that one does."""
-    np.random.seed(1)  # noqa: NPY002 (for the program may seed it, too, and so did others before)
+    """Recompile to find the line that draws from NumPy's generator."""
+    np.random.seed(1)  # noqa: NPY002 (the program may seed it too)
     before = _numpy_state()
     trace = _Trace()
     sys.settrace(trace.enter)
@@ -150,12 +149,12 @@ def _refuse_numpy(compile_again: Callable[[], Any]) -> None:
         sys.settrace(None)
     if trace.found is not None:
         raise trace.found
-    if _numpy_state() == before:  # a module that Python has imported is not run again
+    if _numpy_state() == before:  # an imported module does not run again
         raise _draws('numpy.random, in a module that it imports,', None)
 
 
 class _Trace:
-    """Looks at NumPy's generator after each line of a program and of the modules beside it."""
+    """Checks NumPy's generator after each line of a program and its neighbouring modules."""
 
     def __init__(self) -> None:
         self.found: ProgramError | None = None
@@ -181,7 +180,7 @@ class _Trace:
         return self._line
 
     def _look(self, frame: FrameType) -> None:
-        """Scenic may draw in a line for its own use; then the program has to say that it does."""
+        """Record a draw, unless Scenic made it internally in a line without a NumPy call."""
         now, place = _numpy_state(), (frame.f_code.co_filename, self._lines[id(frame)])
         name = _written(place) or ('' if self._scenic else 'numpy.random')
         if name and now != self._state and self.found is None:
@@ -202,7 +201,7 @@ _CALL = re.compile(r'[\w.]*\b(?:random|uniform|randint|randrange|gauss|normal\w*
 
 
 def _written(place: Place) -> str:
-    """How the program calls it."""
+    """The call as written in the program."""
     found = _CALL.search(linecache.getline(*place))
     return found.group() if found else ''
 

@@ -1,8 +1,8 @@
-"""The random choices of a compiled Scenic scenario: found, named, and put at a quantile.
+"""Find and name the random choices of a compiled Scenic scenario, and set their quantiles.
 
-A name is the parameter or variable that holds the choice, else the property of the object that
-it ends in, and the way from there: ``time_of_day_h``, ``weather``, ``weather[1].rain_percent``,
-``ego.position.x``, ``ego.heading``. Names and order follow from the program's text alone. Each
+A name is the parameter or variable that holds the choice, or else the object property that it
+feeds, and the path from there: ``time_of_day_h``, ``weather``, ``weather[1].rain_percent``,
+``ego.position.x``, ``ego.heading``. Names and order depend on the program's text alone. Each
 choice takes the value at a quantile of its own prior, by the inverse distribution function.
 
 Only the Scenic child may import this module.
@@ -52,12 +52,12 @@ from taxinet_ros.campaign.scenes.verifai_choices import (
 from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
-"""Choices whose inverse distribution function is known here; not their subclasses.
+"""Choices with a known inverse distribution function, excluding subclasses.
 
-So it is for ``Options`` of ranges with fixed ends: they are found as one choice, of a real number.
+``Options`` of ranges with fixed ends have one too: they count as one real-valued choice.
 """
 REQUIREMENTS = 'requirements'
-"""Stands among the scenario's keys for what decides only whether a scene is accepted."""
+"""Pseudo-key for choices that only decide whether a scene is accepted."""
 _SHOWN_FIRST = ('position', 'heading')
 _PARTS = ('low', 'high', 'mean', 'stddev')
 _COMPUTED = (VectorMethodDistribution, VectorOperatorDistribution)
@@ -69,12 +69,12 @@ class Found:
 
     Attributes:
         name: unique among those found.
-        node: the distribution that draws.
-        options: what a selector's number selects among, in order; None if it is no selector.
-        part: which of its quantiles, where several together make one draw: a point in a region.
+        node: the Scenic distribution.
+        options: the options of a selector, in order; None if it is no selector.
+        part: index of the quantile, if one draw takes several, as a point in a region does.
         feeds: keys of the scenario that depend on it, and :data:`REQUIREMENTS`.
-        when: identities of the selectors by which alone it gets there, each with the number of the
-            option that it is part of; empty where it counts whatever they select.
+        when: identities of the selectors that gate it, each with the number of the option that it
+            is part of; empty if it is always in effect.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Found:
 
 
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
-    """The choices that have quantiles, and the names of whatever else is random."""
+    """The choices that have quantiles, and the names of other random values."""
     walk = _Walk(
         labels=_labels(scenario), coordinates=_coordinate_names(scenario.params),
         uses=_uses(scenario.dependencies),
@@ -108,7 +108,7 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
 
 
 def random_keys(scenario: Any) -> list[str]:
-    """Keys of the scenario whose values are not the same in every scene."""
+    """Keys of the scenario whose values vary between scenes."""
     ego = scenario.egoObject
     moved = set(PLANE_KEYS) if isinstance(ego, Constructible) and _draws(ego) else set()
     return sorted(moved | {
@@ -119,7 +119,7 @@ def random_keys(scenario: Any) -> list[str]:
 
 @dataclass(kw_only=True, slots=True)
 class _Walk:
-    """Depth first, every node once."""
+    """Depth-first traversal that visits every node once."""
 
     labels: dict[int, str]
     coordinates: dict[int, dict[int, str]]
@@ -134,7 +134,7 @@ class _Walk:
             return
         self.seen.add(id(value))
         path = self.labels.get(id(value), path)
-        node = value._conditioned  # what Scenic draws in its stead
+        node = value._conditioned  # what Scenic samples instead
         if self._is_mixture(node):
             self.found.append((path, node, 0))
             return
@@ -149,7 +149,7 @@ class _Walk:
             self.visit(child, child_path)
 
     def _is_mixture(self, node: Any) -> bool:
-        """Whether these are Options of plain ranges that nothing else refers to."""
+        """Whether the node is an Options of plain ranges that nothing else refers to."""
         return type(node) is Options and all(
             self.uses[id(part)] == 1 and buckets_of(part._conditioned) is None
             and (part is node.index or is_fixed_range(part._conditioned))
@@ -184,7 +184,7 @@ class _Walk:
 
 
 def _coordinates(node: Any) -> tuple[str, ...]:
-    """Names of the quantiles of a point in a region; empty for all else."""
+    """Names of the quantiles of a point in a region; empty for other nodes."""
     return coordinates(node.region) if type(node) is PointInRegionDistribution else ()
 
 
@@ -195,12 +195,12 @@ def _kind_words(node: Any) -> str:
 
 
 def is_fixed_range(node: Any) -> bool:
-    """Whether this is a uniform choice of a real number between two given ones."""
+    """Whether the node is a uniform real number between two constants."""
     return type(node) is Range and not (needsSampling(node.low) or needsSampling(node.high))
 
 
 def _draws(node: Any) -> bool:
-    """Whether a node throws dice of its own."""
+    """Whether a node draws random numbers itself."""
     if isinstance(node, Constructible):
         scale = getattr(node, 'mutationScale', 0)
         return needsSampling(scale) or scale != 0
@@ -215,13 +215,13 @@ def _properties(thing: Any, path: str) -> list[tuple[str, Any]]:
 
 
 def _roots(scenario: Any) -> Iterator[tuple[str, Any]]:
-    """Where choices enter a scene, in an order that does not change from process to process."""
+    """Roots of a scene's choices, in an order that is the same in every process."""
     yield from scenario_parameters(scenario.params).items()
     if scenario.egoObject is not None:
         yield 'ego', scenario.egoObject
     for number, thing in enumerate(scenario._instances):
         yield f'object{number}', thing
-    # Scenic keeps what its requirements depend on in a set, hence without an order.
+    # Scenic keeps the dependencies of its requirements in an unordered set.
     needed = _below(scenario.dependencies)
     for name, value in _variables(scenario).items():
         if id(value) in needed:
@@ -250,7 +250,7 @@ def _labels(scenario: Any) -> dict[int, str]:
 
 
 def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
-    """After ``param rain_percent = weather[1]``, that coordinate of ``weather`` has this name."""
+    """Names of coordinates: ``param rain_percent = weather[1]`` names that one of ``weather``."""
     names: dict[int, dict[int, str]] = {}
     for name, value in params.items():
         if isinstance(value, OperatorDistribution) and value.operator == '__getitem__':
@@ -261,23 +261,23 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 
 
 def _entries(scenario: Any) -> dict[str, list[Any]]:
-    """What each key of the scenario is drawn as, and what decides whether a scene is accepted."""
+    """Random values behind each scenario key, and those that decide acceptance."""
     parameters = by_key(scenario_parameters(scenario.params))
     entries = {key: [value] for key, value in parameters.items()}
     for key in PLANE_KEYS:
-        # An ego of another class is reported when its scene is drawn.
+        # A wrong class of ego is reported when its scene is drawn.
         entries[key] = [plane_property(scenario.egoObject, key)]
     judged = [value for req in scenario.userRequirements for value in req.dependencies]
-    if len(scenario.objects) > 1:  # they may be in each other's way
+    if len(scenario.objects) > 1:  # they may collide
         judged += scenario.objects
     return {**entries, REQUIREMENTS: judged}
 
 
 def _branches_to(entries: Iterable[Any]) -> dict[int, frozenset[tuple[int, int]]]:
-    """By identity of what is drawn: the selectors and options by which alone it has an effect.
+    """Selectors and options that gate each random value, by the value's identity.
 
-    A value that an option is made of is drawn whichever option is taken, and then without effect;
-    but for other ways there, which need not lead through options.
+    A value that feeds an option is drawn whichever option is selected, but has no effect unless
+    that option is selected or another path leads to it.
     """
     always = (0, 0)  # no object has this identity
     ways: dict[int, set[tuple[int, int]]] = {}
@@ -300,12 +300,12 @@ def _branches_to(entries: Iterable[Any]) -> dict[int, frozenset[tuple[int, int]]
 
 
 def _below(values: Iterable[Any]) -> set[int]:
-    """Identities of all that the values are drawn from, themselves included."""
+    """Identities of the values and of all their dependencies."""
     return set(_uses(values))
 
 
 def _uses(values: Iterable[Any]) -> Counter[int]:
-    """How often each of the values, and of all that they are drawn from, is referred to."""
+    """Number of references to each of the values and of their dependencies."""
     uses: Counter[int] = Counter()
     waiting = [value for value in values if needsSampling(value)]
     while waiting:
@@ -320,7 +320,7 @@ def _uses(values: Iterable[Any]) -> Counter[int]:
 def _unique(found: list[tuple[str, Any, int]]) -> Iterator[tuple[str, Any, int]]:
     taken: set[str] = set()
     for path, node, part in found:
-        # Several choices in one expression share its name: x, x.2; range1 where there is none.
+        # Several choices in one expression share its name: x, x.2; unnamed ones: range1.
         later = (f'{path}.{number}' for number in itertools.count(2))
         nameless = (f'{type(node).__name__.lower()}{number}' for number in itertools.count(1))
         tries = itertools.chain([path], later) if path else nameless
@@ -330,21 +330,21 @@ def _unique(found: list[tuple[str, Any, int]]) -> Iterator[tuple[str, Any, int]]
 
 
 MAX_CATEGORIES = 100
-"""More whole numbers than this are a continuous dimension."""
+"""Integer ranges with more values than this become a continuous dimension."""
 _STANDARD = NormalDist()
 _SHOWN_SIGMAS = 4.0
-"""A normal's shown range, either side of its mean; it has no ends."""
+"""Displayed range of an unbounded normal, on either side of its mean [sigma]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Choice:
-    """A choice found, and the dimension that it is."""
+    """A found choice and its dimension."""
 
     found: Found
     dimension: Dimension
 
     def describe(self) -> dict[str, Any]:
-        """What the parent needs to know, for JSON."""
+        """Description for the parent process, as JSON values."""
         node = self.found.node
         return {
             'dimension': dataclasses.asdict(self.dimension), 'feeds': sorted(self.found.feeds),
@@ -362,10 +362,10 @@ class Choice:
 
 
 class Choices:
-    """The choices of one scenario that a sampler may make, and the names of the others."""
+    """The searchable choices of a scenario, and the names of the others."""
 
     def __init__(self, scenario: Any) -> None:
-        """If any choice is marked for search, the unmarked ones stay with the prior."""
+        """Find the choices; if any is marked for search, the unmarked ones keep their prior."""
         found, others = find_choices(scenario)
         marked = any(buckets_of(choice.node) is not None for choice in found)
         searched: list[Found] = []
@@ -382,7 +382,7 @@ class Choices:
         self._soft = any(requirement.prob < 1 for requirement in scenario.userRequirements)
 
     def describe(self) -> dict[str, Any]:
-        """The search space, for JSON."""
+        """The search space as JSON values."""
         return {
             'choices': [choice.describe() for choice in self._choices],
             'unsearched': self._unsearched, 'drawn': self._drawn, 'soft': self._soft,
@@ -390,14 +390,14 @@ class Choices:
 
     @contextlib.contextmanager
     def placed(self, point: Sequence[float | None]) -> Iterator[None]:
-        """While this lasts, each choice with a quantile in ``point`` takes the value there.
+        """Context in which each choice with a quantile in ``point`` takes the value there.
 
-        The others draw as ever. What Scenic compiled is left as it was found.
+        The others are drawn as usual. The compiled scenario is restored on exit.
         """
         placed: dict[int, tuple[Choice, list[float]]] = {}
         for choice, quantile in zip(self._choices, point, strict=True):
             if quantile is not None:
-                # The quantiles of a point in a region come one after the other.
+                # The quantiles of a point in a region are consecutive.
                 placed.setdefault(id(choice.found.node), (choice, []))[1].append(quantile)
         for choice, quantiles in placed.values():
             choice.found.node.sampleGiven = partial(_value, choice, quantiles)
@@ -409,17 +409,17 @@ class Choices:
 
 
 def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choice]:
-    """The choices as dimensions, each after those that decide whether it is made.
+    """The choices as dimensions, each after those that gate it.
 
-    Where a choice that nobody searches decides it, the dimension counts as active throughout what
-    may be: its quantile then does nothing in some of the scenes.
+    If an unsearched choice gates it, the dimension counts as active wherever it may be: its
+    quantile then has no effect in some of the scenes.
     """
     by_node = {id(choice.node): choice for choice in found}
     selectors = {id(choice.node): choice.name for choice in searched if choice.options is not None}
     order = {choice.name: number for number, choice in enumerate(searched)}
 
     def branches(choice: Found) -> dict[str, set[int]]:
-        """Deciding categories by name of the dimension; empty for always."""
+        """Gating categories by name of the dimension; empty if always active."""
         merged: dict[str, set[int]] = {}
         for selector, number in choice.when:
             if selector in selectors:
@@ -480,15 +480,15 @@ def _shown_range(node: Any) -> tuple[float, float]:
 
 
 def _ends(value: Any, side: int) -> float:
-    """The least (-1) or greatest (1) that a constant or random value can be; NaN if not known."""
+    """Lower (-1) or upper (1) bound of a constant or random value; NaN if unknown."""
     end = supportInterval(value)[0 if side < 0 else 1]
     return math.nan if end is None else float(end)
 
 
 def _pieces(node: Any) -> list[list[float]]:
-    """Where the value runs straight with the quantile: quantiles from, to; values from, to.
+    """Linear pieces of the inverse distribution function: quantiles from, to; values from, to.
 
-    Empty for whatever is not made of such pieces, or depends on other choices.
+    Empty if it is not piecewise linear, or depends on other choices.
     """
     if type(node) is Options:
         return _mixture_pieces(node)
@@ -498,7 +498,7 @@ def _pieces(node: Any) -> list[list[float]]:
 
 
 def _mixture_pieces(node: Any) -> list[list[float]]:
-    """Those of Options of ranges, from left to right, so that values grow with the quantile."""
+    """Pieces of an Options of ranges, sorted so that values increase with the quantile."""
     weights = _weights(node.index)
     parts = sorted(
         (float(part._conditioned.low), float(part._conditioned.high), weight)
@@ -525,7 +525,7 @@ def _law(node: Any) -> dict[str, Any] | None:
 
 
 def _constants(choice: Choice) -> list[Any] | None:
-    """What a discrete choice selects among, if those are all plain values."""
+    """The options of a discrete choice, if all are plain values."""
     if not choice.dimension.discrete:
         return None
     options = choice.found.options
@@ -537,7 +537,7 @@ def _constants(choice: Choice) -> list[Any] | None:
 
 
 def _value(choice: Choice, quantiles: Sequence[float], given: Mapping[Any, Any]) -> Any:
-    """What stands in for ``sampleGiven``: the value at a quantile, ``given`` what it rests on."""
+    """Replacement for ``sampleGiven``: the value at a quantile, ``given`` its dependencies."""
     node = choice.found.node
     if isinstance(node, PointInRegionDistribution):
         return point_at(given[node.region], quantiles)
@@ -577,7 +577,7 @@ def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
 
 
 def _sigmas(quantile: float) -> float:
-    # Quantile 0 is a possible coordinate of a point; a normal has no value there.
+    # A point may have quantile 0, where a normal has no finite value.
     return _STANDARD.inv_cdf(min(max(quantile, 2.0**-54), 1 - 2.0**-53))
 
 _INVERSES: dict[type, Callable[[Any, float, Mapping[Any, Any]], float]] = {

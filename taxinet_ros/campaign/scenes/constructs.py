@@ -1,11 +1,11 @@
-"""Which of Scenic's constructs have an effect on a run; the others are refused by name and line.
+"""Refuse Scenic constructs that have no effect on a run, by name and line.
 
-Scenic is made for simulators that execute behaviours, move many objects and watch requirements
-while they do. Here a program says how a run *begins*: where one aircraft stands, in which weather.
-Scenic compiles all the rest as well and drops it in silence, so that is watched for while a program
-is compiled: what runs (``record``, ``terminate when``, …) where it is executed, so that a library
-may hold what the program does not use; what stands in the program itself (``behavior``, …) where it
-is defined; objects and their properties when all are there. docs/scenic.md has the table.
+Scenic targets simulators that execute behaviours, move many objects and monitor requirements. Here
+a program defines only how a run *begins*: the pose of one aircraft, and the weather. Scenic
+compiles everything else too and silently drops it, so it is detected during compilation: statements
+(``record``, ``terminate when``, …) when executed, so that a library may contain ones that the
+program does not use; definitions in the program itself (``behavior``, …) where they are defined;
+objects and their properties after compilation. docs/scenic.md has the table.
 
 Only the Scenic child may import this module.
 """
@@ -69,7 +69,7 @@ _STATEMENTS = {
     'override': ('override', 'nothing changes an aircraft under way but its controller'),
     'simulator': ('simulator', 'the graph of taxinet_ros runs the scenes'),
 }
-"""Of Scenic's functions: the statement that calls one, and why it has no effect."""
+"""Scenic functions: the statement that calls each, and why it has no effect."""
 
 _DEFINITIONS = {
     syntax.BehaviorDef: ('behavior', 'the controller under test steers the aircraft'),
@@ -97,7 +97,7 @@ _WITHOUT_EFFECT: Mapping[str, tuple[Any, str]] = {
     'sensors': ({}, 'the camera of the aircraft is fixed, and bags hold what it saw'),
     'lastActions': ((), 'the controller under test steers the aircraft'),
 }
-"""Properties of Scenic's own that are read by nothing here: the one value that may be given."""
+"""Built-in Scenic properties that are unused here: the only value allowed for each."""
 
 _SIZE = 'the size of the aircraft matters only where the program asks for it: in a region that ' \
         'contains it, beside another place, or in a require'
@@ -116,7 +116,7 @@ _MATTERS_WITH: Mapping[str, tuple[str, str]] = {
         ('mutator', 'positionStdDev', 'headingStdDev', 'orientationStdDev'), ('mutate', _NOISE),
     ),
 }
-"""Properties that Scenic reads for some of its constructs only: which, and why."""
+"""Properties that Scenic reads only for some constructs: which, and why."""
 
 _USES: Mapping[str, tuple[type, ...]] = {
     'size': (
@@ -134,10 +134,10 @@ _PARAMETER_FORMS = tuple(
 )
 
 _DRAWS = 64
-"""Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
+"""Draws inspected per parameter; misses a wet share of 1/3 with probability (2/3)**64."""
 
 _KEPT = frozenset({'name', 'allowCollisions', 'requireVisible', 'occluding'})
-"""Properties whose word is kept though nothing changes: a label, and an aircraft that is alone."""
+"""Properties allowed although they have no effect: a label, and those for several objects."""
 
 _OF_THE_PAPER = {
     'zulu_time': 'time_of_day_h, in hours of local time: (seconds of GMT) / 3600 - 8, such as '
@@ -152,7 +152,7 @@ _OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
 
 @dataclass(kw_only=True, slots=True)
 class _Made:
-    """Where an object was made, where each of its ``with`` was written, and what it then was."""
+    """Place of an object's creation, places of its ``with`` specifiers, and its initial values."""
 
     thing: Any
     place: Place
@@ -162,10 +162,10 @@ class _Made:
 
 @dataclass(slots=True)
 class Constructs:
-    """Watches one program after the other while Scenic compiles it.
+    """Monitors each program while Scenic compiles it.
 
     Attributes:
-        params: where each global parameter was set last.
+        params: place where each global parameter was last set.
     """
 
     params: dict[str, Place] = field(default_factory=dict)
@@ -188,13 +188,13 @@ class Constructs:
         veneer.new = self._watching_new(veneer.new)
 
     def begin(self, program: Path) -> None:
-        """Forget the program before, and watch this one."""
+        """Reset, and start monitoring a program."""
         self._program = str(program.resolve())
         for memory in (self.params, self._depths, self._made, self._uses, self._read):
             memory.clear()
 
     def notes(self, scenario: Any) -> list[list[Any]]:
-        """File, line and text of what a program may mean otherwise than it says."""
+        """File, line and text of notes on likely mistakes in a program."""
         name = RAIN.key if RAIN.key in scenario.params else RAIN.short
         values = _numbers(scenario.params.get(name, 0))
         if not 0 < max(values, default=0) <= 1:
@@ -207,10 +207,10 @@ class Constructs:
         return [[*self.params.get(name, (self._program, 0)), text]]
 
     def check(self, scenario: Any) -> None:
-        """Refuse what a compiled program says in vain.
+        """Refuse constructs without effect in a compiled program.
 
         Raises:
-            ProgramError: the first such word, its place, and what to do.
+            ProgramError: the first such construct, its place, and what to do.
         """
         self._check_scenario(scenario.dynamicScenario)
         params = scenario_parameters(scenario.params)
@@ -256,7 +256,7 @@ class Constructs:
         return watched
 
     def _note_param(self, name: str, place: Place) -> None:
-        """A program may set anew what it imports; otherwise the first value would be lost."""
+        """Record where a parameter is set; only imported ones may be set again."""
         depth = veneer.activity
         if depth >= self._depths.get(name, depth + 1):
             file, line = self.params[name]
@@ -290,7 +290,7 @@ class Constructs:
     # When it is compiled -----------------------------------------------------------------------
 
     def _check_scenario(self, chosen: Any) -> None:
-        """Of a scenario block that a library has; Scenic makes guards a part of ``compose``."""
+        """Check the scenario block of a library; Scenic makes guards part of ``compose``."""
         if chosen._compose is not None:
             code = chosen._compose.__code__
             raise ProgramError(_sentence(*_COMPOSE), (code.co_filename, code.co_firstlineno))
@@ -321,7 +321,7 @@ class Constructs:
                 )
 
     def _check_fraction(self, params: Mapping[str, Any]) -> None:
-        """The paper's rain has our key and is a fraction; so small a percentage nobody varies."""
+        """Detect rain given as a fraction, as in the paper, instead of a percentage."""
         value = params.get(RAIN.key)
         if needsSampling(value) and 0 < max(_numbers(value), default=0) <= 1:
             raise ProgramError(
@@ -334,7 +334,7 @@ class Constructs:
             plain = plain_value(name, drawn, place)
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
-            if isinstance(plain, str) and name != 'date':  # a date may be computed, and be none
+            if isinstance(plain, str) and name != 'date':  # a date may be computed, and invalid
                 _check_word(name, plain, place)
         for option in value.options if isinstance(value, MultiplexerDistribution) else ():
             if isinstance(option, str):
@@ -389,7 +389,7 @@ class Constructs:
 
 
 def _check_word(name: str, word: str, place: Place | None) -> None:
-    """Refuse a word that is wrong in every run, by a slip of the pen, and not by chance."""
+    """Refuse a word that is misspelt, hence invalid in every run."""
     try:
         check_value(name, word)
     except UsageError as error:
@@ -397,25 +397,25 @@ def _check_word(name: str, word: str, place: Place | None) -> None:
 
 
 def _drawn(value: Any) -> list[Any]:
-    """What a parameter is in some draws, or for ever."""
+    """Values of a parameter in some draws, or its constant value."""
     if not needsSampling(value):
         return [value]
     values: list[Any] = []
-    with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
+    with contextlib.suppress(Exception):  # program errors are reported when a scene is drawn
         values += (Samplable.sampleAll([value])[value] for _ in range(_DRAWS))
     return values
 
 
 def _numbers(value: Any) -> list[float]:
-    """Those among what a parameter is in some draws, or for ever."""
+    """Numbers among the drawn values of a parameter, or its constant value."""
     return [float(number) for number in _drawn(value) if isinstance(number, Real)]
 
 
 @functools.cache
 def watch_constructs() -> Constructs:
-    """The watch on Scenic's statements, of which a process has one, as it has one Scenic.
+    """The monitor of Scenic's statements; one per process, as Scenic is global.
 
-    What Scenic compiles keeps the lines of the program from then on.
+    Compiled code keeps the program's line numbers from then on.
     """
     constructs = Constructs()
     constructs._install()
@@ -432,7 +432,7 @@ def _meant(name: str, known: Sequence[str]) -> str:
 
 
 def _place(frame: FrameType) -> Place:
-    """Where a program's own text stands that is executed here, behind what Scenic brings along."""
+    """Place in the program's own text that is being executed, skipping Scenic's frames."""
     place, step = (frame.f_code.co_filename, frame.f_lineno), frame
     while step.f_code.co_filename.startswith((_SCENIC, '<', _IMPORTLIB)):
         if step.f_back is None:
@@ -495,7 +495,7 @@ def _watching_with(make: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _keep_lines() -> None:
-    """Have the Python that Scenic writes for its own syntax keep the lines of the program."""
+    """Make the Python code that Scenic generates keep the program's line numbers."""
     kind = compiler.ScenicToPythonTransformer
     for name in ('visit', 'transformPropertyDef'):
         setattr(kind, name, _with_line(getattr(kind, name)))
@@ -505,7 +505,7 @@ def _with_line(translate: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(translate)
     def translated(self: Any, node: Any) -> Any:
         placed = None
-        if isinstance(node, syntax.AST):  # some have no line of their own, but parts that have
+        if isinstance(node, syntax.AST):  # some have no line, but their parts do
             placed = next((part for part in _below(node) if _line(part)), None)
         made = translate(self, node)
         if placed is not None and isinstance(made, ast.AST) and not _line(made):
@@ -516,7 +516,7 @@ def _with_line(translate: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _below(tree: ast.AST) -> Iterator[ast.AST]:
-    """Every node of a text as Scenic parsed it."""
+    """Every node of a Scenic syntax tree."""
     yield tree
     for _, value in ast.iter_fields(tree):
         for node in value if isinstance(value, (list, tuple)) else [value]:
@@ -540,7 +540,7 @@ def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
 
 
 def _check_assignments(nodes: list[ast.AST], filename: str) -> None:
-    """Refuse what is said of an object when it is made already, by the name that holds it."""
+    """Refuse attribute assignments to an existing object through its variable."""
     holding = {'ego'}
     for node in nodes:
         if isinstance(node, ast.Assign) and _is_object(node.value, holding):
@@ -559,9 +559,9 @@ def _is_object(value: ast.AST, holding: Collection[str]) -> bool:
 
 
 def _check_kept(made: _Made) -> None:
-    """Likewise by other ways, such as in a function; there the line is not known."""
+    """Refuse other changes to an existing object, as in a function; the line is unknown."""
     for name, value in vars(made.thing).items():
-        if name.startswith('_') or name == 'mutationScale':  # which the statement mutate sets
+        if name.startswith('_') or name == 'mutationScale':  # set by the statement mutate
             continue
         if name not in made.began or made.began[name] is not value:
             raise ProgramError(_late(f'{name} of the {type(made.thing).__name__}'), made.place)
@@ -573,7 +573,7 @@ def _late(what: str) -> str:
 
 
 def _of_classes(kind: type) -> dict[str, Place]:
-    """Where the classes of a program, not those of the model or of Scenic, set properties."""
+    """Places where a program's own classes set properties, not the model's or Scenic's."""
     found: dict[str, Place] = {}
     for base in reversed(kind.__mro__):
         for name, default in vars(base).get('_scenic_properties', {}).items():

@@ -1,7 +1,7 @@
-"""Values that a person fixes on the command line, laid over what a program has drawn.
+"""Command-line overrides of the values that a program draws.
 
-They are applied after the draw and not handed to Scenic: there, an overridden parameter escapes
-the joint prior and gives rain from a clear sky. Here every scene passes the scenario's own checks.
+They are applied after the draw instead of in Scenic, where an overridden parameter escapes the
+joint prior and gives rain from a clear sky. Here every scene is validated as a scenario.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
 WEATHER = (SKY.key, RAIN.key)
-"""The two keys that bind each other: rain falls from rain clouds only."""
+"""The two interdependent weather keys: rain falls from rain clouds only."""
 
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
     (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
 )
-"""Keys that bind each other."""
+"""Groups of interdependent keys."""
 _ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
-"""Beside these every value of another key can be."""
+"""Values that are compatible with every value of the other keys."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
 
-class Contradiction(UsageError):  # noqa: N818 (a kind of usage error)
-    """An override contradicts what a program has drawn beside it."""
+class Contradiction(UsageError):  # noqa: N818 (is a usage error)
+    """An override contradicts another value that the program has drawn."""
 
 
 def check_overrides(overrides: Mapping[str, str]) -> None:
-    """See that each override alone is a known key with a possible value.
+    """Check that each override is a known key with a possible value.
 
     Raises:
-        UsageError: unknown key, bad value, one key in both its forms, or rain and clouds that
-            contradict each other.
+        UsageError: unknown key, bad value, one key in both forms, or rain that contradicts the
+            clouds.
     """
     overrides = by_key(overrides)
     place = {PLACE.key: overrides[PLACE.key]} if PLACE.key in overrides else {}
@@ -68,13 +68,13 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
 
 
 def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
-    """Fixed values that are possible, and look as if they were meant in another unit.
+    """Warnings about override values that are possible but look like another unit.
 
     Args:
         overrides: by key, checked by :func:`check_overrides`.
 
     Returns:
-        A line for each.
+        One line per value.
     """
     numbers = {key: float(overrides[key]) for key in _DOUBTED if key in overrides}
     found = []
@@ -87,7 +87,7 @@ def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
         found.append(
             f'{TIME_OF_DAY.key}={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
         )
-    # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
+    # Two or more decimals below pi/2: degrees are rarely given that finely.
     if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
         found.append(
             f'{HEADING.key}={heading:g} is {heading:g} degrees; {heading:g} rad would be '
@@ -97,19 +97,19 @@ def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
 
 
 def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], where: str) -> Scenario:
-    """The scenario of the ``drawn`` human values with ``overrides`` laid over them.
+    """The scenario of the ``drawn`` human values with ``overrides`` applied.
 
     Args:
-        drawn: what the program says, by key, in human units.
+        drawn: the program's values by key, in human units.
         overrides: by key, checked by :func:`check_overrides`.
-        where: program and scene, to head an error.
+        where: program and scene, as a prefix of errors.
 
     Raises:
-        Contradiction: rain from a sky that has none, one of them an override.
-        UsageError: any other impossible scenario, or a duration that is no whole number of steps.
+        Contradiction: rain from a sky without rain clouds, one of them an override.
+        UsageError: another impossible scenario, or a duration that is no multiple of the step.
     """
     values = {**drawn, **overrides}
-    # With both or neither overridden a contradiction is not between an override and the program.
+    # If both or neither are overridden, an override does not contradict the program.
     if sum(key in overrides for key in WEATHER) == 1:
         _check_weather(values, RAIN.key in overrides, where)
     scenario = _build(values, where)
@@ -125,7 +125,7 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
     try:
         rain = float(values.get(RAIN.key, 0.0))
     except (TypeError, ValueError):
-        return  # what it is is not known to be rain
+        return  # the value is not known to be rain
     if clouds in RAIN_CLOUDS or not rain > 0:
         return
     if rain_is_set:
@@ -140,7 +140,7 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
 
 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that no scenario at their place could have, whatever the others were."""
+    """Keys of values that are impossible at their place, regardless of the others."""
     found = set()
     place = {PLACE.key: values.get(PLACE.key, DEFAULT_PLACE)}
     try:
@@ -156,7 +156,7 @@ def impossible_keys(values: Mapping[str, Any]) -> set[str]:
 
 
 def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that no scenario could have together, though each of them alone."""
+    """Keys of values that are possible alone but not together."""
     found: set[str] = set()
     for keys in _BOUND:
         try:
@@ -167,21 +167,21 @@ def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
 
 
 def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:
-    """See that a scenario could have this value, whatever the others were.
+    """Check that a value is possible for some values of the other keys.
 
     Args:
-        key: of the scenario.
-        value: that is fixed there.
-        place: the key and value that say where; where they do not, anywhere will do.
+        key: scenario key.
+        value: its fixed value.
+        place: key and value of the place; without them, any place is accepted.
 
     Raises:
-        UsageError: none could.
+        UsageError: it is impossible.
     """
     field = BY_KEY.get(key)
     if not place and field is not None and field.anywhere is not None:
         field.checked(field.from_human(value), field.anywhere)
         return
-    # Each among others that allow it, as rain under a sky, and what crosses where something does.
+    # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
     last_step(scenario_from_human({**(place or {}), **_ALLOWING, key: value}))
 
 

@@ -1,7 +1,7 @@
-"""The sampler that a program asks for in Scenic's own way, as one of the samplers here.
+"""Map the sampler that a program requests through Scenic parameters to one of ours.
 
-Scenic has two global parameters for it, ``verifaiSamplerType`` and ``verifaiSamplerParams``, which
-name a sampler of VerifAI (2.2.0, ``verifai.server.choose_sampler``) and its options:
+Scenic has two global parameters for this, ``verifaiSamplerType`` and ``verifaiSamplerParams``,
+which name a sampler of VerifAI (2.2.0, ``verifai.server.choose_sampler``) and its options:
 
 =============  ===============  ====================================================================
 VerifAI        here             options
@@ -15,8 +15,8 @@ VerifAI        here             options
 ``bo``         ``bo``           ``init_num`` is ``startup``
 =============  ===============  ====================================================================
 
-Any other word of ``--sampler`` may stand there too, with the names of its own options. What cannot
-be had is refused with its line.
+Any other value of ``--sampler`` is accepted too, with its own option names. Unsupported requests
+are refused with their line.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _DEFAULTS: Mapping[str, Mapping[str, str]] = {'ce': {'alpha': '0.9'}}
 _OPTIONS: Mapping[str, Mapping[str, str]] = {
     'ce': {'alpha': 'alpha'}, 'grid': {'N': 'points'}, 'bo': {'init_num': 'startup'},
 }
-"""Options of VerifAI that are numbers here too, by sampler."""
+"""VerifAI options that map to numeric options here, by sampler."""
 
 _FIXED: Mapping[str, tuple[Any, str]] = {
     'thres': (0, 'a run fails where rho is below 0'),
@@ -52,13 +52,13 @@ _FIXED: Mapping[str, tuple[Any, str]] = {
     'cont.dist': (None, 'write the weights into VerifaiRange(low, high, weights=[…])'),
     'disc.dist': (None, 'write the weights into VerifaiOptions({value: weight, …})'),
 }
-"""Options of VerifAI that have one value here, and why."""
+"""VerifAI options with a single supported value, and why."""
 
 BUCKETED = ('ce', 'mab')
-"""Samplers of VerifAI that keep histograms."""
+"""VerifAI samplers that keep histograms."""
 
 VERIFAI_BUCKETS = 5
-"""Into how many parts they cut a range where nothing is said."""
+"""Their default number of buckets per range."""
 
 _BUCKETS = 'cont.buckets'
 _FIXED_OF: Mapping[str, tuple[str, ...]] = {
@@ -69,12 +69,12 @@ _FIXED_OF: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProgramSampler:
-    """What a program asks for.
+    """The sampler that a program requests.
 
     Attributes:
-        word: of the sampler here.
-        options: of it, as text.
-        said: the program's own words and their line, to print.
+        word: name of the sampler here.
+        options: its options, as text.
+        said: the program's text and its line, for display.
         place: that line, as ``file:line``.
     """
 
@@ -87,15 +87,15 @@ class ProgramSampler:
 def program_sampler(
     kind: str | None, params: Mapping[str, Any], places: Mapping[str, str]
 ) -> ProgramSampler | None:
-    """The sampler of a program's two parameters; None where it names none.
+    """The sampler given by a program's two parameters; None if it names none.
 
     Args:
         kind: value of ``verifaiSamplerType``, or None.
-        params: those of ``verifaiSamplerParams``.
+        params: value of ``verifaiSamplerParams``.
         places: ``file:line`` of each of the two that is set.
 
     Raises:
-        UsageError: the file, the line and what of it cannot be had here.
+        UsageError: an unsupported request, with its file and line.
     """
     if kind is None:
         if PARAMS in places:
@@ -117,7 +117,7 @@ def program_sampler(
 def _option(kind: str, name: str, value: Any, place: str) -> dict[str, str]:
     where = f'{place}: {PARAMS}.{name} = {value!r}'
     if name == _BUCKETS and kind in BUCKETED:
-        return {}  # the choices have them already
+        return {}  # already applied to the choices
     if kind in _HERE and name in _FIXED_OF.get(kind, ()):
         fixed, why = _FIXED[name]
         if value != fixed:
@@ -142,7 +142,7 @@ def _flat(params: Mapping[str, Any], above: str = '') -> Iterator[tuple[str, Any
 
 
 def _check(word: str, options: Mapping[str, str], place: str) -> None:
-    # Here, because its optimisers take a second to import, and few programs name a sampler.
+    # Imported here because the optimisers take 1 s to import and few programs name a sampler.
     from taxinet_ros.campaign.samplers.registry import SAMPLERS, check_sampler
 
     if word not in SAMPLERS:

@@ -20,7 +20,7 @@ from taxinet_ros.core.scenario_fields import PARAMETERS, PLACE, PLANE_KEYS, SCEN
 from taxinet_ros.errors import UsageError
 
 MODEL = 'runway_world'
-"""The world model: imported by the programs, but no program itself."""
+"""The world model: a module imported by the programs, not a program itself."""
 SUFFIX = '.scenic'
 _SHARE = Path('share', 'taxinet_ros', 'scenarios')
 _IMPORT = re.compile(
@@ -31,7 +31,7 @@ _IMPORT = re.compile(
 def shipped_folder() -> Path:
     """Folder of the shipped programs: the source checkout's, else the installed copy's.
 
-    An installed copy is looked for in ``AMENT_PREFIX_PATH``, then in the prefixes that hold this
+    An installed copy is searched for in ``AMENT_PREFIX_PATH``, then in the prefixes that hold this
     package, then in the running Python's.
 
     Raises:
@@ -58,16 +58,16 @@ def _candidates() -> Iterator[Path]:
 
 
 def known_programs() -> tuple[str, ...]:
-    """Words of the shipped programs, sorted."""
+    """Sorted names of the shipped programs."""
     names = (path.stem for path in shipped_folder().glob(f'*{SUFFIX}'))
     return tuple(sorted(name for name in names if name != MODEL))
 
 
 def find_program(word_or_path: str | Path) -> Path:
-    """The Scenic file meant by a shipped program's word, such as ``s_falsif``, or by a path.
+    """Find the Scenic file of a shipped program's name, such as ``s_falsif``, or of a path.
 
     Raises:
-        UsageError: neither a known word nor a ``.scenic`` file; the known words are listed.
+        UsageError: neither a known name nor a ``.scenic`` file; the known names are listed.
     """
     text = str(word_or_path)
     if text in known_programs():
@@ -86,8 +86,8 @@ def find_program(word_or_path: str | Path) -> Path:
 def program_text(path: Path) -> str:
     """Source of a program and of every module it imports from its own or the shipped folder.
 
-    For the record of a campaign. Each file is headed by its name, not its place, so that a checkout
-    and an installed copy give the same text. An import made at run time is not seen.
+    Stored in the campaign record. Each file is headed by its name, not its path, so that a checkout
+    and an installed copy give the same text. Imports made at run time are not included.
 
     Raises:
         UsageError: a file cannot be read.
@@ -141,14 +141,14 @@ def _read(path: Path) -> str:
 
 
 def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str]) -> str:
-    """Text of a program whose every scene is ``scenario``.
+    """Source of a program that always draws ``scenario``.
 
     Args:
-        scenario: what to write down; what is read back is equal but for the last bit of an angle.
-        about: heads the text: what it is and where it comes from.
+        scenario: the scenario; reading it back is exact except for the last bit of an angle.
+        about: header comment: what the program is and where it comes from.
         remarks: comments by key of the scenario.
     """
-    # The whole place: a reference would mean something to its campaign only.
+    # The full place: a reference is meaningful only within its campaign.
     values = {**scenario.to_human(), **_exact(scenario), PLACE.key: scenario.place}
     lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
     lines += [
@@ -162,7 +162,7 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
 
 
 def _exact(scenario: Scenario) -> dict[str, Any]:
-    """Numbers that rounding for people would change."""
+    """Values that rounding for display would change."""
     read = scenario_from_human(scenario.to_human())
     values = {
         field: (getattr(scenario, field.attribute), getattr(read, field.attribute))

@@ -1,9 +1,9 @@
 """Uniform points in Scenic's regions by inverse transform, so that regions can be searched.
 
-A point is given by one or two quantiles, each the share of the region on one side of it: across
-and along a rectangle, radius and angle in a disc, x and then y in a polygon, the way along a line.
+A point is given by one or two quantiles, each the share of the region on one side of it: across and
+along a rectangle, radius and angle in a disc, x and then y in a polygon, distance along a line.
 Uniform quantiles give the distribution from which Scenic itself draws. Regions that Scenic samples
-by rejection (intersections, differences, volumes) have no such quantiles here.
+by rejection (intersections, differences, volumes) are not supported.
 
 Only the Scenic child may import this module.
 """
@@ -35,10 +35,10 @@ _SLABS = '_taxinet_slabs'
 
 
 def coordinates(region: Any) -> tuple[str, ...]:
-    """What the quantiles of a point in a region mean; empty where it has none.
+    """Names of the quantiles of a point in a region; empty if it has none.
 
     Args:
-        region: that may be random, or a choice among several.
+        region: may be random, or a choice among several.
     """
     region = getattr(region, '_conditioned', region)
     if isinstance(region, MultiplexerDistribution):
@@ -50,7 +50,7 @@ def coordinates(region: Any) -> tuple[str, ...]:
 
 
 def ends(region: Any, coordinate: int) -> tuple[float, float]:
-    """The values in metres at quantiles 0 and 1 of a rectangle that looks along y; else NaN."""
+    """Values [m] at quantiles 0 and 1 of a rectangle with its heading along y; else NaN."""
     if type(region) is not RectangularRegion or needsSampling(region) or region.heading != 0:
         return math.nan, math.nan
     middle, half = (
@@ -60,11 +60,11 @@ def ends(region: Any, coordinate: int) -> tuple[float, float]:
 
 
 def point_at(region: Any, quantiles: Sequence[float]) -> Any:
-    """The point of a region, whose random parts are drawn, at its quantiles.
+    """The point of a sampled region at the given quantiles.
 
     Args:
-        region: drawn from one that has :func:`coordinates`.
-        quantiles: one each; further ones are not looked at.
+        region: sampled from one that has :func:`coordinates`.
+        quantiles: one per coordinate; further ones are ignored.
     """
     names, point = _KINDS[type(region)]
     return point(region, *quantiles[:len(names)])
@@ -109,9 +109,9 @@ def _in_polygon(region: Any, share_x: float, share_y: float) -> Any:
 
 
 def _slabs(region: Any) -> tuple[Any, ...]:
-    """Triangles, and strips between their corners in which the sections grow evenly with x.
+    """Triangles, and strips between their corners in which the section is linear in x.
 
-    Of each strip: its start, width, length of the section at the start, growth, and area.
+    For each strip: start, width, section length at the start, slope, and area.
     """
     if _SLABS not in vars(region):
         triangles = np.array([
@@ -137,7 +137,7 @@ def _total(triangles: Any, x: float) -> float:
 
 
 def _sections(triangles: Any, x: float) -> tuple[Any, Any]:
-    """Lowest and highest y, at an x, of each triangle that is there."""
+    """Lowest and highest y at an x of each triangle that contains it."""
     here, there = triangles, np.roll(triangles, -1, axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
         part = (x - here[:, :, 0]) / (there[:, :, 0] - here[:, :, 0])
@@ -163,7 +163,7 @@ def _on_path(region: Any, way: float) -> Any:
 
 
 def _stretch(ends: list[float], way: float) -> tuple[int, float]:
-    """Number of the stretch that is reached after a share of the way, and how far within it."""
+    """Segment reached at a share of the total length, and the position within it."""
     at = way * ends[-1]
     number = min(bisect_right(ends, at), len(ends) - 1)
     start = ends[number - 1] if number else 0.0
@@ -184,4 +184,4 @@ _KINDS: dict[type, tuple[tuple[str, ...], Callable[..., Any]]] = {
     PointSetRegion: (('which',), _among_points),
     GridRegion: (('which',), _among_points),
 }
-"""Names of the quantiles, and the point at them; not for subclasses, which may draw otherwise."""
+"""Quantile names and point function by class; not for subclasses, which may draw differently."""

@@ -1,13 +1,13 @@
-"""The process in which Scenic compiles and draws.
+"""Child process in which Scenic compiles programs and draws scenes.
 
-It is started as ``python -m taxinet_ros.campaign.scenes.scenic_child``. A Scenic program is
-code. It may loop for ever, call exit() or eat the memory, and Scenic keeps global state; so it
-lives in a process of its own, with limits, that the test bench can lose. The limits guard
+It is started as ``python -m taxinet_ros.campaign.scenes.scenic_child``. A Scenic program is code.
+It may loop forever, call exit() or exhaust the memory, and Scenic keeps global state; so it runs in
+a separate process with limits, which may die without harm to the test bench. The limits protect
 against accidents, not against malice.
 
-Requests come in and answers go out as JSON lines over two pipes that are not stdin and stdout,
-so a program may print what it likes (it appears on stderr). The first line out says that Scenic
-is imported. Then each request, which has a ticket, has one answer, with the same ticket:
+Requests and answers are JSON lines over two pipes other than stdin and stdout, so a program may
+print anything (it appears on stderr). The first output line reports that Scenic is imported. Then
+each request has a ticket and gets one answer with the same ticket:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{}``
@@ -19,12 +19,12 @@ is imported. Then each request, which has a ticket, has one answer, with the sam
 "attempt": a}``                              one try
 ==========================================  ============================================
 
-or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches
-in the units people type.
+or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
+human units.
 
-Programs in Scenic 1 or 2, as the paper has them, are answered with the line of Scenic 3. It
-makes objects with ``new``, draws between two numbers with ``Range``, and its parser says of the
-older words no more than "invalid syntax". The text is not parsed for that, for it cannot be.
+For programs in Scenic 1 or 2, such as the paper's, the error includes the equivalent Scenic 3 line:
+objects are created with ``new`` and intervals are written ``Range``. Scenic 3's parser only reports
+"invalid syntax", so the text is matched by patterns instead of parsed.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ _SURE = (
     re.compile(rf'(?<=\bfacing\s){_PAIR}'),
     re.compile(rf'(?<=\bparam\s)(?P<name>[^=]*=\s*){_PAIR}'),
 )
-"""A pair of numbers that can be nothing but an interval of Scenic 1."""
+"""A pair of numbers that can only be a Scenic 1 interval."""
 _LIKELY = (
     re.compile(rf'(?<=[=*/+-]\s){_PAIR}'),
     re.compile(rf'(?<![\w)\]]){_PAIR}(?=\s*[*/+:-])'),
     re.compile(rf'(?<=,\s){_PAIR}(?=\s*\)\s*:)'),
 )
-"""A pair that is an interval where others are; alone it may be a tuple."""
+"""A pair that is an interval if others are; alone it may be a tuple."""
 _PAIRS = re.compile(r'\b(?:tuple|sequence)\b')
 _NAMES = re.compile(r"'(?:Plane|CLOUDS|RAIN_CLOUDS)' is not defined")
 _KNOWS_MODEL = re.compile(rf'^\s*(?:model|from|import)\s+{MODEL}\b', re.MULTILINE)
@@ -83,7 +83,7 @@ _MOST_LINES = 8
 
 
 def scenic3_lines(text: str, *, pairs: bool = False) -> dict[int, str]:
-    """The lines that Scenic 3 writes otherwise, by their number from 1.
+    """Scenic 3 equivalents of older lines, by line number from 1.
 
     Args:
         text: of the program.
@@ -99,11 +99,11 @@ def scenic3_lines(text: str, *, pairs: bool = False) -> dict[int, str]:
 
 
 def scenic3_hint(text: str, message: str) -> str:
-    """What to add to an error of Scenic; empty where the program has nothing of Scenic 1 or 2.
+    """Hint to append to a Scenic error; empty if the program has no Scenic 1 or 2 syntax.
 
     Args:
         text: of the program.
-        message: what Scenic says.
+        message: Scenic's error message.
     """
     lines = scenic3_lines(text, pairs=bool(_PAIRS.search(message)))
     known = _KNOWS_MODEL.search(text) or f'model {MODEL}' in lines.values()
@@ -135,18 +135,18 @@ MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
 
 MAX_CHARACTERS = 1000
-"""Of what an error says; a program may raise one with any text."""
+"""Maximum length of an error message; a program may raise one with any text."""
 
 
 class OutOfTime(BaseException):
-    """A request took longer than allowed; no ``except Exception`` of a program may swallow it."""
+    """A request exceeded its time; not an Exception, so that programs cannot swallow it."""
 
 
 class Programs:
-    """The one compiled program of this process, and how its scenes are drawn."""
+    """The compiled program of this process; draws its scenes."""
 
     def __init__(self, seed: int, shipped: str) -> None:
-        """``shipped``: the folder where a program that lies elsewhere finds the world model."""
+        """``shipped``: folder in which programs from elsewhere find the world model."""
         import scenic
 
         from taxinet_ros.campaign.scenes import chance, choices, constructs, verifai_choices
@@ -154,7 +154,7 @@ class Programs:
         verifai_choices.install()
         self._words = verifai_choices
         self._constructs = constructs.watch_constructs()
-        sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
+        sys.path.append(shipped)  # after the program's own folder, which Scenic prepends
         self._compile = scenic.scenarioFromFile
         self._watched = chance.compile_watched
         self._find_choices = choices.Choices
@@ -164,7 +164,7 @@ class Programs:
         self._choices: Any = None
 
     def compile(self, program: str) -> dict[str, Any]:
-        """Compile ``program``, and refuse what it says in vain; no scene is drawn yet."""
+        """Compile ``program`` and refuse constructs without effect; no scene is drawn."""
         self._reseed(0)  # a program may draw while it is compiled
         self._choices = self._scenario = None
         scenario = self._watched(lambda: self._begin(program))
@@ -184,11 +184,11 @@ class Programs:
         return self._compile(program)
 
     def asked(self) -> dict[str, Any]:
-        """What the program asks of samplers, and what it may mean otherwise than it says."""
+        """The program's sampler request, and notes on likely mistakes."""
         return {'sampler': self._sampler, 'notes': self._constructs.notes(self._scenario)}
 
     def space(self) -> dict[str, Any]:
-        """The random choices of the program that can be put at a quantile."""
+        """The random choices of the program that can be set to a quantile."""
         return self._found().describe()
 
     def scene(
@@ -196,15 +196,14 @@ class Programs:
     ) -> dict[str, Any]:
         """Draw scene ``index``: a function of the program, the seed and the arguments.
 
-        Without a point it is drawn anew until it meets the requirements. At a point there is one
-        try: another would be a scene that the sampler did not ask for, and accepting every point
-        would change the prior. The sampler may try another point for the same scene, at the next
-        ``attempt``: whatever is not at a quantile is then drawn anew.
+        Without a point, it is redrawn until it meets the requirements. At a point there is one try:
+        another would be a scene that the sampler did not request, and accepting every point would
+        change the prior. The sampler may try another point for the same scene, with the next
+        ``attempt``: choices without a quantile are then redrawn.
 
-        Scenic decides once for each scene which of the soft requirements (``require[p]``) it has to
-        meet, and draws until it meets those. So they are decided by the index here, and are the
-        same in every attempt: decided anew, one that is hard to meet would end up in fewer scenes
-        than it was promised for.
+        Scenic decides once per scene which soft requirements (``require[p]``) are enforced, and
+        draws until they are met. So they are decided by the index, and are the same in every
+        attempt: redeciding would enforce hard-to-meet ones in too few scenes.
         """
         self._reseed(index)
         if point is None:
@@ -230,8 +229,8 @@ class Programs:
         return self._choices
 
     def _reseed(self, index: int, attempt: int = 0) -> None:
-        # Scenic draws from Python's generator and from NumPy's. Seeding both anew for every scene
-        # makes it independent of the scenes before it, hence of the number of workers.
+        # Scenic draws from Python's and NumPy's generators. Reseeding both for every scene makes it
+        # independent of earlier scenes, hence of the number of workers.
         key = [self._seed, index, attempt] if attempt else [self._seed, index]
         words = np.random.SeedSequence(key).generate_state(8)
         random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
@@ -240,7 +239,7 @@ class Programs:
 
 @contextlib.contextmanager
 def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[None]:
-    """While this lasts, Scenic's own dice decide as ``active`` which requirements have to hold."""
+    """Context in which Scenic enforces the soft requirements given by ``active``."""
     before = [requirement.prob for requirement in requirements]
     for requirement, wanted in zip(requirements, active, strict=True):
         requirement.prob = 1.0 if wanted else -1.0
@@ -252,7 +251,7 @@ def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[No
 
 
 def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
-    """Say in one line what went wrong, and in which line of which file (0 where unknown)."""
+    """Describe an error in one line, with its file and line (0 if unknown)."""
     file, line = _place(error, Path(program))
     message = _message(error, allowed_s)
     if isinstance(error, Exception) and (more := _scenic3_hint_for(program, message)):
@@ -264,7 +263,7 @@ def _scenic3_hint_for(program: str, message: str) -> str:
     try:
         return scenic3_hint(Path(program).read_text(encoding='utf-8'), message)
     except (OSError, UnicodeDecodeError):
-        return ''  # what is wrong with it has been said
+        return ''  # the error is already reported
 
 
 def _message(error: BaseException, allowed_s: float) -> str:
@@ -300,7 +299,7 @@ def _place(error: BaseException, program: Path) -> tuple[str, int]:
 
 
 def _is_users(file: Path, program: Path) -> bool:
-    if file.stem == MODEL:  # what is wrong there was put in by a program
+    if file.stem == MODEL:  # errors there are caused by a program
         return False
     return file.suffix == '.scenic' or file.parent == program.resolve().parent
 
@@ -310,7 +309,7 @@ def _alarm(_signal: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _allow(seconds: float) -> None:
-    """Let the next request take ``seconds``: an alarm that names the line, else a CPU limit."""
+    """Limit the next request to ``seconds``: an alarm that names the line, then a CPU limit."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
     limit_cpu(cpu_s)
@@ -318,10 +317,10 @@ def _allow(seconds: float) -> None:
 
 
 def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
-    """Hand on each request line; end this process with its parent, even amid an endless loop."""
+    """Forward each request line; exit when the parent dies, even during an endless loop."""
     parent, rest = os.getppid(), b''
     while os.getppid() == parent:
-        # The timeout is for a parent whose end of the pipe lives on in a forked sibling.
+        # The timeout covers a dead parent whose pipe end is still open in a forked sibling.
         if not select.select([request_fd], [], [], 1.0)[0]:
             continue
         part = os.read(request_fd, 65536)

@@ -1,4 +1,4 @@
-"""The search space of a program: which of its random choices a sampler may make."""
+"""The search space of a program: the random choices that a sampler controls."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Place:
     Attributes:
         file: path of the text.
         line, end_line: first and last line, from 1.
-        column, end_column: where in them it starts and ends, in characters from 0.
+        column, end_column: start and end within them, in characters from 0.
     """
 
     file: str
@@ -37,7 +37,7 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Piece:
-    """A stretch of quantiles over which a choice's value runs straight.
+    """An interval of quantiles over which a choice's value is linear.
 
     Attributes:
         start, end: the quantiles.
@@ -64,12 +64,12 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Law:
-    """A distribution whose values do not run straight with the quantile, or not between fixed ends.
+    """A distribution that is not linear in the quantile, or has no fixed ends.
 
     Attributes:
-        kind: Scenic's word: ``Normal``, ``TruncatedNormal``, ``Range`` or ``DiscreteRange``.
-        mean, stddev: of a normal one; None where they are drawn themselves.
-        low, high: its ends; None where they are drawn themselves, or there are none.
+        kind: Scenic class: ``Normal``, ``TruncatedNormal``, ``Range`` or ``DiscreteRange``.
+        mean, stddev: parameters of a normal; None if they are random themselves.
+        low, high: its ends; None if they are random themselves or do not exist.
     """
 
     kind: str
@@ -79,7 +79,7 @@ class Law:
     high: float | None = None
 
     def values(self, quantiles: Sequence[float]) -> list[float] | None:
-        """The values of a normal distribution at quantiles 0 … 1; None where they are not known."""
+        """Values of a normal distribution at quantiles 0 … 1; None if unknown."""
         if self.mean is None or self.stddev is None:
             return None
         mean, stddev = self.mean, self.stddev
@@ -92,7 +92,7 @@ class Law:
 def standard_values(
     quantiles: Sequence[float], low: float | None = None, high: float | None = None
 ) -> list[float]:
-    """Values of the standard normal distribution between two ends, None for endless."""
+    """Values of the standard normal distribution between two ends; None is unbounded."""
     unit = NormalDist()
     below, above = 0.0 if low is None else unit.cdf(low), 1.0 if high is None else unit.cdf(high)
     values = []
@@ -110,12 +110,11 @@ class Choice:
 
     Attributes:
         dimension: the choice as a sampler sees it.
-        feeds: keys of the scenario that depend on it; ``requirements`` among them where a scene's
-            acceptance does.
-        place: where the program makes it; None where that is not known.
-        pieces: its inverse distribution function, if that is made of straight pieces, else empty.
-        law: what it is otherwise, if it is one of Scenic's distributions of numbers.
-        options: what a discrete choice selects among, if those are plain values, else empty.
+        feeds: scenario keys that depend on it, and ``requirements`` if a scene's acceptance does.
+        place: its call in the program; None if unknown.
+        pieces: its inverse distribution function if piecewise linear, else empty.
+        law: otherwise its distribution, if it is a numeric Scenic distribution.
+        options: the options of a discrete choice if they are plain values, else empty.
     """
 
     dimension: Dimension
@@ -127,7 +126,7 @@ class Choice:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """A choice as the Scenic child describes it, or as one did before keys had units."""
+        """Parse the Scenic child's description; accepts old ones with keys without units."""
         place = values['place']
         dimension = values['dimension']
         when = (Branch(parent, tuple(categories))
@@ -146,7 +145,7 @@ class Choice:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :meth:`from_json` where the options are plain."""
+        """Plain values; the inverse of :meth:`from_json` if the options are plain."""
         place = self.place
         return {
             'dimension': dataclasses.asdict(self.dimension),
@@ -158,7 +157,7 @@ class Choice:
         }
 
     def value(self, quantile: float) -> float | None:
-        """The value at a quantile; None where values are not known."""
+        """The value at a quantile; None if unknown."""
         for piece in self.pieces:
             if piece.start <= quantile <= piece.end and piece.end > piece.start:
                 share = (quantile - piece.start) / (piece.end - piece.start)
@@ -169,16 +168,16 @@ class Choice:
     def probability_within(
         self, low: float, high: float, probabilities: Sequence[float] = ()
     ) -> float:
-        """How probable a value in [low, high] is.
+        """Probability of a value in [low, high].
 
         Args:
             low: least value, in the program's own units.
             high: greatest one.
-            probabilities: of its bins; the program's own where empty. Within a bin they are spread
-                as the program spreads them.
+            probabilities: of its bins; the program's own if empty. Within a bin the program's
+                distribution applies.
 
         Raises:
-            UsageError: the choice has no values that could be compared.
+            UsageError: the choice has no comparable values.
         """
         if not self.pieces:
             raise UsageError(f'{self.dimension.name}: has no values between which to ask')
@@ -192,14 +191,14 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SearchSpace:
-    """The choices of a program that a sampler makes, and those that it does not.
+    """The choices of a program that a sampler controls, and those that it does not.
 
     Attributes:
-        choices: all that have quantiles, in the program's order.
-        fixed: names of those among them that overrides leave without effect.
-        unsearched: what else is drawn at random, as names with a word of why.
-        drawn: keys of the scenario that are not the same in every scene.
-        soft: whether a requirement has to hold in a share of the scenes only.
+        choices: all choices with quantiles, in program order.
+        fixed: names of the choices that overrides make ineffective.
+        unsearched: names of other random values, each with the reason.
+        drawn: scenario keys that vary between scenes.
+        soft: whether any requirement has to hold only in a share of the scenes.
     """
 
     choices: tuple[Choice, ...]
@@ -210,7 +209,7 @@ class SearchSpace:
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
-        """The space that the Scenic child describes, less what ``overridden`` keys make idle."""
+        """The space described by the Scenic child, without choices that ``overridden`` keys fix."""
         choices = [Choice.from_json(values) for values in answer['choices']]
         fixed = frozenset(
             choice.dimension.name for choice in choices if choice.feeds <= set(overridden)
@@ -224,26 +223,26 @@ class SearchSpace:
 
     @property
     def searched(self) -> tuple[Choice, ...]:
-        """The choices that a sampler makes, one per coordinate of a point."""
+        """The choices that a sampler controls, one per coordinate of a point."""
         return tuple(
             choice for choice in self.choices if choice.dimension.name not in self.fixed
         )
 
     @property
     def dimensions(self) -> Space:
-        """The space as samplers take it; empty where nothing that is drawn can be searched.
+        """The sampler's space; empty if no random value can be searched.
 
         Raises:
-            UsageError: nothing is drawn at all.
+            UsageError: the program draws nothing.
         """
         dimensions = [choice.dimension for choice in self.searched]
         return Space(dimensions) if self.drawn else make_space(dimensions)
 
     def spread(self, point: Point) -> list[float | None]:
-        """A point with None put in for the choices that are not searched, for the Scenic child.
+        """The point for the Scenic child, with None for the choices that are not searched.
 
         Raises:
-            ValueError: not one quantile in [0, 1) per dimension that is not idle there.
+            ValueError: it lacks a quantile in [0, 1) for an active dimension.
         """
         self.dimensions.check(point)
         rest = iter(point)
@@ -261,10 +260,9 @@ class SearchSpace:
 
 
 def _without_branches(choice: Choice, fixed: Collection[str]) -> Choice:
-    """The choice less the branches of choices that overrides leave without effect.
+    """The choice without branches of choices that overrides make ineffective.
 
-    What it does by way of such a branch is without effect too, so if there is no other one, it is
-    fixed itself.
+    Its effect through such a branch is lost too, so without another branch it is fixed itself.
     """
     dimension = choice.dimension
     when = tuple(branch for branch in dimension.when if branch.parent not in fixed)

@@ -1,4 +1,4 @@
-"""Scenes of a Scenic program, drawn in a child process that may hang or die without harm here."""
+"""Draw scenes of a Scenic program in a child process that may safely hang or die."""
 
 from __future__ import annotations
 
@@ -41,41 +41,39 @@ from taxinet_ros.processes.child import (
 )
 
 MEMORY_BYTES = 4 << 30
-"""Address space that the child may use; Scenic itself takes about a tenth of it."""
+"""Address space limit of the child; Scenic itself uses about a tenth of it."""
 
 START_TIMEOUT_S = 120.0
-"""For importing Scenic: 1.5 s on a quiet machine, many times that on a loaded one."""
+"""Time limit for importing Scenic: 1.5 s on an idle machine, far more on a loaded one."""
 
 MAX_ANSWER_BYTES = 16 << 20
-"""Of one answer; a program's whole space takes some kilobytes."""
+"""Maximum size of one answer; a program's whole space takes a few kilobytes."""
 
 GRACE_S = 3.0
-"""How long after its time the child may take to say which line hangs, before it is killed."""
+"""Time after the limit in which the child may report the hanging line before it is killed."""
 
 _PROBED_SCENES = 64
-"""Scenes looked at for rain under an overridden sky; S_falsif would hide it with (2/3)**64."""
+"""Scenes checked for rain under an overridden sky; S_falsif hides it with (2/3)**64."""
 
 _FIRST_SCENES = 8
-"""Scenes looked at for how long a run is; each that is rejected may take seconds."""
+"""Scenes checked for the run's duration; each rejected one may take seconds."""
 
 _FROM_OUTSIDE = (
     signal.SIGHUP, signal.SIGINT, signal.SIGKILL, signal.SIGQUIT, signal.SIGTERM,
 )
-"""Signals that people, and a system short of memory, send to end a process; no limit of ours does.
-"""
+"""Signals sent by users or the out-of-memory killer; our own limits do not use them."""
 
 _NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
 
-class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
-    """There is no such scene to be run; the run's outcome is ``REJECTED``.
+class Rejected(Exception):  # noqa: N818 (an outcome, not an error)
+    """No valid scene was drawn; the run's outcome is ``REJECTED``.
 
-    No draw met the program's requirements, or the program has drawn what no scenario can be: a
-    start beside the runway, rain from a clear sky. That is what the program says, so nothing else
-    is drawn in its stead.
+    No draw met the program's requirements, or the program drew an impossible scenario: a start
+    beside the runway, rain from a clear sky. It is the program's result, so it is not redrawn.
 
     Attributes:
-        refused: draws or points that the requirements refused.
+        refused: number of draws or points that the requirements rejected.
     """
 
     def __init__(self, why: str, refused: int = 0) -> None:
@@ -84,20 +82,19 @@ class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
 
 
 class Refused(Rejected):
-    """A point does not meet the program's requirements; another may, for the same scene."""
+    """A point violates the program's requirements; another may be tried for the same scene."""
 
 
 class SceneSource:
     """The scenes of one program and seed; a context manager that owns the child process.
 
-    Scene ``i`` depends on the program's text, the seed, ``i`` and the point, if any, only: any
-    number of workers, in any order, after any interruption, draw the same scenes. Not for use by
-    several threads at once.
+    Scene ``i`` depends only on the program's text, the seed, ``i`` and the point, if any: any
+    number of workers, in any order, after any interruption, draw the same scenes. Not thread-safe.
 
     Attributes:
-        refused: draws of the last scene without a point that the requirements refused before it.
-        sampler: what the program asks for by ``verifaiSamplerType``; None where it asks for none.
-        notes: lines on what it may mean otherwise than it says.
+        refused: draws rejected by the requirements before the last scene without a point.
+        sampler: sampler requested by ``verifaiSamplerType``; None if there is none.
+        notes: notes on likely mistakes in the program.
     """
 
     def __init__(
@@ -105,17 +102,17 @@ class SceneSource:
         laid_over: Mapping[str, str] = _NO_OVERRIDES, timeout_s: float = 60.0,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
-        """Check the arguments; the child starts, and the program is compiled, on ``with``.
+        """Check the arguments; ``with`` starts the child and compiles the program.
 
         Args:
-            program: word of a shipped program, or path of a ``.scenic`` file.
-            seed: of the campaign, 0..2^63-1.
-            overrides: human keys, or their short forms, and values that replace what is drawn;
-                choices that they make idle are no dimensions.
-            laid_over: likewise, but the dimensions are those without them, so a point gives the
-                scene that it gives without them, with these values changed.
-            timeout_s: most wall-clock time for compiling, and for each scene [s].
-            meanwhile: is called while the child imports Scenic, which takes seconds.
+            program: name of a shipped program, or path of a ``.scenic`` file.
+            seed: seed of the campaign, 0..2^63-1.
+            overrides: human keys, or their short forms, and values that replace drawn ones; choices
+                that they make ineffective are not dimensions.
+            laid_over: like overrides, but without effect on the dimensions: a point gives the same
+                scene as without them, with these values changed.
+            timeout_s: wall-clock limit for compiling, and for each scene [s].
+            meanwhile: called while the child imports Scenic, which takes seconds.
 
         Raises:
             UsageError: unknown program, bad seed or bad override.
@@ -139,11 +136,11 @@ class SceneSource:
         self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
-        """Start the child, compile, and look ahead for overrides that contradict the program.
+        """Start the child, compile, and check for overrides that contradict the program.
 
         Raises:
             UsageError: ``file:line: message`` of what is wrong with the program.
-            InfraError: somebody else has killed the child; any later request may raise it, too.
+            InfraError: another process killed the child; any later request may raise it too.
         """
         self._start()
         try:
@@ -161,7 +158,7 @@ class SceneSource:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End the child."""
+        """Stop the child."""
         self._stop()
 
     def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
@@ -171,12 +168,12 @@ class SceneSource:
 
     @property
     def fixed_length(self) -> Mapping[str, str]:
-        """The duration among the overrides, if it is there."""
+        """The duration override, if given."""
         return {key: value for key, value in self._values.items() if key == DURATION.key}
 
     @property
     def drawn_notes(self) -> tuple[str, ...]:
-        """The notes, and that a sampler is not used, where scenes are drawn without one."""
+        """The notes for draws without a sampler, including that a requested one is unused."""
         if self.sampler is None or self.sampler.word == 'random':
             return self.notes
         said, place = self.sampler.said, self.sampler.place
@@ -184,7 +181,7 @@ class SceneSource:
                              f'of {place} is for taxinet falsify')
 
     def search_space(self) -> SearchSpace:
-        """The program's random choices, and which of them a point decides.
+        """The program's random choices, and which of them a point controls.
 
         Raises:
             UsageError: the program failed, hung or died.
@@ -202,14 +199,14 @@ class SceneSource:
         return self.search_space().dimensions
 
     def scene(self, index: int, point: Point | None = None, attempt: int = 0) -> Scenario:
-        """Scene ``index`` (from 0) with the overrides laid over it.
+        """Scene ``index`` (from 0) with the overrides applied.
 
         Args:
-            index: decides, with the seed, all that the point does not.
+            index: determines, with the seed, everything that the point does not.
             point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space` that
                 is not idle there, None for the others.
-            attempt: points that were refused for this scene before; what the point does not decide
-                is drawn anew for each.
+            attempt: number of points rejected for this scene before; values that the point does not
+                determine are redrawn for each.
 
         Raises:
             Refused: this point does not meet the requirements.
@@ -227,7 +224,7 @@ class SceneSource:
             raise
 
     def _drawn(self, index: int, point: Point | None, attempt: int) -> dict[str, Any]:
-        """Human values of a scene as the program has them."""
+        """Human values of a scene as drawn by the program."""
         request: dict[str, Any] = {'op': 'scene', 'index': index}
         if point is not None:
             request |= {'point': self.search_space().spread(point), 'attempt': attempt}
@@ -242,9 +239,9 @@ class SceneSource:
         raise Rejected(f'{where}: no draw met the requirements in {tries} tries', tries)
 
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
-        """Whether the program, which says what is no scenario, would not say so in every scene."""
+        """Whether the program draws impossible values only in some scenes."""
         drawn = self.search_space().drawn - set(self._values)
-        if PLACE.key in drawn:  # by which some others are possible or not
+        if PLACE.key in drawn:  # it decides which others are possible
             drawn |= BY_PLACE
         impossible = impossible_keys(values)
         if impossible:
@@ -252,7 +249,7 @@ class SceneSource:
         return bool(drawn & contradicting_keys(values))
 
     def _probe_weather(self) -> None:
-        # One wet scene in three would else be rejected for an override that a person can mend.
+        # Otherwise scenes would be rejected for an override that the user can correct.
         if sum(key in self._values for key in WEATHER) != 1:
             return
         for index in range(_PROBED_SCENES):
@@ -263,7 +260,7 @@ class SceneSource:
             except Contradiction:
                 raise
             except (Rejected, UsageError):
-                continue  # another matter
+                continue  # an unrelated problem
 
     def _start(self) -> None:
         request_read, request_write = open_pipe()
@@ -291,24 +288,24 @@ class SceneSource:
                 os.close(fd)
         self._fds = (-1, -1)
         if self._child is not None:
-            self._child.kill()  # whatever it has started, too, though it be dead itself
+            self._child.kill()  # with its descendants, even if it is dead itself
             self._child.wait()
         self._child = None
 
     def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self._child is None:
             raise RuntimeError('SceneSource: not running; use it in a with statement')
-        # What a program writes to the pipe itself must not pass for an answer, nor an answer that
-        # comes late for one to the next request.
+        # The ticket rejects text that a program writes to the pipe, and late answers to an earlier
+        # request.
         ticket = secrets.token_hex(8)
-        with contextlib.suppress(BrokenPipeError):  # then the answer says how it died
+        with contextlib.suppress(BrokenPipeError):  # then _receive reports how it died
             os.write(self._fds[1], json.dumps({**request, 'ticket': ticket}).encode() + b'\n')
         try:
             return self._receive(ticket, self._timeout_s + GRACE_S)
         except (UsageError, InfraError):
             raise
         except BaseException:
-            self._stop()  # interrupted: its late answer must not pass for the next scene's
+            self._stop()  # interrupted: its late answer must not be taken for the next
             raise
 
     def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:
@@ -339,9 +336,9 @@ class SceneSource:
             raise UsageError(text) from None
 
     def _lost(self) -> UsageError | InfraError:
-        """What to raise about a child that is gone."""
+        """The exception for a child that has exited."""
         assert self._child is not None
-        status = self._child.wait(GRACE_S) or 0  # its pipe closes a moment before it is gone
+        status = self._child.wait(GRACE_S) or 0  # its pipe closes shortly before it exits
         self._stop()
         program = _shown(self.program)
         if -status in _FROM_OUTSIDE:
@@ -360,19 +357,19 @@ class SceneSource:
 def accepted_scene(
     source: SceneSource, index: int, point: Point, again: Callable[[], Point]
 ) -> tuple[Scenario, int]:
-    """The scene at the first of a sampler's points that meets the program's requirements.
+    """The scene at the first sampler point that meets the program's requirements.
 
     Args:
-        source: of the scenes.
-        index: of the scene.
-        point: to begin with.
-        again: gives another one for the same scene.
+        source: source of the scenes.
+        index: number of the scene.
+        point: first point to try.
+        again: returns another point for the same scene.
 
     Returns:
-        The scene, and how many points were refused before it.
+        The scene, and the number of points rejected before it.
 
     Raises:
-        Rejected: as :meth:`SceneSource.scene`, or too many points were refused.
+        Rejected: as :meth:`SceneSource.scene`, or too many points were rejected.
         UsageError: as :meth:`SceneSource.scene`.
     """
     for attempt in range(MAX_ITERATIONS):
@@ -389,11 +386,11 @@ def accepted_scene(
 
 
 def first_scene(source: SceneSource) -> Scenario:
-    """A program's first scene that is accepted, the usual one where none is.
+    """A program's first accepted scene, or the default scenario if none is.
 
     Raises:
-        UsageError: as :meth:`SceneSource.scene`, or its length is no whole number of
-            control periods.
+        UsageError: as :meth:`SceneSource.scene`, or its duration is no multiple of the control
+            period.
     """
     first = apply_overrides({}, source.fixed_length, source.program.name)
     for index in range(_FIRST_SCENES):
@@ -409,7 +406,7 @@ def first_scene(source: SceneSource) -> Scenario:
 def sample_scenarios(
     program: str | Path, seed: int, n: int, overrides: Mapping[str, str] = _NO_OVERRIDES
 ) -> list[Scenario]:
-    """The first ``n`` scenes of a program, to look at before a campaign.
+    """The first ``n`` scenes of a program, for inspection before a campaign.
 
     Raises:
         Rejected, UsageError: as :meth:`SceneSource.scene`.
@@ -424,7 +421,7 @@ def _at(file: str, line: int) -> str:
 
 
 def _shown(path: Path) -> str:
-    """The shortest path that leads there from where the user stands."""
+    """The path, relative to the working directory if that is shorter."""
     with contextlib.suppress(ValueError):
         return str(path.resolve().relative_to(Path.cwd()))
     return str(path)

@@ -1,4 +1,4 @@
-"""What the test bench reads out of a drawn scene, and what it says where that is not there."""
+"""Read scenario values from a drawn scene, with errors for missing or invalid ones."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ SAMPLER_PARAMETERS = (
     'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler',
     'externalSamplerRejectionFeedback',
 )
-"""Global parameters that speak to samplers, and not of the scenario."""
+"""Global parameters that configure samplers, not the scenario."""
 
 _LEVEL = 1e-6
-"""What counts as level [m, deg]: Scenic's own arithmetic is off by less."""
+"""Tolerance for a level aircraft [m, deg]; Scenic's rounding errors are smaller."""
 
 Place = tuple[str, int]
-"""A file and a line of it, from 1."""
+"""A file and a line number from 1."""
 
 
 class ProgramError(Exception):
-    """The program compiles, but does not say what the test bench needs.
+    """The program compiles, but does not provide what the test bench needs.
 
     Attributes:
-        filename, lineno: where it says so, as a syntax error has them; None where that is unknown.
+        filename, lineno: place of the error, as in a SyntaxError; None if unknown.
     """
 
     def __init__(self, message: str, place: Place | None = None) -> None:
@@ -38,18 +38,18 @@ class ProgramError(Exception):
 
 
 def scenario_parameters(params: dict[str, Any]) -> dict[str, Any]:
-    """Those of a program's global parameters that describe the scenario."""
+    """The global parameters of a program that describe the scenario."""
     return {name: value for name, value in params.items() if name not in SAMPLER_PARAMETERS}
 
 
 def scene_values(scene: Any) -> dict[str, float | str | bool]:
-    """Plain values of a Scenic scene, by scenario key, in the units people type.
+    """Plain values of a Scenic scene by scenario key, in human units.
 
-    Place and heading are those of the aircraft as it stands in the scene, after ``mutate``.
+    Position and heading are those of the aircraft in the scene, after ``mutate``.
 
     Raises:
-        ProgramError: no plane, one that does not stand on the runway, a parameter that is the
-            plane's to say, or a value of another kind.
+        ProgramError: no plane, one that is not on the runway, a parameter that must be a property
+            of the plane, or a value of the wrong type.
     """
     ego = scene.egoObject
     if ego is None or any(plane_property(ego, key) is None for key in PLANE_KEYS):
@@ -58,7 +58,7 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
         )
     check_level(ego)
     values = {
-        'cross_track_m': 0 - ego.position.x,  # -x would turn a zero into a minus zero
+        'cross_track_m': 0 - ego.position.x,  # -x would turn 0 into -0
         'distance_m': ego.position.y,
         'heading_deg': math.degrees(ego.heading),
     }
@@ -77,20 +77,20 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
 
 
 def plane_property(plane: Any, key: str) -> Any:
-    """What an aircraft says of a key; None where it has no such property.
+    """An aircraft's property for a key; None if it has none.
 
-    World models of before the keys had units know short forms only.
+    World models older than the keys with units have short forms only.
     """
     return getattr(plane, key, getattr(plane, other_form(key), None))
 
 
 def check_level(plane: Any, place: Place | None = None) -> None:
-    """See that an aircraft stands on the runway, as every run begins.
+    """Check that an aircraft is level on the runway, as at the start of every run.
 
     Raises:
-        ProgramError: it is above or below, or leans.
+        ProgramError: it is above or below, or tilted.
     """
-    # "on REGION" puts the lower side of an object there, so its middle is above.
+    # "on REGION" places an object's underside there, so its centre is above.
     at_rest = (0.0, plane.contactTolerance / 2 - plane.baseOffset.z)
     if min(abs(plane.position.z - height) for height in at_rest) > _LEVEL:
         raise ProgramError(
@@ -107,7 +107,7 @@ def check_level(plane: Any, place: Place | None = None) -> None:
 
 
 def plain_value(name: str, value: Any, place: Place | None = None) -> float | str | bool:
-    """A value that Scenic drew as a number, a word or a switch.
+    """Convert a value drawn by Scenic to a number, a word or a switch.
 
     Raises:
         ProgramError: it is none of these.

@@ -1,15 +1,15 @@
-"""Scenic's words for choices that an outside sampler searches, without VerifAI.
+"""Scenic's functions for choices that an external sampler searches, without VerifAI.
 
 A program marks them with ``VerifaiRange``, ``VerifaiDiscreteRange``, ``VerifaiOptions`` or
 ``VerifaiParameter.withPrior``. Scenic's own classes of these names need the package VerifAI, whose
-last version (2.2.0) wants pandas < 3 and cannot be installed beside this one. So the Scenic child
-puts functions in their place, whether or not VerifAI is there: each makes an ordinary choice with
-the same prior, and marks it. Programs written for VerifAI compile unchanged, keep the weights of
-their options under every sampler, and are searched by the samplers here. What a program asks of
-Scenic's samplers by its global parameters is read by :func:`sampler_request`.
+last version (2.2.0) requires pandas < 3 and cannot be installed with this one. So the Scenic child
+replaces them with functions, whether or not VerifAI is installed: each makes an ordinary choice
+with the same prior, and marks it. Programs written for VerifAI compile unchanged, keep the weights
+of their options under every sampler, and are searched by the samplers here. :func:`sampler_request`
+reads the sampler that a program requests by its global parameters.
 
-The child also notes where in a program's text each choice is made (:func:`place_of`), for the
-search to write a learned distribution back. Only the Scenic child may import this module.
+The child also records where in a program's text each choice is made (:func:`place_of`), so that the
+search can write a learned distribution back. Only the Scenic child may import this module.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
 
 
 class _Buckets:
-    """Into how many parts the program at hand has ranges cut that do not say so themselves."""
+    """Default number of buckets of ranges in the current program."""
 
     number = Dimension(name='').buckets
     some_say = False
@@ -44,7 +44,7 @@ class _Buckets:
 
 
 def install() -> None:
-    """Put the words in place of Scenic's, and have choices remember where they were made."""
+    """Replace Scenic's functions, and make choices record where they were made."""
     words = {
         'VerifaiRange': verifai_range, 'VerifaiDiscreteRange': verifai_discrete_range,
         'VerifaiOptions': verifai_options, 'VerifaiParameter': VerifaiParameter,
@@ -57,21 +57,21 @@ def install() -> None:
 
 
 def begin() -> None:
-    """Forget the program before."""
+    """Reset for a new program."""
     _Buckets.number, _Buckets.some_say = Dimension(name='').buckets, False
 
 
 def sampler_request(
     params: Mapping[str, Any], places: Mapping[str, Place]
 ) -> dict[str, Any]:
-    """What a compiled program asks for by its global parameters, in plain values.
+    """The sampler that a compiled program requests by global parameters, as plain values.
 
     Args:
         params: the program's global parameters.
-        places: where each of them is set.
+        places: place where each of them is set.
 
     Raises:
-        ProgramError: a sampler of the program's own, or parameters that are no plain values.
+        ProgramError: a sampler defined by the program, or parameters that are no plain values.
     """
     own = params.get('externalSampler', external_params.VerifaiSampler)
     if own is not external_params.VerifaiSampler:
@@ -104,13 +104,13 @@ def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in values.items():
         if name.startswith('_'):
-            continue  # Scenic looks for attributes of its own, and a DotMap makes them
+            continue  # Scenic looks up its own attributes, and a DotMap creates them
         if isinstance(value, Mapping):
             found[name] = _plain(value, place)
         elif value is None or isinstance(value, (bool, int, float, str)):
             found[name] = value
         elif isinstance(value, (list, tuple, np.ndarray)):
-            found[name] = str(value)  # only to be shown: no sampler here takes one
+            found[name] = str(value)  # only for display: no sampler here takes one
         else:
             raise ProgramError(f'{PARAMS}.{name} is a {type(value).__name__}; it has to be a '
                                'plain number', place)
@@ -118,7 +118,7 @@ def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
 
 
 def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
-    """Cut ranges that do not say so themselves as the sampler does that a program asks for."""
+    """Set the default buckets of ranges as in the sampler that a program requests."""
     of_ranges = params.get('cont')
     if not isinstance(of_ranges, Mapping) or 'buckets' not in of_ranges:
         _Buckets.number = VERIFAI_BUCKETS
@@ -134,19 +134,19 @@ def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
 
 
 def buckets_of(choice: Any) -> int | None:
-    """Buckets of a choice that is marked for search; None for any other."""
+    """Number of buckets of a choice marked for search; None for any other."""
     if _MARK not in vars(choice):
         return None
     return vars(choice)[_MARK] or _Buckets.number
 
 
 def default_buckets() -> int:
-    """Buckets of a choice that is not marked, where none is."""
+    """Number of buckets of an unmarked choice, if no choice is marked."""
     return _Buckets.number
 
 
 def pieces_of(choice: Any) -> list[list[float]]:
-    """Of a ``VerifaiRange`` with weights, its parts: quantiles from and to, values from and to."""
+    """Pieces of a ``VerifaiRange`` with weights: quantiles from, to; values from, to."""
     pieces: list[list[float]] = vars(choice).get(_PIECES, [])
     return pieces
 
@@ -160,7 +160,7 @@ def place_of(choice: Any) -> list[Any] | None:
 def verifai_range(
     low: Any, high: Any, buckets: int | None = None, weights: Iterable[float] | None = None
 ) -> Any:
-    """``VerifaiRange``: a real interval, with ``weights`` for equal parts of it."""
+    """``VerifaiRange``: a real interval, with ``weights`` of equal parts."""
     if weights is None:
         return _marked(distributions.Range(low, high), buckets)
     weights = tuple(weights)
@@ -181,25 +181,25 @@ def verifai_range(
 def verifai_discrete_range(
     low: int, high: int, weights: Iterable[float] | None = None
 ) -> Any:
-    """``VerifaiDiscreteRange``: an integer interval, its ends included."""
+    """``VerifaiDiscreteRange``: an inclusive integer interval."""
     return _marked(distributions.DiscreteRange(low, high, weights and tuple(weights)), None)
 
 
 def verifai_options(options: Mapping[Any, float] | Iterable[Any]) -> Any:
-    """``VerifaiOptions``: one of several values, with weights where it is a dict."""
+    """``VerifaiOptions``: one of several values, with weights if it is a dict."""
     chosen = distributions.Options(options)
     _marked(chosen.index, None)
     return chosen
 
 
 class VerifaiParameter:
-    """The one use that programs make of Scenic's class of this name."""
+    """The supported subset of Scenic's class of this name."""
 
     @staticmethod
     def withPrior(prior: Any, buckets: Any = None) -> Any:  # noqa: N802 (Scenic's name)
-        """A choice with any prior: a range, a normal or options. It is not approximated.
+        """A choice with any prior, not approximated: a range, a normal or options.
 
-        ``buckets`` may be a list of their ends; the search here has none but equal ones.
+        ``buckets`` may be a list of bucket edges; the search here uses equal buckets only.
         """
         number = buckets if isinstance(buckets, int) else None
         _marked(prior.index if _is_options(prior) else prior, number)

@@ -1,1 +1,1 @@
-"""Shrinking: from a failed run to the scenario nearest to nominal that still fails."""
+"""Shrinking: reduce a failed run to the scenario nearest to nominal that still fails."""

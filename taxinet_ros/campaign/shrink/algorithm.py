@@ -1,16 +1,15 @@
-"""From one failing point, the search for the nearest to nominal that still fails.
+"""Search from a failing point for the one nearest to nominal that still fails.
 
-Knows neither scenarios nor runs. A point says for each axis how many steps it is away from its
-nominal value: the origin is nominal, the start is the point that was found to fail. A point's
-robustness is asked for, answered in any order, and fails where it is 0 or less.
+Independent of scenarios and runs. A point gives for each axis the number of steps from its nominal
+value: the origin is nominal, the start is the known failure. Robustness values are requested by
+point and answered in any order; a point fails if its robustness is 0 or less.
 
 The search is delta debugging (Zeller and Hildebrandt, IEEE Trans. Software Eng. 28, 2002), with
-axes for its differences: first every axis is taken to nominal as a whole where the failure survives
-it, then those that are left are bisected, round and round until nothing moves. Failure is not
-monotone: between two points that fail there may be one that does not. So the result is a local
-minimum: it fails, taking any one axis back to nominal makes it pass, and so does one step less on
-any one axis; some other point that is nearer still may fail too. It may also fail for another
-reason than the start does.
+axes as its differences: first each axis is set to nominal if the failure survives, then the
+remaining ones are bisected, repeatedly until nothing changes. Failure is not monotone: a passing
+point may lie between two failing ones. So the result is a local minimum: it fails, and it passes if
+any one axis is set to nominal or moved one step closer; some other point even nearer may fail too.
+Its failure may also have another cause than the start's.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ Point = tuple[int, ...]
 """Steps away from nominal, one number for each axis."""
 
 Rule = Callable[[Point, int], Point]
-"""Makes a point possible after one axis (its number) was moved, by taking others to 0."""
+"""Makes a point valid after one axis (its number) was moved, by setting others to 0."""
 
 LEAST_ASKED = 2
-"""Without its start and the origin no search can be begun."""
+"""Minimum number of evaluations: the start and the origin."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Axis:
-    """One thing that may be taken nearer to nominal.
+    """One parameter that may be moved towards nominal.
 
     Attributes:
-        steps: between nominal and the start, 1 or more.
-        scan: look at the values one by one from nominal on, instead of bisecting; for words.
+        steps: number of steps between nominal and the start, 1 or more.
+        scan: try the values one by one from nominal, instead of bisecting; for words.
     """
 
     steps: int
@@ -43,7 +42,7 @@ class Axis:
 
 
 class End(enum.StrEnum):
-    """Why a search asks no more."""
+    """Why a search ended."""
 
     NOT_YET = ''
     MINIMAL = 'minimal'
@@ -54,12 +53,12 @@ class End(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class State:
-    """How far a search has come.
+    """Progress of a search.
 
     Attributes:
-        at: the nearest point that is known to fail; the start where it does not fail itself.
-        asked: number of answers that this rests on.
-        end: why it asks no more.
+        at: the nearest known failing point; the start if even that passes.
+        asked: number of answers used.
+        end: why it ended.
     """
 
     at: Point
@@ -68,17 +67,17 @@ class State:
 
 
 class ShrinkSearch:
-    """The search, by ask and tell. Its result depends on the answers only, not on their order."""
+    """The ask-and-tell search; its result is independent of the order of the answers."""
 
     def __init__(
         self, axes: Sequence[Axis], *, most: int, rule: Rule = lambda point, axis: point,
     ) -> None:
-        """Nothing is asked yet.
+        """Create the search.
 
         Args:
             axes: one or more.
-            most: answers that the search may rest on, :data:`LEAST_ASKED` or more.
-            rule: what makes a point possible.
+            most: maximum number of answers to use, :data:`LEAST_ASKED` or more.
+            rule: makes a point valid.
         """
         if not axes or any(axis.steps < 1 for axis in axes) or most < LEAST_ASKED:
             raise ValueError(f'axes {axes}, at most {most} answers')
@@ -90,11 +89,11 @@ class ShrinkSearch:
         self._answers: dict[Point, float] = {}
 
     def wanted(self, limit: int = 1) -> list[Point]:
-        """Points to be answered, the most urgent first; none where the search has ended.
+        """Points to evaluate, the most urgent first; none if the search has ended.
 
         Args:
-            limit: most points. Those that the search needs next come first; if they are fewer, then
-                those that it would need after one answer or the other.
+            limit: maximum number of points. Those needed next come first, followed by those that
+                would be needed after either answer.
         """
         found: dict[Point, None] = {}
         guesses: list[dict[Point, float]] = [{}]
@@ -107,21 +106,21 @@ class ShrinkSearch:
         return list(found)[:limit]
 
     def tell(self, point: Point, rho: float) -> None:
-        """Take an answer, asked for or not."""
+        """Record an answer, requested or not."""
         self._answers[point] = rho
 
     @property
     def state(self) -> State:
-        """How far it has come."""
+        """Current progress."""
         walk = self._walk({})
         return State(at=walk.at, asked=len(walk.asked), end=walk.end)
 
     def rho(self, point: Point) -> float | None:
-        """The answer for a point, if there is one."""
+        """The answer for a point, or None."""
         return self._answers.get(point)
 
     def moved(self, point: Point, axis: int, steps: int) -> Point:
-        """``point`` with one axis at ``steps``, and what that takes to nominal with it."""
+        """``point`` with one axis at ``steps``, made valid by the rule."""
         return self._rule((*point[:axis], steps, *point[axis + 1:]), axis)
 
     def _walk(self, guess: Mapping[Point, float]) -> _Walk:
@@ -131,14 +130,14 @@ class ShrinkSearch:
 
 
 class _Stop(Exception):  # noqa: N818 (an end, not an error)
-    """The walk cannot go on: answers are missing, or their number is spent."""
+    """The walk cannot continue: answers are missing, or the limit is reached."""
 
 
 class _Walk:
-    """The search from its beginning as far as the answers carry it.
+    """Replay of the search from its start, as far as answers are available.
 
-    It is walked anew for every question: a few hundred steps of plain arithmetic, next to runs of
-    seconds. So there is no state that an answer out of order could disturb.
+    It is replayed for every request: a few hundred arithmetic steps, compared to runs of seconds.
+    So there is no state that an out-of-order answer could disturb.
     """
 
     def __init__(self, shrink: ShrinkSearch, answers: Mapping[Point, float], most: int) -> None:
@@ -152,7 +151,7 @@ class _Walk:
         self._passing: dict[int, int] = {}
 
     def go(self) -> None:
-        """Walk until the end, or until it cannot go on."""
+        """Walk until the end, or until it cannot continue."""
         try:
             self.end = self._search()
         except _Stop:
@@ -175,7 +174,7 @@ class _Walk:
         return End.MINIMAL
 
     def _take_back(self) -> None:
-        """Take whole axes to nominal until none can be without the failure being lost."""
+        """Set whole axes to nominal until no more can be without losing the failure."""
         while True:
             singles = [
                 self._shrink.moved(self.at, axis, 0) for axis, steps in enumerate(self.at) if steps
@@ -185,16 +184,16 @@ class _Walk:
             if not failing:
                 return
             together = tuple(map(min, *failing)) if len(failing) > 1 else failing[0]
-            # All at once where that still fails, else the one that leaves the worst failure.
+            # All at once if that still fails, else the one that leaves the worst failure.
             self.at = together if self._fails(together) else failing[0]
 
     def _narrow(self, axis: int) -> None:
-        """Bring one axis as near to nominal as the failure allows; at nominal it passes."""
+        """Move one axis as near to nominal as the failure allows; at nominal it passes."""
         high = self.at[axis]
         if self._shrink.axes[axis].scan:
             next((steps for steps in range(1, high) if self._try(axis, steps)), None)
             return
-        # What passed the last time round most likely passes still, and saves the bisection.
+        # What passed in the last round most likely still passes, which saves the bisection.
         low = max(0, min(self._passing.get(axis, 0), high - 1))
         if low and self._try(axis, low):
             high, low = low, 0
@@ -207,7 +206,7 @@ class _Walk:
         self._passing[axis] = low
 
     def _try(self, axis: int, steps: int) -> bool:
-        """Go there if it fails."""
+        """Move there if it fails."""
         point = self._shrink.moved(self.at, axis, steps)
         if not self._fails(point):
             return False

@@ -1,11 +1,10 @@
-"""What shrinking a failed run is asked to do, and the scenarios that it may run.
+"""Options of shrinking a failed run, and the scenarios that it may run.
 
-It changes the run's parameters step by step towards nominal, which is what the bench's own
-program ``nominal`` calls plain taxiing: on the centreline, straight ahead, under a clear dry
-sky at 10 h (a high sun that casts the aircraft's shadow beside it, in the hours at which both
-shipped networks were trained), on a stretch without rubber and away from the crossing. There
-are two such stretches; the one on the run's own side of the crossing is taken, for otherwise
-the way to nominal would lead across it.
+The run's parameters are moved in steps towards nominal, as defined by the shipped program
+``nominal``: on the centreline, straight ahead, under a clear dry sky at 10 h (a high sun that casts
+the aircraft's shadow beside it, in the hours at which both shipped networks were trained), on a
+stretch without rubber and away from the crossing. There are two such stretches; the one on the
+run's side of the crossing is used, because otherwise the path to nominal would lead across it.
 """
 
 from __future__ import annotations
@@ -32,22 +31,22 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
 DISTANCES_M = (1000.0, 1800.0)
-"""Nominal starts before and beyond the crossing, each within a stretch of ``nominal.scenic``."""
+"""Nominal starts before and beyond the crossing, each within the range of ``nominal.scenic``."""
 NOMINAL_HOUR = 10.0
 STEPS = {
     'cross_track_m': 0.1, 'distance_m': 10.0, 'heading_deg': 0.5, 'rain_percent': 1.0,
     'time_of_day_h': 0.05, 'wind_speed_mps': 0.5, 'gust_mps': 0.5, 'slope_percent': 0.1,
     'speed_mps': 0.5,
 }
-"""Step of each parameter that is a number; 0.05 h are 3 min."""
+"""Step of each numeric parameter; 0.05 h are 3 min."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
     'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps', 'shadows',
     'crossing', 'date', 'aircraft',
 )
-"""What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
+"""Parameters to move to nominal; the last four keep the run's values unless given."""
 _FOLLOWERS = {'wind_speed_mps': 'wind_direction_deg', 'gust_mps': 'gust_seed'}
-"""What has no effect where these are 0, and goes there with them."""
+"""Parameters without effect when the key is 0; they are set to 0 with it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,7 +55,7 @@ class Parameter:
 
     Attributes:
         key: one of :data:`KEYS`.
-        values: from nominal to the failed run's; just one where the two are equal.
+        values: from nominal to the failed run's; a single one if the two are equal.
     """
 
     key: str
@@ -64,7 +63,7 @@ class Parameter:
 
     @property
     def axis(self) -> Axis:
-        """The parameter as the search sees it."""
+        """The parameter as a search axis."""
         return Axis(steps=len(self.values) - 1, scan=self.key not in STEPS)
 
 
@@ -74,7 +73,7 @@ class ShrinkSpace:
 
     Attributes:
         original, nominal: its two ends.
-        parameters: all that were looked at, those that are nominal already included.
+        parameters: all parameters considered, including those already nominal.
     """
 
     original: Scenario
@@ -87,12 +86,12 @@ class ShrinkSpace:
         return tuple(one for one in self.parameters if len(one.values) > 1)
 
     def steps(self, point: Point) -> dict[str, int]:
-        """Steps away from nominal by key, 0 for what is nominal already."""
+        """Steps from nominal by key, 0 for parameters that are already nominal."""
         moved = dict(zip((one.key for one in self.moving), point, strict=True))
         return {one.key: moved.get(one.key, 0) for one in self.parameters}
 
     def scenario(self, point: Point) -> Scenario:
-        """The scenario at a point. What is not moved is the original's to the last bit."""
+        """The scenario at a point; unmoved parameters are bit-exact."""
         steps = self.steps(point)
         changed = {
             one.key: one.values[steps[one.key]]
@@ -104,11 +103,11 @@ class ShrinkSpace:
         return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
 
     def possible(self, point: Point, axis: int) -> Point:
-        """``point``, or where its sky has no rain for it, clouds or rain taken to nominal.
+        """``point`` with clouds or rain set to nominal if the sky does not allow the rain.
 
         Args:
             point: steps away from nominal.
-            axis: number of the parameter that was moved; the other one of the two gives way.
+            axis: number of the moved parameter; the other one of the two is set to nominal.
         """
         keys = [one.key for one in self.moving]
         values = {
@@ -144,7 +143,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     try:
         asked = {**usual, **chosen}
         nominal = scenario_from_human({**drawn, **asked, **_followers(asked)})
-        if 'aircraft' in chosen:  # in the run's own wind, for it may be taken there first
+        if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
             scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
     except UsageError as error:
         raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
@@ -172,7 +171,7 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
 
 
 def _followers(values: Mapping[str, Any]) -> dict[str, float]:
-    """What goes to 0 with some of the values."""
+    """Parameters that follow some of the values to 0."""
     return {
         follower: 0.0 for key, follower in _FOLLOWERS.items() if float(values.get(key, 1.0)) == 0
     }
@@ -186,7 +185,7 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     if key not in STEPS:
         return nominal, original
     step = math.copysign(STEPS[key], original - nominal)
-    # A whole number of steps must not come out one more for a rounding error.
+    # A rounding error must not add a step.
     whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
     return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
 
@@ -198,20 +197,19 @@ def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ..
 
 
 PROGRAM = 'shrink'
-"""Stands for the program of runs that come of no program, in their names and in the table."""
+"""Program name of runs without a program, in run names and in the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShrinkOptions:
-    """One failed run to be shrunk.
+    """Options of shrinking one failed run.
 
     Attributes:
         run: the failed run.
         space: the scenarios that may be run.
-        campaign: judged how, with which perception, and where to; ``runs`` is the most that the
-            search may rest on.
-        workers: graphs that run at once.
-        resume: continue what was interrupted.
+        campaign: judging, perception and output folder; ``runs`` limits the runs of the search.
+        workers: number of concurrent graphs.
+        resume: continue an interrupted shrinking.
     """
 
     run: JudgedRun
@@ -222,7 +220,7 @@ class ShrinkOptions:
 
     @property
     def headline(self) -> str:
-        """Name of the formula that has to stay violated."""
+        """Name of the formula that must stay violated."""
         return self.campaign.judging.headline
 
 
@@ -230,22 +228,22 @@ def make_shrink_options(
     path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
     workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
 ) -> ShrinkOptions:
-    """Check what a person typed.
+    """Check the command-line arguments.
 
     Args:
         path: folder of the failed run.
-        perception: where not that of the run.
-        specs: formulas as text; the run's where empty.
+        perception: perception, if not the run's.
+        specs: formulas as text; the run's if empty.
         nominal: ``key=value`` of the nominal scenario.
-        runs: most runs that the search may rest on.
-        workers: graphs that run at once.
-        out: folder; where None, a new one below ``bags/`` that says what it holds.
-        resume: ``out`` holds a shrinking that is to be continued.
-        images: ``all`` or ``none`` of the camera frames go into the bags.
-        controller: where not that of the run.
+        runs: maximum number of runs of the search.
+        workers: number of concurrent graphs.
+        out: folder; if None, a new one below ``bags/`` with a descriptive name.
+        resume: continue the shrinking in ``out``.
+        images: record ``all`` or ``none`` of the camera frames.
+        controller: controller, if not the run's.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: one line on the first error.
     """
     if not 1 <= workers <= LAG:
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
@@ -288,7 +286,7 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
 
 
 def _perception(run: JudgedRun, asked: str | None) -> str:
-    """The perception to shrink with: the one that failed, unless another is asked for."""
+    """The perception to shrink with: the one that failed, unless another is given."""
     if asked is not None:
         return asked
     try:
@@ -307,7 +305,7 @@ def _perception(run: JudgedRun, asked: str | None) -> str:
 
 
 def _controller(run: JudgedRun) -> str:
-    """What steered when it failed."""
+    """Controller of the failed run."""
     try:
         now = check_controller(run.controller, graph=True)
     except UsageError as error:
@@ -323,7 +321,7 @@ def _controller(run: JudgedRun) -> str:
 
 
 def _world(run: JudgedRun) -> str:
-    """Where it failed."""
+    """World of the failed run."""
     try:
         return find_world(run.world, run.world_fingerprint).name
     except UsageError as error:

@@ -1,9 +1,9 @@
 """The shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
 
-Its folder is a campaign's. What comes next depends on the answers only, so a resumed shrinking
-finds those that it has in its ledger and goes on where it was. Runs that have no verdict are
-done anew under their old numbers, so that the table is that of an undisturbed one. Below it
-what came of it, parameter by parameter, and the lines that say so.
+Its folder is a campaign folder. The next run depends only on the answers, so a resumed shrinking
+reads them from its ledger and continues. Runs without a verdict are repeated under their old
+numbers, so the table equals that of an uninterrupted one. The second half of the module reports the
+outcome for each parameter.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from taxinet_ros.core.world import world_options
 
 
 class Shrinking:
-    """Asks for runs and takes their answers; a context manager.
+    """Requests runs and records their results; a context manager.
 
     Attributes:
         options: what to do.
-        search: what is known of which point.
-        rows: one row per run that is done, those of before included, by the order in which they
-            were needed or ended.
-        broken: the run that the bench broke for good; None while it can go on.
+        search: search state.
+        rows: one row per completed run, including earlier ones, in the order in which they were
+            needed or ended.
+        broken: the run that the bench broke permanently, or None.
         interrupted: whether :meth:`interrupt` was called.
         book: the shrinking on disk.
     """
@@ -53,12 +53,12 @@ class Shrinking:
         self, options: ShrinkOptions, participants: tuple[str, ...],
         on_row: Callable[[RunRow], None] = lambda row: None,
     ) -> None:
-        """Nothing is written before the ``with``.
+        """Create the shrinking; nothing is written before the ``with``.
 
         Args:
             options: what to do.
-            participants: node names that take part in every run.
-            on_row: called with each new row as soon as it is on disk; not with those of before.
+            participants: names of the nodes in every run.
+            on_row: called with each new row once it is on disk; not with earlier ones.
         """
         self.options = options
         self.search = ShrinkSearch(
@@ -78,10 +78,10 @@ class Shrinking:
         self._next = 0
 
     def __enter__(self) -> Self:
-        """Make the folder, or see that it holds this shrinking.
+        """Create the folder, or check that it holds this shrinking.
 
         Raises:
-            UsageError: the folder cannot be used, or what it holds is something else.
+            UsageError: the folder cannot be used, or holds something else.
         """
         facts = self._facts()
         with contextlib.ExitStack() as opened:
@@ -96,11 +96,11 @@ class Shrinking:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of what there is, whatever happened."""
+        """Write the table of the rows so far, even after an error."""
         self.book.__exit__(kind, error, trace)
 
     def next(self) -> RunRequest | None:
-        """A run to begin now; None where there is none before another run has ended, or at all."""
+        """The next run to start; None if none is ready or the search has ended."""
         if self.interrupted or self.broken is not None:
             return None
         if (request := self.book.next_retry()) is not None:
@@ -113,7 +113,7 @@ class Shrinking:
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Keep one answer. A run that the bench broke gets a second chance; then the bench is."""
+        """Record one result; a run broken by the bench is retried once, then ends the shrinking."""
         if self.book.second_chance(request, result):
             return
         index = request.index
@@ -132,15 +132,15 @@ class Shrinking:
         self.book.keep(row)
 
     def interrupt(self) -> None:
-        """Ask for no more runs, not for second chances either. A signal handler may call it."""
+        """Request no more runs or retries; safe to call from a signal handler."""
         self.interrupted = True
 
     def row(self, point: Point) -> RunRow | None:
-        """The judged run of a point, if there is one."""
+        """The judged run of a point, or None."""
         return self._by_point.get(point)
 
     def _next_point(self) -> Point | None:
-        """The most urgent point that nobody is at, or one that may become so."""
+        """The most urgent point that is not in flight, or one that may be needed later."""
         under_way = set(self._under_way.values())
         wanted = self.search.wanted(len(under_way) + 1)
         return next((point for point in wanted if point not in under_way), None)
@@ -164,7 +164,7 @@ class Shrinking:
         return json.dumps(self.options.space.scenario(point).to_human())
 
     def _take_up(self, content: LedgerContent) -> None:
-        """Know what earlier sittings have found, and which runs they have left."""
+        """Load earlier results, and the runs that they left unfinished."""
         known = (*content.unfinished, *(row.index for row in content.rows))
         self._next = 1 + max(known, default=-1)
         self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
@@ -188,20 +188,18 @@ class Shrinking:
 
 
 def _scene(row: RunRow) -> str:
-    """The scene of a run, as :meth:`Shrinking._key` has that of a point."""
+    """Key of a run's scene, as :meth:`Shrinking._key` of a point."""
     return json.dumps(row.scene)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finding:
-    """What is known of one parameter. Values are in human units; None is what was not run.
+    """Result for one parameter, in human units; None for values that were not run.
 
     Attributes:
         key: name of the parameter.
-        original, nominal, shrunk: its value in the failed run, in plain taxiing, and in the nearest
-            scenario to that which still fails.
-        rho_in_original, rho_in_shrunk: robustness of either with this parameter made nominal, where
-            it is not.
+        original, nominal, shrunk: its value in the failed, the nominal and the shrunk scenario.
+        rho_in_original, rho_in_shrunk: robustness of either with this parameter set to nominal.
         passes_at: the neighbour of ``shrunk``, one step nearer to nominal, that does not fail.
         rho_passes_at: robustness there.
     """
@@ -217,7 +215,7 @@ class Finding:
 
     @property
     def matters(self) -> bool:
-        """Whether the failure needs it to be other than nominal."""
+        """Whether the failure requires it to differ from nominal."""
         return bool(self.shrunk != self.nominal)
 
     def words(self, value: Any) -> str:
@@ -230,11 +228,11 @@ class Report:
     """The whole outcome.
 
     Attributes:
-        state: how far the search has come, and why it ended.
+        state: progress of the search, and why it ended.
         findings: one for each parameter.
-        scenario: the shrunk one.
-        original, nominal, shrunk: the runs of the three; None where there is none.
-        dry: clouds made nominal take the rain with them, for no rain falls from that sky.
+        scenario: the shrunk scenario.
+        original, nominal, shrunk: rows of the three runs; None if missing.
+        dry: nominal clouds also remove the rain, as no rain falls from that sky.
     """
 
     state: State
@@ -247,7 +245,7 @@ class Report:
 
 
 def make_report(shrinking: Shrinking) -> Report:
-    """What is known by now."""
+    """Report of the results so far."""
     space, search = shrinking.options.space, shrinking.search
     state = search.state
     axes = {one.key: number for number, one in enumerate(space.moving)}
@@ -282,7 +280,7 @@ _MATTERS = {True: Text('matters', style='bold red'), False: Text('does not matte
 
 
 def shrink_heading(options: ShrinkOptions) -> str:
-    """What is about to be done."""
+    """Heading that describes the shrinking."""
     campaign, run = options.campaign, options.run
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     verb = 'resuming to shrink' if options.resume else 'shrinking'
@@ -313,7 +311,7 @@ def parameter_table(report: Report) -> Table:
 
 
 def finding_lines(report: Report) -> list[str]:
-    """How the table is to be read, and where the failure begins."""
+    """Lines that explain the table and where the failure begins."""
     lines = ['rho in original, in shrunk: of that run with this one parameter made nominal']
     if report.dry:
         lines[0] += ' (a clear sky is dry too)'
@@ -326,13 +324,13 @@ def finding_lines(report: Report) -> list[str]:
 
 
 def edge_words(one: Finding) -> str:
-    """Where along one parameter the failure begins, all others as in the shrunk run."""
+    """Where along one parameter the failure begins, with the others as in the shrunk run."""
     fails, passes = one.words(one.shrunk), one.words(one.passes_at)
     return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
 
 
 def off_nominal(report: Report) -> str:
-    """The shrunk scenario in a few words: what in it is not nominal."""
+    """Short description of the shrunk scenario: its parameters that are not nominal."""
     words = [
         f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.matters
     ]
@@ -340,7 +338,7 @@ def off_nominal(report: Report) -> str:
 
 
 def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: float) -> list[str]:
-    """How it ended and what it took."""
+    """Lines on how the shrinking ended and its cost."""
     lines = [_ended(report)] if report.state.end is not End.MINIMAL else []
     if report.shrunk is not None:
         rho = report.shrunk.rho[options.headline]
@@ -355,7 +353,7 @@ def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: floa
 
 
 def run_command(options: ShrinkOptions, program: str) -> str:
-    """What to type to run the shrunk scenario."""
+    """Shell command to run the shrunk scenario."""
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
     words += controller_options(campaign.controller)

@@ -82,7 +82,7 @@ class Decision:
     worse: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, None where there is no number."""
+        """Plain values, with None for missing numbers."""
         return plain_values(asdict(self))
 
 
@@ -131,7 +131,7 @@ def decide(
 
 
 def _better(found: ArmComparison, alpha: float) -> str:
-    """In what the candidate is significantly better, or ''."""
+    """Text on what the candidate does significantly better, or ''."""
     satisfied, rho = found.satisfied, found.rho
     if satisfied.second > satisfied.first and satisfied.p_value <= alpha:
         return f'fails less often (p {satisfied.p_value:.2g})'

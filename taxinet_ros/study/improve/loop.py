@@ -156,7 +156,7 @@ RunStages = Callable[[Sequence[Stage]], int]
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """What came of a round.
+    """Result of a round.
 
     Attributes:
         number: from 1.

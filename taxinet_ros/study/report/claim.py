@@ -233,5 +233,5 @@ def all_of(parts: Sequence[Sides]) -> Sides:
 
 
 def p_words(p_value: float) -> str:
-    """A p value for people."""
+    """Display text of a p value."""
     return f'{p_value:.2g}' if p_value >= 1e-4 else '< 0.0001'

@@ -267,7 +267,7 @@ def binned_columns(unit: str, digits: int) -> Columns:
 def table_of(
     frame: pd.DataFrame, name: str, title: str, caption: str, columns: Columns
 ) -> Table:
-    """A data frame as a table for people; columns that it lacks are left out."""
+    """A data frame as a display table; missing columns are omitted."""
     present = [column for column in columns if column[0] in frame]
     return Table(
         name=name, title=title, caption=caption,

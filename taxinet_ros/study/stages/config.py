@@ -172,7 +172,7 @@ def shipped_config() -> Path:
 
 
 def read_config(path: Path) -> StudyConfig:
-    """Read a study that a person wrote; what it leaves out is as in the shipped one.
+    """Read a user's study file; missing values are those of the shipped one.
 
     Raises:
         UsageError: one line with the file, the key, and how to mend it.

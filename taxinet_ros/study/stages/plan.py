@@ -53,7 +53,7 @@ def learned_program(config: StudyConfig) -> str:
 
 
 def stages(config: StudyConfig) -> tuple[Stage, ...]:
-    """All stages of a study, each after those whose files it needs."""
+    """All stages of a study, each after the stages whose files it needs."""
     found = [*_falsification(config), *_debugging(config), *_retraining(config)]
     found += [*_learning(config), *_iteration(config)]
     if config.best:
