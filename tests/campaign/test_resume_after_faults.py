@@ -264,5 +264,6 @@ def test_f9_given_a_table_that_cannot_be_written_then_the_bench_broke(
     monkeypatch.setattr('taxinet_ros.campaign.record.book.write_tables', refuse)
     code = cli._exit_code(lambda: toy.finish(toy.options(tmp_path / 'c')))
     assert (code, capsys.readouterr().err) == (4, (
-        f'taxinet: error: {tmp_path}/c/runs.csv: [Errno 13] Permission denied; continue with --resume\n'
+        f'taxinet: error: {tmp_path}/c/runs.csv: [Errno 13] Permission denied; '
+        'continue with --resume\n'
     ))

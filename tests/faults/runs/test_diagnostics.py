@@ -70,7 +70,7 @@ class Gatherer(Node):
             status for status in reversed(list(self.heard))
             if status.name == f'{node}: run' and level in (None, status.level)
             and re.search(words, status.message)
-            and (not key or key in {value.key for value in status.values})
+            and (not key or key in {value.key for value in status.values if value.value})
         ), None)
 
 
