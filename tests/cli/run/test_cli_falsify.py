@@ -66,7 +66,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert (done.returncode, done.stderr) in ((0, ''), (1, '')), done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith('searching nominal for failures: up to 10 runs, sampler ce, seed 4')
-    assert lines[1] == 'searched: time_of_day, clouds, ego.position.x, distance, ego.heading'
+    assert lines[1] == 'searched: time_of_day_h, clouds, ego.position.x, distance_m, ego.heading'
     assert lines[2].startswith('tight: always over the run: |cte| <= 0.3 m')
     assert [line.split()[0] for line in lines[3:13]] == [str(index) for index in range(10)]
     assert 'under the program itself: satisfied' in done.stdout
@@ -158,8 +158,8 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
 
 def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resumed(tmp_path):
     out = tmp_path / 'c'
-    words = ('--workers', '2', '--runs', '3', '--set', 'duration=600', '--out', str(out))
-    with begun(*words) as search:
+    long = ('duration=600' if word == 'duration=2' else word for word in WORDS)
+    with command_begun(*long, '--workers', '2', '--runs', '3', '--out', str(out)) as search:
         wait_for(lambda: len([bag for bag in out.glob('nominal-*') if frames(bag) > 60_000]) == 2)
         search.send_signal(signal.SIGINT)
         stdout, _ = search.communicate()
