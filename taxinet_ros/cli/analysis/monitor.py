@@ -90,7 +90,7 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         line.append(f'  {bag.timing}' if bag.timing else '', style='cyan')
         yield line
         if one.breach_s is not None:
-            text = f'assumption violated at {one.breach_s:g} s counts no more'
+            text = f'assumption violated at {one.breach_s:g} s'
             yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
         if one.verdict is BagVerdict.UNCLEAR:
             yield Text(f'{name}  {one.why}', style='yellow')

@@ -101,7 +101,7 @@ def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_pa
     assert '100.0% of the failures (95 % interval ' in done.stdout
     assert 'to 100.0%); the program 100.0%' in done.stdout
     assert picture.read_bytes().startswith(b'\x89PNG')
-    for words, said in (((whole, whole), 'is there twice'), ((tmp_path,), 'no such file'),
+    for words, said in (((whole, whole), 'is given twice'), ((tmp_path,), 'no such file'),
                         ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):
         refused = taxinet('learned', *words)
         assert (refused.returncode, refused.stderr.count('\n')) == (2, 1)
