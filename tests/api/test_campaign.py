@@ -31,5 +31,5 @@ def test_given_a_campaign_then_its_rates_are_those_of_its_program(campaign_folde
 
 
 def test_given_a_folder_that_is_no_campaign_then_one_line_says_so(tmp_path):
-    with pytest.raises(tx.UsageError, match=r'not a campaign \(no ledger\.jsonl'):
+    with pytest.raises(tx.UsageError, match=r'not a campaign: no ledger\.jsonl'):
         tx.open_campaign(tmp_path)
