@@ -340,7 +340,7 @@ def run(
     timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
     asked = judging.parsed_specs
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
-    for line in check_specs(asked, scenario.duration_s, gains).warnings:
+    for line in check_specs(asked, scenario, gains).warnings:
         warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 
@@ -548,6 +548,7 @@ def _perception(given: str | Perception | Look) -> Perception:
     if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
         return given
     _check_answering('perception', given, 'estimate', 2)
+    _check_starting('perception', given, 0)
     return _FunctionPerception(given)
 
 
@@ -557,6 +558,7 @@ def _controller(given: str | Controller | Steer) -> Controller:
     if isinstance(given, SteeringLaw | UserController):
         return given
     _check_answering('controller', given, 'command', 1)
+    _check_starting('controller', given, 1)
     return _FunctionController(given)
 
 
@@ -568,12 +570,31 @@ def _check_answering(name: str, given: Any, method: str, arguments: int) -> None
     if isinstance(given, type) or not callable(answer):
         told_words = given if isinstance(given, int | float) else told(given)
         raise UsageError(f'{name}: {told_words} is neither a word, a {name} nor a function')
+    if why := _misfit(answer, count):
+        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {why}')
+
+
+def _check_starting(name: str, given: Any, most: int) -> None:
+    """Check that ``begin``, with at most ``most`` arguments, and ``reset`` can be called."""
+    for method in ('begin', 'reset'):
+        start = getattr(given, method, None)
+        if start is None:
+            continue
+        misfits = [_misfit(start, count) for count in range(most + 1 if method == 'begin' else 1)]
+        if not callable(start) or all(misfits):
+            what = 'the scenario or nothing' if len(misfits) > 1 else 'no argument'
+            raise UsageError(f'{name}: {method} of {told(given)} cannot be called with {what}')
+
+
+def _misfit(function: Any, count: int) -> str:
+    """Why a function cannot be called with ``count`` arguments; '' if it can."""
     try:
-        inspect.signature(answer).bind(*range(count))
+        inspect.signature(function).bind(*range(count))
     except TypeError as error:
-        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {error}') from None
+        return str(error)
     except ValueError:  # compiled functions may have no signature
         pass
+    return ''
 
 
 class _Function:
@@ -585,12 +606,14 @@ class _Function:
         self._given = given
 
     def begin(self, scenario: Scenario | None = None) -> None:
-        """Reset it before a run, if it has a ``begin()`` or ``reset()``."""
-        for name in ('begin', 'reset'):
-            forget = getattr(self._given, name, None)
-            if forget is not None:
-                forget()
-                return
+        """Call its ``begin``, with the scenario if it takes one, or its ``reset``."""
+        begin = getattr(self._given, 'begin', None)
+        if begin is None:
+            getattr(self._given, 'reset', lambda: None)()
+        elif scenario is None or _misfit(begin, 1):
+            begin()
+        else:
+            begin(scenario)
 
 
 class _FunctionPerception(_Function, Perception):

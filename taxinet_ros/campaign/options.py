@@ -22,7 +22,7 @@ from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
+from taxinet_ros.core.judge import SpecCheck, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
@@ -184,13 +184,17 @@ class CampaignOptions:
             first: scenario of the first run.
 
         Raises:
-            UsageError: a requirement cannot be evaluated on runs of this length.
+            UsageError: a requirement cannot be evaluated on such runs, or a gain has no effect.
         """
+        usual_mps = SteeringGains().speed_mps
+        if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
+            raise UsageError(
+                f'steering.speed_mps={usual_mps:g} has no effect: at {usual_mps:g} the '
+                f'scenario says the speed, {first.speed_mps:g}; set speed_mps instead'
+            )
         known = self.controller == STEERING and not self.standing_graph
-        gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
-        place = self.overrides.get(PLACE.key)
-        runway = typed_place(place).runway if place else None
-        found = check_specs(self.judging.parsed_specs, first.duration_s, gains, runway)
+        gains = SteeringGains(**self.gains) if known else None
+        found = check_specs(self.judging.parsed_specs, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 

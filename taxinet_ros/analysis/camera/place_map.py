@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import Crossing, Runway
+from taxinet_ros.core.place.runway import Runway
 
 Points = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     axes.add_collection(PolyCollection(areas, facecolors=_APRON, linewidths=0))
     holes = turned(hole for area in place.pavements for hole in area.holes)
     axes.add_collection(PolyCollection(holes, facecolors=_GROUND, linewidths=0))
-    crossings = turned(_strip(one) for one in runway.crossings)
+    crossings = turned(one.strip(_REACH_M) for one in runway.crossings)
     axes.add_collection(PolyCollection(crossings, facecolors=_CROSSING, linewidths=0))
     pavement = turned([_outline(runway)])
     axes.add_collection(PolyCollection(pavement, facecolors=_PAVEMENT, linewidths=0))
@@ -102,17 +102,6 @@ def _draw_end(axes: Axes, place: Place, end: int) -> None:
 def _outline(runway: Runway) -> Polygon:
     length, half = runway.length_m, runway.half_width_m
     return (0.0, -half), (length, -half), (length, half), (0.0, half)
-
-
-def _strip(crossing: Crossing) -> Polygon:
-    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
-    half = crossing.width_m / 2
-    return tuple(
-        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
-        for along, across in (
-            (-_REACH_M, -half), (_REACH_M, -half), (_REACH_M, half), (-_REACH_M, half),
-        )
-    )
 
 
 def _add_compass(axes: Axes) -> None:

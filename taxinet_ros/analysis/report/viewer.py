@@ -23,7 +23,7 @@ from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import Crossing, Runway
+from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
@@ -37,7 +37,8 @@ def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
     length, half = runway.length_m, runway.half_width_m
     crossings = runway.crossings if crossing else ()
     pavement = (
-        ((0.0, -half), (length, -half), (length, half), (0.0, half)), *map(_crossing, crossings),
+        ((0.0, -half), (length, -half), (length, half), (0.0, half)),
+        *(one.strip(_CROSSING_REACH_M) for one in crossings),
     )
     return {
         'pavement': [_corners(polygon) for polygon in pavement],
@@ -46,18 +47,6 @@ def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
         'length': length,
         'halfWidth': half,
     }
-
-
-def _crossing(crossing: Crossing) -> Polygon:
-    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
-    half = crossing.width_m / 2
-    return tuple(
-        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
-        for along, across in (
-            (-_CROSSING_REACH_M, -half), (_CROSSING_REACH_M, -half),
-            (_CROSSING_REACH_M, half), (-_CROSSING_REACH_M, half),
-        )
-    )
 
 
 def _corners(polygon: Polygon) -> list[list[Any]]:

@@ -54,6 +54,15 @@ class Crossing:
         reach = self.clear_half_m / abs(sin)
         return middle - reach, middle + reach
 
+    def strip(self, reach_m: float) -> tuple[tuple[float, float], ...]:
+        """Corners (x, y) [m] of its pavement, up to ``reach_m`` from the centreline each way."""
+        sin, cos, half = math.sin(self.yaw_rad), math.cos(self.yaw_rad), self.width_m / 2
+        return tuple(
+            (self.x_m + along * cos - across * sin, along * sin + across * cos)
+            for along, across in ((-reach_m, -half), (reach_m, -half), (reach_m, half),
+                                  (-reach_m, half))
+        )
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Runway:

@@ -119,7 +119,7 @@ class ActiveRun:
         judging = Judging.from_message(message)
         _ = judging.assumptions  # refused if invalid
         scenario = scenario_of(message)
-        check_specs(judging.parsed_specs, scenario.duration_s, runway=scenario.runway)
+        check_specs(judging.parsed_specs, scenario)
         self.world = make_world(scenario)
         self.first = rolling_on(scenario.speed_mps)
         self.commands = LateCommands(timing, message.seed, message.index, self.first)

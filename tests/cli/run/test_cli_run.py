@@ -98,6 +98,10 @@ BAD = {
     ),
     'unknown gain': (['run', 'nominal', '--set', 'steering.p=1'], 'unknown gain; known:'),
     'gain out of range': (['run', 'nominal', '--set', 'steering.heading_gain=99'], '99'),
+    'gain that means the scenario says it': (
+        ['run', 'nominal', '--set', 'steering.speed_mps=5', '--set', 'speed_mps=8'],
+        'steering.speed_mps=5 has no effect: at 5 the scenario says the speed, 8',
+    ),
     'bad formula': (['run', 'nominal', '--spec', 'always(cte <=)'], 'column'),
     'unknown signal': (['run', 'nominal', '--spec', 'always(ct <= 1)'], 'ct'),
     'same formula twice': (
