@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -316,6 +317,9 @@ SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
+TRACK = ScenarioField(
+    key='track', attribute='track', title='track', kind=Kind.WORD, absent=RUNWAY_TRACK,
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
@@ -329,7 +333,8 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION, PLACE,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, DURATION,
+    PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
@@ -337,7 +342,9 @@ HUMAN_KEYS = tuple(BY_KEY)
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """Key by its short form, which input accepts and older files use."""
 
-BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
+BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
+"""Keys whose valid values depend on the track."""
+BY_PLACE = BY_TRACK | {CROSSING.key, TRACK.key}
 """Keys whose valid values depend on the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)

@@ -25,27 +25,30 @@ if TYPE_CHECKING:
 Column = NDArray[np.generic]
 
 STEP_UNITS: Mapping[str, str] = MappingProxyType({
-    'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad', 'est_cte_m': 'm',
-    'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
+    'x_m': 'm', 'y_m': 'm', 'distance_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad',
+    'est_cte_m': 'm', 'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
 })
-"""Column and unit of each number of a control step. The position is in ``map``, ``cte_m`` and
-``he_rad`` are the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps``
-the command; signs are those of :mod:`taxinet_ros.core.types`."""
+"""Column and unit of each number of a control step. The position is in ``map``, ``distance_m``
+is that along the track, ``cte_m`` and ``he_rad`` are the truth relative to it, ``est_`` the
+perception's estimate, ``steering_rad`` and ``speed_cmd_mps`` the command; signs are those of
+:mod:`taxinet_ros.core.types`."""
 
 _UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS}
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
-    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'x_m', 'steering': 'steering_rad',
-    'cte_estimate': 'est_cte_m', 'he_estimate': 'est_he_rad',
+    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
+    'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
+    'he_estimate': 'est_he_rad',
 })
 """The column of each signal of :data:`.mtl.specs.SIGNALS` that a frame has by itself."""
 
 _OF_STEP: Mapping[str, Callable[[Step], float]] = {
     'x_m': lambda step: step.observation.state.x_m,
     'y_m': lambda step: step.observation.state.y_m,
+    'distance_m': lambda step: step.observation.on_track.distance_m,
     'speed_mps': lambda step: step.observation.state.speed_mps,
-    'cte_m': lambda step: step.observation.state.tracking_error.cte_m,
-    'he_rad': lambda step: step.observation.state.tracking_error.he_rad,
+    'cte_m': lambda step: step.observation.truth.cte_m,
+    'he_rad': lambda step: step.observation.truth.he_rad,
     'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.valid else math.nan,
     'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.valid else math.nan,
     'steering_rad': lambda step: step.command.steering_rad,

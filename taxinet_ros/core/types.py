@@ -83,7 +83,10 @@ class AircraftState:
 
     @property
     def tracking_error(self) -> TrackingError:
-        """Ground-truth cross-track and heading error of this state."""
+        """Ground-truth errors relative to the runway's centreline.
+
+        Those relative to another track: :class:`taxinet_ros.core.world.Observation`.
+        """
         return TrackingError(cte_m=self.y_m, he_rad=self.yaw_rad)
 
 

@@ -42,7 +42,7 @@ class Track:
     Attributes:
         seq: control steps.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
         cte_m, he_rad: the truth, left positive [m], [rad].
         est_cte_m, est_he_rad: what the network sees on the frames.
         rec_cte_m, rec_he_rad: the estimates in the bag.
@@ -105,7 +105,7 @@ class Moment:
         row: its row in the track.
         seq: its control step.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
         image: the frame, (200, 360, 3) uint8 RGB.
         state: the aircraft's true state; None where the run cannot be driven again.
         truth, estimate: tracking errors.
@@ -182,12 +182,12 @@ def read_track(
                        path=path)
     steps = trace['seq'].astype(np.int64)
     return Track(
-        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['x_m']),
+        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['distance_m']),
         cte_m=_float(trace['cte_m']), he_rad=_float(trace['he_rad']),
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
         gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
-        half_width_m=recording.scenario.runway.half_width_m,
+        half_width_m=recording.scenario.line.half_width_m,
     )
 
 

@@ -74,10 +74,10 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
             paths.append(Trajectory(
                 label=options.perception,
                 t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-                x_m=trace['x_m'].astype(np.float64),
+                x_m=trace['distance_m'].astype(np.float64),
                 cte_m=trace['cte_m'].astype(np.float64),
                 ok=row.outcome is Outcome.PASS if row.outcome.judged else None,
-                half_width_m=recording.scenario.runway.half_width_m,
+                half_width_m=recording.scenario.line.half_width_m,
             ))
     return paths
 

@@ -82,6 +82,11 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
         except (BagError, UsageError):
             continue  # a bag that was deleted or damaged leaves the others
         scene, _ = campaign.scenario(row)
+        if not scene.line.is_runway:
+            raise UsageError(
+                f'{campaign.folder}: run {row.run_id} follows the track {scene.track}; data sets '
+                "are of the runway's centreline"
+            )
         columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
         way = columns.astype(np.float64)[_useful_places(columns)]
         if len(way):
