@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 from taxinet_ros.core.place.markings import Polygon
@@ -29,7 +29,11 @@ ROOM_AHEAD_M = 150.0
 """Less than this before the end of a track no run begins: 30 s of taxiing."""
 LEAST_RADIUS_M = 15.0
 """Below, the caravan's nose wheel at its limit of 15 degrees does not follow."""
+PAVED_BEYOND_M = 200.0
+"""How far pavement and paint go on straight beyond the ends of a track."""
 _EDGE_ROOM_M = 0.24
+_LEAD_M, _LEAD_BESIDE_M, _ALIGNED = 60.0, 0.9, 0.5
+_PAINT_STEP_M = 0.5
 _STRAIGHT_RAD = 1e-6
 _CHECKED_EVERY_M = 2.0
 
@@ -219,6 +223,38 @@ def make_track(
         raise ValueError(f'is {track.length_m:.0f} m long, expected {ROOM_AHEAD_M:g} m or more')
     check_room(track)
     return track
+
+
+def painted_line(track: Track, runway: Runway) -> tuple[Polygon, ...]:
+    """The yellow line of a track, as points at most half a metre apart.
+
+    It goes on beyond the ends as far as the pavement (:data:`PAVED_BEYOND_M`). Where the track runs
+    along the runway's centreline only the last 60 m before it leaves are marked, and the first
+    after it joins, 0.9 m beside the white centreline (FAA AC 150/5340-1, lead-off lines).
+    """
+    if not track.painted:
+        return ()
+    first_m, last_m = -PAVED_BEYOND_M, track.length_m + PAVED_BEYOND_M
+    count = math.ceil((last_m - first_m) / _PAINT_STEP_M)
+    poses = [
+        track.pose(first_m + (last_m - first_m) * number / count) for number in range(count + 1)
+    ]
+    along = [
+        0 <= x <= runway.length_m and abs(y) < _LEAD_BESIDE_M and abs(math.sin(yaw)) < _ALIGNED
+        for x, y, yaw in poses
+    ]
+    lines: list[list[tuple[float, float]]] = []
+    start = 0
+    for on_centreline, group in groupby(along):
+        end = start + len(list(group))
+        if not on_centreline:
+            lines.append([(x, y) for x, y, _ in poses[start:end]])
+            leads = round(_LEAD_M / _PAINT_STEP_M)
+            beside = [math.copysign(_LEAD_BESIDE_M, poses[at][1]) for at in (start, end - 1)]
+            lines[-1][:0] = [(x, beside[0]) for x, _, _ in poses[max(start - leads, 0):start]]
+            lines[-1] += [(x, beside[1]) for x, _, _ in poses[end:end + leads]]
+        start = end
+    return tuple(map(tuple, lines))
 
 
 def _rounded(points: Polygon, radii_m: Sequence[float]) -> tuple[Leg, ...]:

@@ -1,4 +1,4 @@
-"""Tracks: coordinates along a line of straight legs and arcs, files, routes, and runs along them."""
+"""Tracks: coordinates along straight legs and arcs, files, routes, and runs along them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_given_a_small_step_beside_a_track_then_its_coordinates_change_as_little
     x_m, y_m, yaw_rad = track.pose(share * track.length_m, side * track.half_width_m)
     before, after = (track.measure(x_m + k * dx_m, y_m + k * dy_m, yaw_rad) for k in (0, 1))
     step_m = math.hypot(dx_m, dy_m)
-    tightest_m = min((1 / abs(leg.curvature) for leg in track.legs if leg.curvature))
+    tightest_m = min(1 / abs(leg.curvature) for leg in track.legs if leg.curvature)
     # On the inner edge of a curve the way along the track is longer than the aircraft's.
     most = tightest_m / (tightest_m - track.half_width_m - 0.05)
     assert abs(after.distance_m - before.distance_m) <= most * step_m + 1e-9
@@ -179,7 +179,7 @@ def own(folder: Path, **track: object) -> str:
 
 
 @pytest.mark.parametrize(('track', 'why'), [
-    ({'name': 'Apron'}, "tracks[0].name: expected a lower-case word, such as exit_left"),
+    ({'name': 'Apron'}, 'tracks[0].name: expected a lower-case word, such as exit_left'),
     ({'name': 'runway'}, 'tracks[0].name: there is a track runway already'),
     ({'radius_m': 10}, 'tracks[0].radius_m: expected a number, 15 to'),
     ({'radius_m': [50, 50]}, 'tracks[0].radius_m: expected a list of 1 number,'),
