@@ -13,7 +13,7 @@ from itertools import groupby, pairwise
 
 from taxinet_ros.core.place.markings import Polygon
 from taxinet_ros.core.place.runway import Runway
-from taxinet_ros.core.place.track import LEAST_RADIUS_M, Track, make_track, runway_track
+from taxinet_ros.core.place.track import LEAST_RADIUS_M, Track, check_room, make_track, runway_track
 from taxinet_ros.errors import UsageError
 
 _DIGEST_SIGNS = 12
@@ -161,7 +161,9 @@ def _track_of_routes(word: str, routes: Sequence[TaxiRoute], names: Sequence[str
     if not found:
         raise ValueError('the taxi routes of these names do not meet in this order')
     points = min(found)[2]
-    return make_track(word, f'taxi route {word}', ROUTE_WIDTH_M, points, _radii(points))
+    track = make_track(word, f'taxi route {word}', ROUTE_WIDTH_M, points, _radii(points))
+    check_room(track)
+    return track
 
 
 def _shortest_ways(

@@ -24,7 +24,13 @@ from taxinet_ros.core.place.runway import (
     Runway,
     time_zone,
 )
-from taxinet_ros.core.place.track import LEAST_RADIUS_M, RUNWAY_TRACK, Track, make_track
+from taxinet_ros.core.place.track import (
+    LEAST_RADIUS_M,
+    RUNWAY_TRACK,
+    Track,
+    check_room,
+    make_track,
+)
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import (
     Section,
@@ -110,7 +116,7 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
         pavements=tuple(_pavement(one) for one in _entries(top, 'pavements', _PAVEMENT_KEYS)),
         lines=tuple(_line(one) for one in _entries(top, 'lines', _LINE_KEYS)),
         routes=tuple(_route(one) for one in _entries(top, 'routes', _ROUTE_KEYS)),
-        tracks=_tracks(top),
+        tracks=_tracks(top, checked=not shipped),
         document=canonical(values),
         shipped=shipped,
     )
@@ -287,27 +293,30 @@ def _route(section: Section) -> TaxiRoute:
     )
 
 
-def _tracks(top: Section) -> tuple[Track, ...]:
+def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
     found: dict[str, Track] = {}
     for section in _entries(top, 'tracks', _TRACK_KEYS):
         name = _matching(section, 'name', _NAME, 'a lower-case word, such as exit_left')
         if name in found or name == RUNWAY_TRACK:
             raise section.wrong(f'there is a track {name} already', 'name')
-        found[name] = _track(section, name)
+        found[name] = _track(section, name, checked=checked)
     return tuple(found.values())
 
 
-def _track(section: Section, name: str) -> Track:
+def _track(section: Section, name: str, *, checked: bool) -> Track:
     points = _points(section, section.take('points_m', 'points'), 'points_m', 2)
     width_m = section.number('width_m', LEAST_TRACK_M, MOST_WIDTH_M)
     try:
-        return make_track(
+        track = make_track(
             name, section.text('title', name, kind='a title'), width_m, points,
             _radii(section, len(points) - 2),
             painted=section.switch('painted') if 'painted' in section else True,
         )
+        if checked:  # for shipped ones a test does it, once
+            check_room(track)
     except ValueError as error:
         raise section.wrong(f'the track {error}', 'points_m') from None
+    return track
 
 
 def _radii(section: Section, corners: int) -> tuple[float, ...]:

@@ -180,10 +180,16 @@ class Track:
         x_m, y_m, direction = leg.point(distance_m - leg.start_m, cte_m)
         return x_m, y_m, math.remainder(direction + he_rad, math.tau)
 
-    def samples(self, every_m: float) -> list[float]:
-        """Distances along it from its first to its last point, at most ``every_m`` apart."""
-        count = math.ceil(self.length_m / every_m)
-        return [self.length_m * number / count for number in range(count + 1)]
+    def samples(self, every_m: float, beyond_m: float = 0.0) -> list[float]:
+        """Distances along it, at most ``every_m`` apart, from so far before it to so far beyond."""
+        whole_m = self.length_m + 2 * beyond_m
+        count = math.ceil(whole_m / every_m)
+        return [whole_m * number / count - beyond_m for number in range(count + 1)]
+
+    def strip(self, half_m: float) -> Polygon:
+        """Outline of what lies within a distance of it, as far as its pavement goes."""
+        distances_m = self.samples(4.0, PAVED_BEYOND_M)
+        return *self.edge(-half_m, distances_m), *reversed(self.edge(half_m, distances_m))
 
     def edge(self, left_m: float, distances_m: Sequence[float]) -> Polygon:
         """The points so far to the left of it."""
@@ -211,17 +217,16 @@ def make_track(
     others see :class:`Track`.
 
     Raises:
-        ValueError: two points in succession are one, an arc does not fit, or the track comes too
-            near to itself; or it is too short for a run.
+        ValueError: two points in succession are one, an arc does not fit, or it is too short for a
+            run. Whether it comes too near to itself is for :func:`check_room`.
     """
     legs = _rounded(points, radii_m)
     track = Track(
         name=name, title=title, width_m=width_m, legs=legs, painted=painted,
-        last_start_m=round(legs[-1].start_m + legs[-1].length_m - ROOM_AHEAD_M, 6),
+        last_start_m=math.floor(legs[-1].start_m + legs[-1].length_m - ROOM_AHEAD_M),
     )
     if track.last_start_m < 0:
         raise ValueError(f'is {track.length_m:.0f} m long, expected {ROOM_AHEAD_M:g} m or more')
-    check_room(track)
     return track
 
 
@@ -234,11 +239,7 @@ def painted_line(track: Track, runway: Runway) -> tuple[Polygon, ...]:
     """
     if not track.painted:
         return ()
-    first_m, last_m = -PAVED_BEYOND_M, track.length_m + PAVED_BEYOND_M
-    count = math.ceil((last_m - first_m) / _PAINT_STEP_M)
-    poses = [
-        track.pose(first_m + (last_m - first_m) * number / count) for number in range(count + 1)
-    ]
+    poses = [track.pose(at) for at in track.samples(_PAINT_STEP_M, PAVED_BEYOND_M)]
     along = [
         0 <= x <= runway.length_m and abs(y) < _LEAD_BESIDE_M and abs(math.sin(yaw)) < _ALIGNED
         for x, y, yaw in poses

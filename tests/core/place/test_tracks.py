@@ -39,7 +39,9 @@ SHARE = st.floats(0, 1)
 
 
 def bent(points, radii, width_m: float = 20.0) -> Track:
-    return make_track('bent', 'bent', width_m, points, radii)
+    track = make_track('bent', 'bent', width_m, points, radii)
+    check_room(track)
+    return track
 
 
 @given(TRACK, SHARE, st.floats(-1, 1), st.floats(-3, 3))

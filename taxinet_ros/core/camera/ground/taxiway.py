@@ -68,9 +68,8 @@ def _cover(grid: Grid, polygons: Iterable[Polygon]) -> Floats:
 
 def _strip(track: Track) -> Iterable[Polygon]:
     """The pavement in pieces from edge to edge."""
-    first_m, last_m = -PAVED_BEYOND_M, track.length_m + PAVED_BEYOND_M
-    for number in range(math.ceil((last_m - first_m) / _STEP_M)):
-        ends = first_m + number * _STEP_M - _OVERLAP_M, first_m + (number + 1) * _STEP_M
+    for start_m, end_m in pairwise(track.samples(_STEP_M, PAVED_BEYOND_M)):
+        ends = start_m - _OVERLAP_M, end_m
         right, left = (track.edge(side * track.half_width_m, ends) for side in (-1, 1))
         yield *right, *reversed(left)
 
