@@ -57,7 +57,7 @@ from taxinet_ros.core.controller import (
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
-from taxinet_ros.core.mtl import offline, signal_names
+from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
@@ -339,6 +339,7 @@ def run(
     )
     timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
     asked = judging.parsed_specs
+    check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
     for line in check_specs(asked, scenario, gains).warnings:
         warnings.warn(line, stacklevel=CALLER)

@@ -32,6 +32,7 @@ from __future__ import annotations
 from taxinet_ros.core.mtl.assumptions import (
     NO_ASSUMPTIONS,
     Assumptions,
+    check_read,
     parse_assumptions,
     parse_bounds,
     parse_rates,
@@ -54,6 +55,7 @@ __all__ = [
     'Spec',
     'Verdict',
     'atoms',
+    'check_read',
     'exact_intervals',
     'exact_rho',
     'parse_assumptions',

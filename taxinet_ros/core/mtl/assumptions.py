@@ -49,6 +49,19 @@ def parse_assumptions(
     return Assumptions(bounds=parse_bounds(bounds, signals), rates=parse_rates(rates, signals))
 
 
+def check_read(assumptions: Assumptions, formulas: Iterable[ast.Formula]) -> None:
+    """Check that some formula reads each signal that is assumed about.
+
+    Raises:
+        UsageError: an assumption has no effect.
+    """
+    read = {name for formula in formulas for name in ast.signal_names(formula)}
+    for kind, assumed in (('bound', assumptions.bounds), ('rate', assumptions.rates)):
+        for name in assumed:
+            if name not in read:
+                raise UsageError(f'{kind} {name}: has no effect: no requirement reads {name}')
+
+
 def parse_bounds(
     texts: Iterable[str], signals: Collection[str] | None = None
 ) -> dict[str, tuple[float, float]]:

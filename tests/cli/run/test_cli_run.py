@@ -107,6 +107,10 @@ BAD = {
     'same formula twice': (
         ['run', 'nominal', '--spec', 'on_runway', '--spec', 'on_runway'], 'given twice',
     ),
+    'assumption about a signal that no formula reads': (
+        ['run', 'nominal', '--spec', 'phi_always', '--bound', 'he=-2:2'],
+        '--bound he: has no effect: no requirement reads he',
+    ),
     'no runs': (['run', 'nominal', '--runs', '0'], 'runs'),
     'unknown option': (['run', 'nominal', '--sed', '1'], '--sed'),
     'unknown command': (['fly'], 'fly'),
