@@ -171,15 +171,20 @@ class Run:
         """Deviation, settling time and estimation errors."""
         return self.judgement.statistics
 
-    @cached_property
+    @property
     def trace(self) -> pd.DataFrame:
         """A row for each control step (10 Hz); units are in ``trace.attrs['units']``.
 
         Columns: ``t_s``, ``seq``, ``t_ns``, ``est_valid``, ``x_m``, ``y_m``, ``speed_mps``, true
         ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad`` (NaN where there is
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
-        and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
+        and ``rho_upper.<name>``; cross-track, heading and steering are left positive. Each access
+        gives a copy of its own.
         """
+        return self._trace.copy()
+
+    @cached_property
+    def _trace(self) -> pd.DataFrame:
         return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
     @takes(seq=WHOLE)
@@ -469,10 +474,17 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if trace[name].dtype.kind in 'biuf'
     }
     signals = trace_signals(stamps_ns, numbers)
-    signals |= {
+    own = {
         name: column for name, column in numbers.items()
         if name.isidentifier() and name not in RESERVED
     }
+    for name in signals.keys() & own.keys():
+        if name in SIGNAL_COLUMNS and not np.array_equal(signals[name], own[name], equal_nan=True):
+            raise UsageError(
+                f'trace: columns {name} and {SIGNAL_COLUMNS[name]} both give signal {name} and '
+                'differ; leave one out'
+            )
+    signals |= own
     _check_read(spec, trace, signals)
     asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
     return offline.robustness(asked.formula, stamps_ns, signals)

@@ -93,6 +93,9 @@ BAD = {
         ['run', 'nominal', '--set', 'heading=1', '--set', 'heading_deg=2'], 'are the same',
     ),
     'out of range': (['run', 'nominal', '--set', 'cross_track=40'], 'outside -15..15'),
+    'a number as Python writes it': (['run', 'nominal', '--set', 'duration=1_0'], 'needs a number'),
+    'digits of another script': (['run', 'nominal', '--set', 'duration=\u0661'], 'needs a number'),
+    'endless digits': (['run', 'nominal', '--set', f'duration={"9" * 400}'], 'needs a number'),
     'rain from clear sky': (
         ['run', 'nominal', '--set', 'rain=50', '--set', 'clouds=clear'], 'rain needs clouds',
     ),
