@@ -71,7 +71,7 @@ def test_given_a_trace_that_is_changed_then_the_run_keeps_its_own():
     run = tx.run(SHORT)
     changed = run.trace
     changed['cte_m'] = 99.0
-    assert tx.robustness('phi_always', run.trace) == run.rho['phi_always'].lower
+    assert tx.robustness('phi_eventually', run.trace) == run.rho['phi_eventually'].lower
 
 
 class Braking:
