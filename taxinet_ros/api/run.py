@@ -339,10 +339,10 @@ def run(
     """
     eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
     judging = Judging(
-        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=_texts(bounds),
-        rates=_texts(rates),
+        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=text_list(bounds),
+        rates=text_list(rates),
     )
-    timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
+    timing, assumptions = parse_latency(text_list(latency)), judging.assumptions
     asked = judging.parsed_specs
     check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
@@ -406,7 +406,8 @@ def _node_words(
     return tuple(nodes)
 
 
-def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
+def text_list(words: str | Sequence[str]) -> tuple[str, ...]:
+    """One text, or several, as a tuple."""
     return (words,) if isinstance(words, str) else tuple(words)
 
 
