@@ -319,7 +319,7 @@ class Constructs:
             if other != name:
                 raise ProgramError(
                     f'param {other} and param {name} are the same; leave one out',
-                    self.params.get(name),
+                    max(self.params.get(other, ('', 0)), self.params.get(name, ('', 0))),
                 )
 
     def _check_fraction(self, params: Mapping[str, Any]) -> None:
