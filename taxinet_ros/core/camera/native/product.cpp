@@ -73,7 +73,7 @@ struct Source {
         return _mm_load_si128(reinterpret_cast<const __m128i *>(plain));
     }
 
-    // Upper left and right texels in the lower half, lower ones in the upper half; two bytes unused.
+    // Upper two texels in the lower half, lower two texels in the upper half; two bytes unused.
     AVX2 INLINE __m128i four_texels(int u) const {
         const std::uint8_t *upper = texels + offset[u];
         return _mm_unpacklo_epi64(_mm_loadu_si64(upper), _mm_loadu_si64(upper + stride));

@@ -1,8 +1,8 @@
 // Ground projection of one pose: the parameters that determine every pixel's texels.
 //
 // With the ray of pixel (u, v) as d = A (u, v, 1) in `map` and the camera at height h above the
-// point c, the ground point is c + h (dx, dy) w with w = -1/dz. Since dz is linear in u and v, every
-// linear ground coordinate is linear in u w and w, for any unit and origin: one pass over the image.
+// point c, the ground point is c + h (dx, dy) w with w = -1/dz. As dz is linear in u and v, every
+// linear ground coordinate is linear in u w and w, for any unit and origin: one pass per image.
 // Footprints are exact too: with X = dx w, dX/du = w (A00 + X A20) is w^2 times a linear function
 // of v alone, and dX/dv is w^2 times one of u alone.
 

@@ -27,14 +27,14 @@ class Panorama {
         float across, up;
     };
 
-    // Index of the computed direction to the left of an image column, and the fraction of the way to
-    // the next one.
+    // Index of the computed direction to the left of an image column, and the fraction of the way
+    // to the next one.
     struct Between {
         int left;
         float share;
     };
 
-    // Compatibility with bags rendered by an earlier version, which interpolated by cv::resize: that
+    // Compatibility with bags rendered by an earlier version, which interpolated by cv::resize: it
     // uses different arithmetic for a single row.
     std::vector<Between> columns_between(int width, bool alone) const;
     static Place between(const Place &a, const Place &b, float share);
