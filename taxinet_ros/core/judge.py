@@ -142,7 +142,7 @@ class Judgement:
         readings: latest reading of each formula, in the order of the specs.
         complete: the horizon was reached, every sample was usable, and every formula used at least
             one.
-        stopped_early: the stop rule was met at the latest sample.
+        stopped_early: the stop rule was met at the latest sample, before the horizon.
         satisfied: complete or stopped early, and every formula has robustness > 0.
         statistics: statistics of the samples so far.
     """
