@@ -118,7 +118,7 @@ FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 """Tyre friction, lateral and in braking, relative to dry pavement.
 
 Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
-EASA AMC 25.1591 gives 0.05 for ice; our models have 0.8 on dry pavement.
+EASA AMC 25.1591 gives 0.05 for ice; the models have 0.8 on dry pavement.
 """
 _OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
@@ -397,7 +397,7 @@ class Aircraft:
         if not propulsion.get_num_engines():  # the caravan's thrust is an external force
             return
         # Starting an engine also opens its throttle and leaves it at full speed. One step with
-        # motion frozen passes our lever to the engine, which then settles at that speed.
+        # motion frozen passes the lever to the engine, which then settles at that speed.
         fdm['propulsion/set-running'] = _ALL
         fdm['fcs/throttle-cmd-norm'] = lever
         fdm['simulation/models/FGPropagate/enabled'] = 0

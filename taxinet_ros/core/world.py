@@ -106,7 +106,7 @@ class SimulatedWorld(World):
             scenario: initial condition, light and weather.
             pictures: False: without camera.
             aircraft: factory of the aircraft.
-            camera: factory of the camera, called for the first picture.
+            camera: factory of the camera, called for the first image.
         """
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
@@ -115,7 +115,7 @@ class SimulatedWorld(World):
 
     @cached_property
     def _camera(self) -> Camera:
-        # Created for the first picture: its ground takes most of the set-up time and 63 MB.
+        # Created for the first image: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:

@@ -1,6 +1,6 @@
 """A recorded run, read from its bag in one pass: request, messages and outcome.
 
-``open_recording`` takes bags of our recorder and of ``ros2 bag record``, in any namespace and with
+``open_recording`` reads bags of taxinet_ros and of ``ros2 bag record``, in any namespace and with
 any perception and controller. A bag of several runs is a sequence of recordings::
 
     recording = open_recording('bags/campaign/s_falsif-s0-00000')

@@ -44,7 +44,7 @@ class CoreJoin:
 
 @dataclass(frozen=True, slots=True)
 class CoreWindow:
-    """Lowest or highest of the operand over a window ahead of the sample, or behind it."""
+    """Minimum or maximum of the operand over a future or past window."""
 
     lowest: bool
     past: bool

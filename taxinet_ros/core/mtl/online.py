@@ -57,7 +57,7 @@ class Monitor:
     The run consists of the samples with stamps in [0, horizon]. It is complete when a sample
     arrives at the horizon or after it (the latter is not part of the run). Before that, and if the
     run ends early, only the interval is known. A rejected sample or a gap freezes the interval,
-    which stays sound; later samples are not used.
+    which stays valid; later samples are not used.
 
     Args:
         spec: the requirement.

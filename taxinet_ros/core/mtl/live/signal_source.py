@@ -25,7 +25,7 @@ _NUMBER = re.compile(r'u?int(8|16|32|64)|float|double|long double|boolean|octet|
 
 @dataclass(frozen=True, slots=True)
 class FieldPath:
-    """Path to a field of a (nested) message or to an element of an array.
+    """Path to a field of a (nested) message, or to an element of an array.
 
     Attributes:
         steps: field names and array indices, outermost first.
