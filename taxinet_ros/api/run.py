@@ -57,7 +57,7 @@ from taxinet_ros.core.controller import (
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
-from taxinet_ros.core.mtl import offline, signal_names
+from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
@@ -171,15 +171,20 @@ class Run:
         """Deviation, settling time and estimation errors."""
         return self.judgement.statistics
 
-    @cached_property
+    @property
     def trace(self) -> pd.DataFrame:
         """A row for each control step (10 Hz); units are in ``trace.attrs['units']``.
 
         Columns: ``t_s``, ``seq``, ``t_ns``, ``est_valid``, ``x_m``, ``y_m``, ``speed_mps``, true
         ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad`` (NaN where there is
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
-        and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
+        and ``rho_upper.<name>``; cross-track, heading and steering are left positive. Each access
+        gives a copy of its own.
         """
+        return self._trace.copy()
+
+    @cached_property
+    def _trace(self) -> pd.DataFrame:
         return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
     @takes(seq=WHOLE)
@@ -334,11 +339,12 @@ def run(
     """
     eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
     judging = Judging(
-        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=_texts(bounds),
-        rates=_texts(rates),
+        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=text_list(bounds),
+        rates=text_list(rates),
     )
-    timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
+    timing, assumptions = parse_latency(text_list(latency)), judging.assumptions
     asked = judging.parsed_specs
+    check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
     for line in check_specs(asked, scenario, gains).warnings:
         warnings.warn(line, stacklevel=CALLER)
@@ -400,7 +406,8 @@ def _node_words(
     return tuple(nodes)
 
 
-def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
+def text_list(words: str | Sequence[str]) -> tuple[str, ...]:
+    """One text, or several, as a tuple."""
     return (words,) if isinstance(words, str) else tuple(words)
 
 
@@ -469,10 +476,17 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if trace[name].dtype.kind in 'biuf'
     }
     signals = trace_signals(stamps_ns, numbers)
-    signals |= {
+    own = {
         name: column for name, column in numbers.items()
         if name.isidentifier() and name not in RESERVED
     }
+    for name in signals.keys() & own.keys():
+        if name in SIGNAL_COLUMNS and not np.array_equal(signals[name], own[name], equal_nan=True):
+            raise UsageError(
+                f'trace: columns {name} and {SIGNAL_COLUMNS[name]} both give signal {name} and '
+                'differ; leave one out'
+            )
+    signals |= own
     _check_read(spec, trace, signals)
     asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
     return offline.robustness(asked.formula, stamps_ns, signals)

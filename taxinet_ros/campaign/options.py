@@ -16,7 +16,7 @@ self-contained: predicates are expanded.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,8 @@ from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
     Assumptions,
+    Spec,
+    check_read,
     parse_assumptions,
     parse_formula,
     parse_spec,
@@ -280,7 +282,7 @@ def make_judging(
         specs=read_specs(specs) or DEFAULT_SPECS, stop_on=parse_stop_on(stop_on),
         bounds=tuple(bounds), rates=tuple(rates),
     )
-    check_assumptions(judging.bounds, judging.rates)
+    check_assumptions(judging.bounds, judging.rates, judging.parsed_specs)
     return judging
 
 
@@ -308,14 +310,24 @@ def check_timing(
         raise UsageError(f'--{error}') from None
 
 
-def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:
+def check_assumptions(
+    bounds: Iterable[str], rates: Iterable[str], specs: Sequence[Spec]
+) -> Assumptions:
     """Parse assumptions on the signals.
+
+    Args:
+        bounds: as in :class:`.Judging`.
+        rates: as in :class:`.Judging`.
+        specs: requirements that read the signals; empty: not known.
 
     Raises:
         UsageError: one line that names the option.
     """
     try:
-        return parse_assumptions(bounds, rates)
+        found = parse_assumptions(bounds, rates)
+        if specs:
+            check_read(found, (spec.formula for spec in specs))
+        return found
     except UsageError as error:
         raise UsageError(f'--{error}') from None
 

@@ -55,8 +55,8 @@ def check_specs(
         gains: gains of the shipped controller; None for any other controller.
 
     Raises:
-        UsageError: a window can hold no sample of such a run, or ``on_runway`` is asked of a runway
-            of another width.
+        UsageError: a window can contain no sample of such a run, or ``on_runway`` is used for a
+            runway of another width.
     """
     for spec in specs:
         check_windows(spec, scenario.duration_ns, CONTROL_PERIOD_NS)
@@ -81,7 +81,7 @@ def describe_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
     scenario: Scenario | None = None,
 ) -> SpecCheck:
-    """The same for finished runs, where undecidable windows are not refused."""
+    """Like :func:`check_specs`, for finished runs: windows are not checked."""
     setting = Setting(
         units=SIGNALS, ranges=signal_ranges(duration_s, gains, scenario),
         horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
@@ -129,9 +129,9 @@ class Judgement:
 
     Attributes:
         readings: latest reading of each formula, in the order of the specs.
-        complete: the horizon was reached, every sample was usable, and every formula evaluated at
-        least one.
-        stopped_early: not complete, but the stop rule was met at the latest sample.
+        complete: the horizon was reached, every sample was usable, and every formula used at least
+            one.
+        stopped_early: the stop rule was met at the latest sample, before the horizon.
         satisfied: complete or stopped early, and every formula has robustness > 0.
         statistics: statistics of the samples so far.
     """
@@ -154,16 +154,16 @@ class Judge:
         """Start a run.
 
         Args:
-            specs: formulas to judge by; the first is the headline.
+            specs: formulas to evaluate; the first is the headline.
             horizon_ns: last stamp of the run [ns].
             max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
-            stop_on: what ends the run before its horizon.
+            stop_on: rule that ends the run before its horizon.
             assumptions: assumptions of the user.
             half_width_m: half the width of the runway or track [m].
 
         Raises:
-            UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is asked
-                of a runway of another width.
+            UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is used
+                for a runway of another width.
         """
         for spec in specs:
             check_windows(spec, horizon_ns)

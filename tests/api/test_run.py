@@ -67,6 +67,13 @@ def test_given_a_function_with_reset_then_each_run_finds_it_as_new():
     pd.testing.assert_frame_equal(first.trace, second.trace, check_exact=True)
 
 
+def test_given_a_trace_that_is_changed_then_the_run_keeps_its_own():
+    run = tx.run(SHORT)
+    changed = run.trace
+    changed['cte_m'] = 99.0
+    assert tx.robustness('phi_eventually', run.trace) == run.rho['phi_eventually'].lower
+
+
 class Braking:
     """A controller as the protocol has it: told of the scenario before each run."""
 

@@ -23,6 +23,7 @@ from taxinet_ros.campaign.scenes.overrides import (
     contradicting_keys,
     impossible_keys,
 )
+from taxinet_ros.campaign.scenes.paper_names import our_values
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
@@ -240,7 +241,10 @@ class SceneSource:
         where = f'{self.program.name}: scene {index}'
         if 'values' in answer:
             self.refused = answer['refused']
-            return dict(answer['values'])
+            try:
+                return our_values(answer['values'], self._values)
+            except UsageError as error:
+                raise UsageError(f'{where}: {error}') from error
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)
         tries = answer['rejected']

@@ -206,7 +206,7 @@ def run_monitor(
         InfraError: a worker process died.
     """
     chosen = [parse_spec(text) for text in read_specs(specs)]
-    vouched = check_assumptions(bounds, rates) if bounds or rates else None
+    vouched = check_assumptions(bounds, rates, chosen) if bounds or rates else None
     found = {place: _bags(place) for place in places}
     bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
     if run is not None and len(bags) > 1:

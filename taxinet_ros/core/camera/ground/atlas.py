@@ -1,9 +1,9 @@
 """Ground textures: a whole runway strip as one ripmap, and a tile of fine grain.
 
-The strip begins 100 m before the runway and has rows of 0.4 m. Its columns follow a bent ruler:
-0.12 m each to a few metres beyond the runway's edges, 0.9 m beyond, 144 m farther. So the paint is
-sharp, the atlas of KMWH 04 (8,192 rows, to 19.2 m and to 163 m from the centreline) is 63 MB, and
-it is made in the memory of every process in a few tenths of a second; nothing is stored.
+The strip starts 100 m before the runway and has rows of 0.4 m. Columns are 0.12 m wide up to a few
+metres beyond the runway's edges, for sharp paint, and 0.9 m wide for another 144 m. The atlas of
+KMWH 04 (8,192 rows, fine to 19.2 m, coarse to 163 m from the centreline) has 63 MB. Each process
+generates it in memory in a few tenths of a second; nothing is stored on disk.
 
 A run along a track that leaves the runway has an atlas of its own: the part of the strip around the
 track, with columns that are fine as far to the side as the track goes.
@@ -83,12 +83,12 @@ class Layout:
 def ground_atlas(
     runway: Runway, track: Track | None = None, *, crossing: bool = True
 ) -> NDArray[np.uint8]:
-    """The atlas of a runway's usual look, made once per process.
+    """Atlas of a runway in its standard style, made once per process.
 
     Args:
-        runway: that it shows.
+        runway: the runway.
         track: that leaves the runway, if one does; shown with its paint and pavement.
-        crossing: whether what crosses it is there.
+        crossing: whether crossing runways are drawn.
     """
     return make_ground_atlas(standard_style(runway, crossing=crossing), runway, track)
 
@@ -205,7 +205,7 @@ def _lay_runway(
 
 
 def _field(grid: Grid, style: GroundStyle, runway: Runway, seed: int) -> NDArray[np.uint8]:
-    """Dry ground beside the runway, tan near it, olive grass farther out; and the crossing."""
+    """Ground beside the runway, near tint to far tint, with the crossings; RGB codes."""
     value = _dry_texture(grid, seed)
     _, y = grid.centres(slice(0, 1))
     grass = np.clip((np.abs(y[0]) - 55) / 40, 0, 1)[:, None]
@@ -222,7 +222,7 @@ def _field(grid: Grid, style: GroundStyle, runway: Runway, seed: int) -> NDArray
 
 
 def _dry_texture(grid: Grid, seed: int) -> Floats:
-    """Brightness factor near 1 of open ground: mottled, with a few dark cracks across it."""
+    """Brightness factor near 1 of open ground: mottled, with a few dark transverse cracks."""
     finer_along, finer_across = ROW_M / grid.dx_m, COARSE_M / grid.dy_m
     value = smooth_noise(seed, grid.shape, (30 * finer_along, 10 * finer_across))
     value *= np.float32(0.02)
@@ -240,7 +240,7 @@ def _dry_texture(grid: Grid, seed: int) -> Floats:
 def _shoulders(
     base: NDArray[np.uint8], fine: Grid, style: GroundStyle, runway: Runway
 ) -> None:
-    """Bare tan ground between the pavement's edge and the end of the fine columns."""
+    """Draw the bare ground between the pavement's edge and the end of the fine columns."""
     first = round(fine.column(runway.half_width_m))
     count = fine.columns - first
     for side in (-1, 1):
@@ -262,7 +262,7 @@ def _shoulders(
 
 @cache
 def grain_atlas() -> NDArray[np.uint8]:
-    """Ripmap of a 6.1 m tile of fine grain around GRAIN_NEUTRAL, a factor on the colour."""
+    """Ripmap of a 6.1 m tile of fine grain around GRAIN_NEUTRAL; multiplies the colour."""
     size = (GRAIN_TEXELS, GRAIN_TEXELS)
     grey = np.zeros(size, np.float32)
     for seed, blur_texels, amount in ((91, 0.4, 0.062), (92, 1.3, 0.022), (93, 4.0, 0.014)):
