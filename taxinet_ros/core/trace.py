@@ -110,6 +110,9 @@ def trace_signals(
         name: np.asarray(columns[column], dtype=np.float64)
         for name, column in SIGNAL_COLUMNS.items() if column in columns
     }
+    if 'x' not in signals and 'x_m' in columns:
+        # A trace of an older version, whose track was always the runway's centreline.
+        signals['x'] = np.asarray(columns['x_m'], dtype=np.float64)
     if 'cte_estimate' in signals and 'he_estimate' in signals and len(stamps_ns):
         period_ns = int(stamps_ns[1] - stamps_ns[0]) if len(stamps_ns) > 1 else NS_PER_S
         watch = EstimateWatch(int(stamps_ns[-1] - stamps_ns[0]), max(period_ns, 1))
