@@ -8,7 +8,7 @@ words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
@@ -25,6 +25,7 @@ from taxinet_ros.core.scenario_fields import (
     SCENARIO_FIELDS,
     TRACK,
     ScenarioField,
+    along_words,
     by_key,
 )
 from taxinet_ros.core.types import NS_PER_S
@@ -123,6 +124,8 @@ class Scenario:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
+        if field is DISTANCE and not self.line.is_runway:
+            field = replace(field, counted=f' {along_words(self.track)}')
         try:
             return field.checked(getattr(self, field.attribute), limits)
         except UsageError as error:

@@ -239,6 +239,11 @@ def clock_words(hours: float) -> str:
     return f'{whole:02d}:{minutes:02d}'
 
 
+def along_words(track: str) -> str:
+    """What a distance is measured along: ``'past the threshold'``, ``'along exit_left'``."""
+    return 'past the threshold' if track in ('', RUNWAY_TRACK) else f'along {track}'
+
+
 def pushing_words(scene: Mapping[str, Any]) -> str:
     """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
 
@@ -259,7 +264,7 @@ CROSS_TRACK = ScenarioField(
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
-    title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
+    title='start distance along the track', unit='m', form='{:.0f}', low=0.0, high=2600.0,
     si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(

@@ -21,6 +21,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -106,6 +107,7 @@ class Moment:
         seq: its control step.
         t_s: simulated time [s].
         x_m: distance along the track of the run [m].
+        line: that the run follows.
         image: the frame, (200, 360, 3) uint8 RGB.
         state: the aircraft's true state; None where the run cannot be driven again.
         truth, estimate: tracking errors.
@@ -116,6 +118,7 @@ class Moment:
     seq: int
     t_s: float
     x_m: float
+    line: Line
     image: Frame
     state: AircraftState | None
     truth: TrackingError
@@ -237,8 +240,8 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
                 continue  # a run that broke down may have left a step without a state
             image = camera.render(state, seq * CONTROL_PERIOD_NS)
         yield Moment(
-            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]), image=image,
-            state=state, truth=track.truth(row), estimate=track.estimate(row),
+            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
+            line=recording.scenario.line, image=image, state=state, truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]),
         )
 

@@ -129,8 +129,8 @@ CROSS_TRACK = _feature(
 )
 DISTANCE = _feature(
     fields.DISTANCE, step=10.0, widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
-    words=('start {} to {} m along the runway', 'start on the first {} m of the runway',
-           'start beyond {} m along the runway'),
+    words=('start {} to {} m along the track', 'start on the first {} m of the track',
+           'start beyond {} m along the track'),
 )
 HEADING = _feature(
     fields.HEADING, widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),

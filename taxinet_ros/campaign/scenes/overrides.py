@@ -61,7 +61,7 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     place = _place(overrides) if PLACE.key in overrides else {}
     for key, value in overrides.items():
         try:
-            check_value(key, value, place)
+            check_value(key, value, {key: value} if key == PLACE.key else place)
         except UsageError as error:
             raise _headed(error, f'override {key}={value!s:.60}') from error
     if all(key in overrides for key in WEATHER):

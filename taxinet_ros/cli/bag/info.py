@@ -20,7 +20,7 @@ from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
-from taxinet_ros.core.scenario_fields import clock_words, pushing_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words, pushing_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.registry import KMWH
@@ -142,7 +142,7 @@ def scene_words(scene: Mapping[str, Any]) -> str:
     return (
         f'{place}CTE {scene["cross_track_m"]:+.2f} m (left positive), '
         f'HE {scene["heading_deg"]:+.1f} deg, '
-        f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
+        f'{scene["distance_m"]:.0f} m {along_words(scene["track"])}, {scene["date"]} '
         f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
