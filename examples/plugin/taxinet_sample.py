@@ -91,9 +91,12 @@ class Bicycle:
     def __init__(self, scenario, *, pictures=True):
         self.last_seq, self.seq = last_step(scenario), 0
         self.camera = Camera(scenario) if pictures else None
+        x_m, y_m, yaw_rad = scenario.line.pose(
+            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
+        )
         self.state = AircraftState(
-            x_m=scenario.distance_m, y_m=scenario.cross_track_m, z_m=1.55, roll_rad=0.0,
-            pitch_rad=0.0, yaw_rad=scenario.heading_rad, speed_mps=5.0, yaw_rate_radps=0.0,
+            x_m=x_m, y_m=y_m, z_m=1.55, roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw_rad,
+            speed_mps=5.0, yaw_rate_radps=0.0,
         )
 
     def observe(self, *, picture=True):

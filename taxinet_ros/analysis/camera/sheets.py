@@ -247,6 +247,6 @@ def pose_words(scene: Scenario) -> str:
     """The start pose of a scene in the units people read."""
     human = scene.to_human()
     return (
-        f'{human["distance_m"]:.0f} m {along_words(scene.track)}, CTE {human["cross_track_m"]:+.1f} m, '
-        f'heading {human["heading_deg"]:+.0f}°'
+        f'{human["distance_m"]:.0f} m {along_words(scene.track)}, '
+        f'CTE {human["cross_track_m"]:+.1f} m, heading {human["heading_deg"]:+.0f}°'
     )

@@ -241,7 +241,8 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
             image = camera.render(state, seq * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
-            line=recording.scenario.line, image=image, state=state, truth=track.truth(row), estimate=track.estimate(row),
+            line=recording.scenario.line, image=image, state=state,
+            truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]),
         )
 
