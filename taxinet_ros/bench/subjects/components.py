@@ -60,6 +60,7 @@ SCENES = {
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),
+    'taxiway': _scene(x_m=960.0, y_m=50.0, heading_deg=70.0, track='exit_left'),
 }  # fmt: skip
 """Scenes by name."""
 
@@ -80,6 +81,7 @@ def camera_subjects() -> list[Subject]:
         Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
         Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
         Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
     ]
 
 
@@ -90,6 +92,11 @@ def _discard(made: object) -> None:
 def _make_textures() -> None:
     """Make what every process makes once."""
     ground_atlas.__wrapped__(default_runway())
+
+
+def _make_taxiway() -> None:
+    """Make what the first run along a track makes in a process."""
+    ground_atlas.__wrapped__(default_runway(), SCENES['taxiway'].scenario.line)
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:
