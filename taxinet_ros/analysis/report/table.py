@@ -78,7 +78,7 @@ def view_table(table: Table, viewers: Collection[str]) -> TableView:
 
     Args:
         table: the table.
-        viewers: ids of the runs that have a viewer, as :func:`.report_text.clean` leaves them.
+        viewers: ids of the runs that have a viewer, as :func:`.values.clean` leaves them.
 
     Raises:
         ValueError: a row and the columns differ in length, or there is no ``run_id_column``.
