@@ -317,7 +317,7 @@ def junit_xml(
         rows: the campaign's runs.
         answer: result of the gate.
         folder: the campaign's folder, for rerun commands.
-        facts: of the campaign.
+        facts: facts of the campaign.
         inconclusive_passes: an undecided criterion is skipped, not a failure.
     """
     suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})

@@ -61,7 +61,7 @@ def run_subjects(
         words: the subjects; the graph adds the loop, for comparison.
         repeats: number of measurements of each.
         progress: called with the progress.
-        peers: Python executable with third-party monitors, to be measured beside ours.
+        peers: Python executable with third-party monitors, to be compared with ours.
 
     Raises:
         UsageError: an unknown word (the known ones are listed), no repeats, or a subject that

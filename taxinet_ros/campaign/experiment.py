@@ -3,7 +3,7 @@
 The paper confirms a suspected cause by running the same scenes with and without it (its Fig. 7: the
 aircraft's shadow). The YAML format:
 
-    program: halton_time_of_day     # shipped, or a .scenic file, also beside this one
+    program: halton_time_of_day     # shipped, or a .scenic file, also relative to this file
     runs: 120
     seed: 0                         # default 0
     sampler: halton                 # default random
@@ -267,7 +267,7 @@ def _sampler(given: Section) -> tuple[str, dict[str, str]]:
 
 
 PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
-"""Result files beside the completed arms; the second has checksums of the others."""
+"""Result files in the folder of the arms; the second has checksums of the others."""
 
 
 def with_network(experiment: Experiment, perception: str) -> Experiment:

@@ -2,7 +2,7 @@
 
 A sampler's histograms are regularised towards the program's prior, so neither they nor their mean
 are unbiased estimates. The share of failures in a bin is estimated from the failures themselves,
-weighted by the program's density; they are stored beside the histograms, and several searches with
+weighted by the program's density; they are stored with the histograms, and several searches with
 different seeds yield confidence intervals.
 """
 

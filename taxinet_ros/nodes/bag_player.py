@@ -1,6 +1,6 @@
 """Executable ``bag_player``: play back a recorded run on its topics, with its clock, at any rate.
 
-Playback follows the wall clock and waits for no answers; other nodes run freely beside it.
+Playback follows the wall clock and waits for no answers; other nodes run freely.
 (``taxinet bag replay`` replays a run into one node in lockstep.) Messages are published as stored.
 """
 

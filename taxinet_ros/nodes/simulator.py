@@ -284,7 +284,7 @@ class Simulator(Node):
             detail=origin_words(WORLDS, self._world.name),
         )
 
-    # What the graph says -----------------------------------------------------------------------
+    # Messages of the graph ---------------------------------------------------------------------
 
     def _hear(
         self, read: Callable[[Any], Any], callback: Callable[[ActiveRun, Any], None], given: Any

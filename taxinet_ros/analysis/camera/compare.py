@@ -33,9 +33,9 @@ _PAIRS_IN_A_ROW = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FrameError:
-    """One frame: the label, the estimate and their difference; None where there is no estimate.
+    """One frame: the label, the estimate and their difference; None without an estimate.
 
-    Heading errors are in degrees, nose left positive; an error is the estimate less the label.
+    Heading errors are in degrees, nose left positive; an error is estimate minus label.
     """
 
     image: str
@@ -54,7 +54,7 @@ class QuantityErrors:
     Attributes:
         mae: mean absolute error.
         mae_95: its 95 % interval, by bootstrap over frames as if they were independent.
-        bias: mean error, estimate less label.
+        bias: mean error, estimate minus label.
         correlation: of estimates and labels; None if one of them does not vary.
         mean_predictor_mae: error of a constant estimate, the mean of these labels.
     """

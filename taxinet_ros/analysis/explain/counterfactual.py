@@ -43,7 +43,7 @@ class Factor:
     """A property of the scene that is changed.
 
     Attributes:
-        name: in JSON.
+        name: name in JSON.
         words: description of the changed scene, such as ``without its shadow``.
         cause: the cause if it has an effect, such as ``the aircraft's own shadow``.
         rank: lower for narrower factors; factors of equal effect are named in this order.

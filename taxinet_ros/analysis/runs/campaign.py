@@ -383,7 +383,7 @@ def _network(perception: str) -> str:
 
 
 def facts_beside(path: Path) -> dict[str, Any]:
-    """Read ``campaign.json`` beside a campaign's table; empty if there is none.
+    """Read ``campaign.json`` in the folder of a campaign's table; empty if there is none.
 
     Raises:
         UsageError: it is damaged.

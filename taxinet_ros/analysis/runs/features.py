@@ -35,10 +35,10 @@ class Feature:
     Attributes:
         name: column of the table of runs; of an offset without its sign, ``abs_`` and the column.
         title: display name without unit.
-        unit: of its values, '' for words and for the time of day.
+        unit: unit of its values, '' for words and for the time of day.
         form: display format of its values.
         step: rounding step of interval limits, for display.
-        words: of an interval with both ends, from below, and from above; ``{}`` for the ends.
+        words: templates of an interval with both, only the upper, or only the lower end.
         source: column from which it is computed.
         kinds: for words, all values in order.
         widths: candidate bin widths, from narrow to wide.

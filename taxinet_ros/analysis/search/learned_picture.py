@@ -20,7 +20,7 @@ def learned_picture(
     choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str,
     single: Sequence[Mapping[str, Sequence[float]]] = (),
 ) -> None:
-    """Draw the probability of each bin, learned beside the program's own.
+    """Draw the learned and the program's own probability of each bin.
 
     Args:
         choices: the searched dimensions.

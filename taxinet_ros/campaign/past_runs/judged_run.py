@@ -42,7 +42,7 @@ class JudgedRun:
         robustness: robustness by name of the formula.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
-        controller, controller_fingerprint: name of the controller, as reported by itself if
+        controller, controller_fingerprint: name of the controller, as it reported itself if
             unknown, and its reported hash.
         timing: when answers took effect, with the run's own draws.
         world, world_fingerprint: name of its world, and the hash of the package that provides it,
@@ -132,7 +132,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
 
 
 def _controller(facts: Mapping[str, Any], said: str) -> str:
-    """Controller name as recorded by the campaign, else as reported by itself."""
+    """Controller name recorded by the campaign, else the one that it reported."""
     word = str(facts.get('controller', STEERING))
     return said if said and word == STEERING else word
 

@@ -131,7 +131,7 @@ class Ledger(JournalOwner):
 def read_ledger(path: Path) -> LedgerContent:
     """Read a ledger, even while it is being written; a torn last line is ignored.
 
-    If ``campaign.json`` exists beside it, the two must agree.
+    If ``campaign.json`` exists in its folder, the two must agree.
 
     Raises:
         UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or

@@ -199,7 +199,7 @@ class RunRow:
 
     @property
     def rho(self) -> Mapping[str, float]:
-        """Robustness by the formula's name, where it is known."""
+        """Known robustness values by name of the formula."""
         return exact_rho(self.robustness)
 
     def also_judged(self, spec: str, interval: RobustnessInterval) -> Self:

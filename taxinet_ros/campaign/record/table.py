@@ -132,7 +132,7 @@ def read_table(folder: Path) -> pd.DataFrame:
 
     Raises:
         UsageError: there is none, it is damaged or inconsistent, or it belongs to another campaign
-            than the ``campaign.json`` beside it.
+            than the ``campaign.json`` in its folder.
     """
     path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     if not path.is_file():

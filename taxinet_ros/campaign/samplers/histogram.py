@@ -101,7 +101,7 @@ class History:
 
     @property
     def bins(self) -> npt.NDArray[np.intp]:
-        """Bin of each run (first axis) in each dimension (second), ``IDLE`` where it has none."""
+        """Bin of each run (first axis) in each dimension (second), ``IDLE`` if it has none."""
         return self._bins[: self._size]
 
     @property

@@ -139,7 +139,7 @@ class SceneSource:
         """Start the child, compile, and check for overrides that contradict the program.
 
         Raises:
-            UsageError: ``file:line: message`` of what is wrong with the program.
+            UsageError: ``file:line: message`` on an error in the program.
             InfraError: another process killed the child; any later request may raise it too.
         """
         self._start()

@@ -6,7 +6,7 @@ run's first messages.
 
 The publishers of a run's topics are pinned at READY; no others are allowed after that. DDS reports
 each matched publisher to a subscription before its first message arrives, and counts them, so a
-publisher that joins, publishes once and leaves is noticed too. rclpy does not tell who sent a
+publisher that joins, publishes once and leaves is noticed too. rclpy does not report who sent a
 message; so a run into which another node has published, or could have, has no verdict.
 """
 

@@ -140,7 +140,7 @@ class ScenarioSampler(Node):
             self._death_notices.publish(notice)
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
-        """End the run in place of the simulator."""
+        """End the run on behalf of the simulator."""
         assert self._request is not None
         assert self._answer is not None
         if kind == InfraKind.DIED:
