@@ -1,7 +1,7 @@
 """Executable ``scene_markers``: publish runway, aircraft and path as markers for 3-D viewers.
 
-It works with any graph or ``bag_player`` without taking part. The Foxglove server publishes the same
-markers.
+It works with any graph or ``bag_player`` without taking part. The Foxglove server publishes the
+same markers.
 """
 
 from __future__ import annotations
