@@ -18,7 +18,6 @@ from scipy.stats import norm
 
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region, interval_cells
 from taxinet_ros.analysis.experiment.arms import ArmComparison, compare_arms
-from taxinet_ros.analysis.experiment.pairs import PairedRates
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.features import (
     CLOUDS_KIND,
@@ -113,7 +112,8 @@ def decide(
     satisfied, off, rho = found.satisfied, found.off_runway, found.rho
     bounds = _places(found, causes, alpha, place_margin)
     worse = {name: bound for name, bound in bounds.items() if bound >= place_margin}
-    more, more_off = _more(satisfied, alpha), _more(off, alpha)
+    more = _bound(satisfied.only_first, satisfied.only_second, satisfied.pairs, alpha)
+    more_off = _bound(off.only_second, off.only_first, off.pairs, alpha)
     better = _better(found, alpha)
     refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
     why = refusal if better or satisfied.second < satisfied.first else ''
@@ -163,11 +163,6 @@ def _refusal(
         return (f'may fail up to {100 * worse[most]:.1f} points more often where it is about '
                 f'"{most}"{others}')
     return ''
-
-
-def _more(rates: PairedRates, alpha: float) -> float:
-    """Upper bound of the decrease of a rate from the first arm to the second."""
-    return _bound(rates.only_first, rates.only_second, rates.pairs, alpha)
 
 
 def _places(
