@@ -158,25 +158,40 @@ def inference_subjects() -> list[Subject]:
 _PHYSICS_STEPS = 20
 
 
+_PUSHED = {
+    '': Scenario(),
+    ', wind': Scenario(wind_speed_mps=5.0),
+    ', gusts': Scenario(wind_speed_mps=5.0, gust_mps=1.5),
+    ', wet, uphill': Scenario(runway_state='wet', slope_fraction=0.02),
+}
+"""Scenarios by the end of the subject's name: what moves the aircraft besides the controller."""
+
+
 def physics_subjects() -> list[Subject]:
     """Twelve physics steps make one control step."""
-    aircraft = Aircraft(Scenario())
-    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
-
-    def advance() -> None:
-        for _ in range(_PHYSICS_STEPS):
-            aircraft.advance(command)
-
-    def make() -> None:
-        Aircraft(Scenario())
-
     return [
-        Subject(
-            name='physics/control step', run=advance, calls=_PHYSICS_STEPS,
-            simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+        *(
+            Subject(
+                name=f'physics/control step{words}', run=partial(_advance, Aircraft(scenario)),
+                calls=_PHYSICS_STEPS, simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+            )
+            for words, scenario in _PUSHED.items()
         ),
-        Subject(name='physics/new', run=make, most=20),
-    ]  # fmt: skip
+        *(
+            Subject(name=f'physics/new{words}', run=partial(_make, scenario), most=20)
+            for words, scenario in _PUSHED.items()
+        ),
+    ]
+
+
+def _advance(aircraft: Aircraft) -> None:
+    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
+    for _ in range(_PHYSICS_STEPS):
+        aircraft.advance(command)
+
+
+def _make(scenario: Scenario) -> None:
+    Aircraft(scenario)
 
 
 SAMPLER_SPACE = (
