@@ -1,4 +1,4 @@
-"""How much wind the steering law stands, given the truth, on three kinds of ground: a table."""
+"""Print a table of the wind that the steering law tolerates with true states, by runway state."""
 
 import math
 import random
@@ -16,7 +16,7 @@ for state in ('dry', 'wet', 'icy'):
     for wind in WINDS_MPS:
         passed = off = 0
         for number in range(int(RUNS)):
-            draw = random.Random(number)  # the same starts, those of S_falsif, in every cell
+            draw = random.Random(number)  # same start poses, as in S_falsif, in every cell
             scene = {'cross_track_m': draw.uniform(-8, 8), 'distance_m': draw.uniform(0, 2000)}
             scene['heading_rad'] = math.radians(draw.uniform(-30, 30))
             if wind:
