@@ -1,7 +1,7 @@
 """Options of a campaign, validated before anything starts.
 
-Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file
-has two keys, and either may be left out::
+Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file has
+two optional keys::
 
     predicates:
       on_centreline: abs(cte) <= 1.5
@@ -112,7 +112,7 @@ def _spec_text(where: str, name: str, text: str, predicates: Mapping[str, str]) 
 def _written_out(where: str, name: str, formula: str) -> str:
     text = f'{name}={formula}'
     try:
-        parse_spec(text)  # the name may not be fit, or the formula too long by now
+        parse_spec(text)  # the name may be invalid, or the expanded formula too long
     except UsageError as error:
         raise UsageError(f'{where}: {error}') from None
     return text
@@ -142,24 +142,24 @@ class CampaignOptions:
     Attributes:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
-        seed: of the scenes.
+        seed: seed of the scenes.
         perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
-        overrides: scenario values that replace what is drawn, human keys and units.
+            :mod:`taxinet_ros.core.user_code`; '' if a standing graph determines it.
+        overrides: scenario values that replace drawn ones, in human keys and units.
         gains: steering gains that differ from the defaults.
         judging: judging options of the verdicts.
         out: folder of the campaign, which must be new or empty.
-        processes: every node a process of its own.
-        images: runs whose camera frames are recorded, of :data:`IMAGES`.
+        processes: whether every node runs in its own process.
+        images: runs whose camera frames are recorded, one of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values that override each scene after it was chosen. Unlike
             ``overrides``, they do not remove dimensions from the search; so campaigns that differ
             only in them have otherwise equal scenes.
         timing: when answers take effect.
-        arms: folders of all arms of the experiment, in order, if it is an arm.
+        arms: if it is an arm, folders of all arms of the experiment in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
-        world: name of the world that they take place in, see :mod:`taxinet_ros.core.world`.
+        world: name of the world of the runs, see :mod:`taxinet_ros.core.world`.
     """
 
     program: str
@@ -218,13 +218,13 @@ def make_options(
     Args:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
-        seed: of the scenes.
+        seed: seed of the scenes.
         perception: see :class:`CampaignOptions`.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
         specs: formulas as text, or files of them; the default if empty.
         out: folder; if None, a new one below ``bags/`` with a descriptive name.
-        processes: every node a process of its own.
-        images: runs whose camera frames are recorded, of :data:`IMAGES`.
+        processes: whether every node runs in its own process.
+        images: runs whose camera frames are recorded, one of :data:`IMAGES`.
         resume: continue the campaign in ``out``.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: assumed bounds of signals, such as ``cte=-25:25``.
@@ -345,7 +345,7 @@ def check_new(out: Path) -> None:
     """Check that a campaign can be written to ``out`` without overwriting anything.
 
     Raises:
-        UsageError: it is a file, or a folder with something in it.
+        UsageError: it is a file, or a folder that is not empty.
     """
     if out.is_dir() and not any(out.iterdir()):
         return
@@ -400,7 +400,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
-            # A file may change: what the campaign is, and whether it goes on, has its digest.
+            # A file may change: the campaign's identity includes its digest.
             overrides[key] = typed_place(value).reference if key == PLACE.key else value
             continue
         try:

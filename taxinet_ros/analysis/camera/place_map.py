@@ -1,4 +1,4 @@
-"""A place as a map: the airport's ground seen from above, and both ends of the runway enlarged."""
+"""Map of a place: the airport's ground from above, and both runway ends enlarged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GROUND, _PAVEMENT, _PAINT = '#b9b58f', '#6f7072', '#f4f2ea'
 _APRON, _CROSSING, _LINE, _ROUTE = '#8f9093', '#7b7c7f', '#e0b400', '#1f6fb4'
 _END_M, _BESIDE_M = 620.0, 30.0
 _REACH_M = 900.0
-"""How far to each side a crossing runway is drawn where its ends are not known."""
+"""Half length [m] at which a crossing runway is drawn if its ends are not known."""
 _MARGIN_M = 150.0
 _WIDTH_IN = 11.0
 
@@ -54,7 +54,7 @@ def plot_place(place: Place, path: Path) -> None:
 
 
 def _north_up(points: Points, bearing_rad: float) -> Points:
-    """Points (N, 2) of ``map`` as metres to the east and to the north of the threshold."""
+    """Convert points (N, 2) of ``map`` to metres east and north of the threshold."""
     sin, cos = math.sin(bearing_rad), math.cos(bearing_rad)
     x, y = points.T
     return np.stack([x * sin - y * cos, x * cos + y * sin], axis=1)
@@ -78,7 +78,7 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     pavement = turned([_outline(runway)])
     axes.add_collection(PolyCollection(pavement, facecolors=_PAVEMENT, linewidths=0))
     paint = turned(marking.polygon for marking in markings(runway))
-    # Snapped to pixels, stripes thinner than one would vanish.
+    # With snapping to pixels, stripes thinner than a pixel would vanish.
     axes.add_collection(PolyCollection(paint, facecolors=_PAINT, linewidths=0, snap=False))
     lines = turned([
         *(line.points for line in place.lines),
@@ -97,7 +97,7 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
 
 
 def _draw_end(axes: Axes, place: Place, end: int) -> None:
-    """One end in the runway's own frame, with what is painted there."""
+    """Draw one end in the runway's own frame, with its markings."""
     runway = place.runway
     _draw_ground(axes, place, lambda points: points)
     start = 0.0 if end == 0 else runway.length_m - _END_M
@@ -115,7 +115,7 @@ def _outline(runway: Runway) -> Polygon:
 
 
 def _add_compass(axes: Axes) -> None:
-    """An arrow to the north, and a scale: a tenth to a third of the width, in round metres."""
+    """Add a north arrow and a scale bar: a tenth to a third of the width, in round metres."""
     axes.annotate(
         'N', xy=(0.97, 0.95), xytext=(0, -34), xycoords='axes fraction', ha='center', va='center',
         textcoords='offset points', arrowprops={'arrowstyle': '-|>', 'color': 'black'},

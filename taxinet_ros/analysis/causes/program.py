@@ -1,8 +1,8 @@
-"""A cause as a Scenic program, by which it is tested on fresh scenes.
+"""A cause as a Scenic program, to test it on fresh scenes.
 
-The program is the one whose runs were analysed, with one requirement more: that a scene lies in the
-region. Scenic draws until it does, so the scenes are those of the program itself in the region,
-whatever sampler chose the runs that the cause was found in.
+It is the program of the analysed runs with an additional requirement: that a scene lies in the
+region. Scenic uses rejection sampling, so the scenes follow the program's own distribution within
+the region, whatever sampler chose the analysed runs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _VALUES = {
     field.key: f'ego.{field.key}' if field.plane else f'scene_{field.key}'
     for field in SCENARIO_FIELDS
 }
-"""How a requirement of a program names what is in a column of the table."""
+"""Expression of a program's requirement for each column of the table."""
 _SCENE = re.compile(r'\bscene_(\w+)')
 _STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
 _PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
@@ -45,11 +45,11 @@ def program_name(cause: Cause) -> str:
 
 
 def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
-    """Text of a cause's program; None where the text of the runs' own program is not known.
+    """Text of a cause's program; None if the text of the runs' own program is not known.
 
     Args:
-        runs: that it was found in.
-        cause: which.
+        runs: runs in which it was found.
+        cause: the cause.
     """
     source = _source(runs)
     if source is None:
@@ -63,12 +63,12 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
 
 
 def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str | None:
-    """The command that runs fresh scenes of a cause; None where its program cannot be written.
+    """Command that runs fresh scenes of a cause; None if its program cannot be written.
 
     Args:
-        runs: that it was found in.
-        cause: which.
-        folder: that its program is in.
+        runs: runs in which it was found.
+        cause: the cause.
+        folder: folder of its program.
     """
     if _source(runs) is None:
         return None
@@ -86,7 +86,7 @@ def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()
 
 
 def _source(runs: CampaignRuns) -> str | None:
-    """The program's own text, of the campaign's record or as it is shipped."""
+    """Text of the program, from the campaign's record or as shipped."""
     record = str(runs.facts.get('program_text', ''))
     files = _FILE.split(record)[1:]
     texts = dict(zip(files[::2], files[1::2], strict=True))
@@ -139,7 +139,7 @@ def _named(required: list[str]) -> set[str]:
 
 
 def _value(name: str) -> str:
-    """What a requirement calls a feature."""
+    """Expression for a feature in a requirement."""
     source = BY_NAME[name].source
     return _VALUES[source] if name == source else f'abs({_VALUES[source]})'
 

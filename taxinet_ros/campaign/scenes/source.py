@@ -148,7 +148,7 @@ class SceneSource:
         """Start the child, compile, and check for overrides that contradict the program.
 
         Raises:
-            UsageError: ``file:line: message`` of what is wrong with the program.
+            UsageError: ``file:line: message`` on an error in the program.
             InfraError: another process killed the child; any later request may raise it too.
         """
         self._start()
@@ -219,9 +219,9 @@ class SceneSource:
 
         Raises:
             Refused: this point does not meet the requirements.
-            Rejected: no draw met them, or what was drawn is no scenario.
-            UsageError: the program failed, hung or died, or says what is no scenario in any scene.
-            ValueError: the point is none of this space.
+            Rejected: no draw met them, or the drawn values are no valid scenario.
+            UsageError: the program failed, hung or died, or no scene can be a valid scenario.
+            ValueError: the point does not belong to this space.
         """
         values = self._drawn(index, point, attempt)
         where = f'{self.program.name}: scene {index}'
@@ -253,7 +253,7 @@ class SceneSource:
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program draws impossible values only in some scenes."""
         drawn = self.search_space().drawn - set(self._values)
-        if PLACE.key in drawn:  # it decides which others are possible
+        if PLACE.key in drawn:  # it determines the valid values of the others
             drawn |= BY_PLACE
         if TRACK.key in drawn:
             drawn |= BY_TRACK
@@ -319,7 +319,7 @@ class SceneSource:
         except (UsageError, InfraError):
             raise
         except BaseException:
-            self._stop()  # interrupted: its late answer must not be taken for the next
+            self._stop()  # interrupted: a late answer must not be taken for the next one
             raise
 
     def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:

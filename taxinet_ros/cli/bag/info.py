@@ -34,7 +34,7 @@ def show_info(bag: Path, *, as_json: bool) -> int:
     """Print the contents of a bag.
 
     Returns:
-        Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
+        Exit code: 0 complete, 2 not readable, 3 unfinished or damaged.
 
     Raises:
         UsageError: there is nothing at ``bag``.
@@ -88,7 +88,7 @@ def _run_lines(
 
 
 def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
-    """Who saw, who steered, and where."""
+    """Lines on perception, controller and world of a run."""
     perception, law = nodes.get('perception'), nodes.get('steering_controller')
     if perception is not None:
         yield 'perception', _who(perception)
@@ -99,7 +99,7 @@ def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
     world = nodes.get('simulator')
     if world is not None and world.origin:
         yield 'world', _who(world)
-    elif nodes:  # ours says nothing of itself
+    elif nodes:  # the shipped world reports nothing
         yield 'world', KMWH
 
 

@@ -33,8 +33,8 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
 
     Args:
         out: folder; None, or used by an earlier demo: a new one beside it.
-        runs: scenes.
-        seed: of the scenes.
+        runs: number of scenes.
+        seed: seed of the scenes.
 
     Returns:
         Exit code. Violations by a network are expected and no failure of the demo; violations with

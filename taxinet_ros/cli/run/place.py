@@ -1,4 +1,4 @@
-"""``taxinet place``: what places there are, and what one looks like from above."""
+"""``taxinet place``: list the places, or draw one from above."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def print_places() -> None:
 
 
 def show_place(word: str, out: Path | None) -> None:
-    """Print what a place is, and draw it.
+    """Describe a place and draw it.
 
     Raises:
         UsageError: there is no such place, or the picture cannot be written.

@@ -239,7 +239,7 @@ class LiveMonitor(Node):
         try:
             return self.resolve_topic_name(source.topic)
         except rclpy_implementation.RCLError as error:
-            # The rest of the message is the place in the C code.
+            # The rest of the message is a location in C code.
             reason = str(error).split(', at /')[0]
             raise UsageError(
                 f"{self.get_name()}: parameter signals: '{source}': {reason}"
