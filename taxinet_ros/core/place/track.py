@@ -27,8 +27,8 @@ RUNWAY_TRACK = 'runway'
 
 ROOM_AHEAD_M = 150.0
 """Less than this before the end of a track no run begins: 30 s of taxiing."""
-LEAST_RADIUS_M = 15.0
-"""Below, the caravan's nose wheel at its limit of 15 degrees does not follow."""
+LEAST_RADIUS_M = 16.0
+"""At the limit of its nose wheel the caravan turns with a radius of 15.5 m."""
 PAVED_BEYOND_M = 200.0
 """How far pavement and paint go on straight beyond the ends of a track."""
 _EDGE_ROOM_M = 0.24
@@ -223,7 +223,7 @@ def make_track(
     legs = _rounded(points, radii_m)
     track = Track(
         name=name, title=title, width_m=width_m, legs=legs, painted=painted,
-        last_start_m=math.floor(legs[-1].start_m + legs[-1].length_m - ROOM_AHEAD_M),
+        last_start_m=float(math.floor(legs[-1].start_m + legs[-1].length_m - ROOM_AHEAD_M)),
     )
     if track.last_start_m < 0:
         raise ValueError(f'is {track.length_m:.0f} m long, expected {ROOM_AHEAD_M:g} m or more')

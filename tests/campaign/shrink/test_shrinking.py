@@ -382,6 +382,16 @@ def test_given_a_run_that_was_pushed_then_what_pushed_it_goes_to_nominal_with_wh
         make_shrink_space(dataclasses.replace(pushed, wind_speed_mps=9.0), ['aircraft=c172p'])
 
 
+def test_given_a_run_on_a_track_then_it_stays_there_and_where_it_began(tmp_path):
+    failed = Scenario(track='exit_left', distance_m=250.0, cross_track_m=4.0, clouds='cirrus')
+    space = make_shrink_space(failed)
+    assert {one.key for one in space.moving} == {'cross_track_m', 'clouds', 'time_of_day_h'}
+    assert (space.nominal.track, space.nominal.distance_m) == ('exit_left', 250.0)
+    path = tmp_path / 'shrunk.scenic'
+    path.write_text(scenario_program(failed, 'on a track', {}))
+    assert sample_scenarios(path, seed=3, n=1) == [failed]
+
+
 def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path):
     path = tmp_path / 'shrunk.scenic'
     remarks = {'rain_percent': 'matters', 'heading_deg': 'matters'}

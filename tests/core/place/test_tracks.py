@@ -183,7 +183,7 @@ def own(folder: Path, **track: object) -> str:
 @pytest.mark.parametrize(('track', 'why'), [
     ({'name': 'Apron'}, 'tracks[0].name: expected a lower-case word, such as exit_left'),
     ({'name': 'runway'}, 'tracks[0].name: there is a track runway already'),
-    ({'radius_m': 10}, 'tracks[0].radius_m: expected a number, 15 to'),
+    ({'radius_m': 10}, 'tracks[0].radius_m: expected a number, 16 to'),
     ({'radius_m': [50, 50]}, 'tracks[0].radius_m: expected a list of 1 number,'),
     ({'radius_m': 350}, 'tracks[0].points_m: the track between the points 1 and 2 are 300.0 m'),
     ({'width_m': 3}, 'tracks[0].width_m: expected a number, 7.5 to 80'),
@@ -215,7 +215,7 @@ def test_given_taxi_routes_then_they_are_tracks_by_their_names_in_order(tmp_path
     ('D', "track is 'D', not one of runway, apron, A, B, C, at own_16@"),
     ('A+apron', "track is 'A+apron', not one of runway, apron, A, B, C, at own_16@"),
     ('A+C', 'the taxi routes of these names do not meet in this order'),
-    ('C', 'the turn of 90 deg at its point 2 leaves room for an arc of 4.5 m, expected 15 m'),
+    ('C', 'the turn of 90 deg at its point 2 leaves room for an arc of 4.5 m, expected 16 m'),
 ])
 def test_given_a_track_that_a_place_has_not_then_one_line_says_so(tmp_path, track, why):
     with pytest.raises(UsageError) as caught:
