@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from report_examples import GOLDEN, NEEDS_OUR_STACK
 
+import taxinet_ros as tx
 from taxinet_ros.analysis.report.values import data_block
 from taxinet_ros.analysis.report.viewer import (
     MOST_FRAMES,
@@ -133,3 +134,20 @@ def test_given_ground_without_a_crossing_when_drawn_then_the_paint_is_not_interr
     longest = [max(max(x for x, _ in p) - min(x for x, _ in p) for p in ground['paint'])
                for ground in (crossed, plain)]
     assert longest[0] < longest[1] == pytest.approx(plain['length'])
+
+
+def test_given_a_run_on_a_track_when_viewed_then_the_track_is_drawn_and_the_nose_turns_with_it(
+    tmp_path: Path,
+) -> None:
+    scene = tx.Scenario(track='exit_left', distance_m=310.0, duration_s=4.0)
+    run = tx.run(scene, perception='truth', specs='phi_always')
+    view = read_run_view('a run', run.save_bag(tmp_path / 'run'))
+    data = json.loads(data_block(view.data()))
+    assert data['ground'] == 'exit_left crossed'
+    yaw_deg = math.degrees(run.steps[0].observation.state.yaw_rad)
+    assert data['yaw'][0] == pytest.approx(yaw_deg, abs=0.01)
+    assert data['he'][0] == pytest.approx(0, abs=0.01)
+    drawn = view.ground_shapes()['track']
+    xs, ys = zip(*drawn['pavement'], strict=True)
+    assert (max(xs), max(ys)) == pytest.approx((911.43, 500), abs=0.1)
+    assert len(drawn['lines']) == 1

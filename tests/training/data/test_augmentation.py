@@ -86,6 +86,17 @@ def test_given_a_plain_dataset_when_photographed_then_it_is_what_the_camera_sees
     assert (truth.cte_m, truth.he_rad) == pytest.approx((2.0, 0.1), abs=0.01)
 
 
+@pytest.mark.parametrize('index', [0, GROUND_BLOCK])
+def test_given_a_scene_on_a_track_when_photographed_then_its_errors_are_those_to_the_track(
+    index: int,
+) -> None:
+    scene = Scenario(track='exit_left', distance_m=360.0, cross_track_m=1.5, heading_rad=-0.05)
+    picture, truth = photograph(scene, varied=True, seed=1, index=index)
+    assert (truth.cte_m, truth.he_rad) == pytest.approx((1.5, -0.05), abs=0.02)
+    red, _, blue = (picture[30:100, :, channel].astype(int) for channel in range(3))
+    assert (red - blue > 60).sum() > 100, 'the yellow line'
+
+
 def test_given_a_varied_dataset_when_photographed_then_its_blocks_share_a_ground_of_their_own(
     frame: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
