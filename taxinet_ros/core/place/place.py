@@ -19,6 +19,8 @@ from taxinet_ros.errors import UsageError
 _DIGEST_SIGNS = 12
 ROUTE_WIDTH_M, ROUTE_RADIUS_M = 15.0, 30.0
 """Of a track along taxi routes, whose nodes have neither: pavement, and arcs where they fit."""
+_ROUTE_DETAIL_M = 0.5
+"""Nodes of a route nearer to the straight line between others are left out."""
 
 _Point = tuple[float, float]
 
@@ -160,7 +162,7 @@ def _track_of_routes(word: str, routes: Sequence[TaxiRoute], names: Sequence[str
                 found.append((-round(length_m, 1), abs(start[1]), way))
     if not found:
         raise ValueError('the taxi routes of these names do not meet in this order')
-    points = min(found)[2]
+    points = _simplified(min(found)[2])
     track = make_track(word, f'taxi route {word}', ROUTE_WIDTH_M, points, _radii(points))
     check_room(track)
     return track
@@ -183,8 +185,25 @@ def _shortest_ways(
     return list(ways.values())
 
 
+def _simplified(points: Sequence[_Point]) -> tuple[_Point, ...]:
+    """The same line with fewer points (Douglas and Peucker)."""
+    (x0, y0), (x1, y1) = points[0], points[-1]
+    length_m = math.hypot(x1 - x0, y1 - y0) or 1.0
+    aside = [abs((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / length_m for x, y in points]
+    farthest = max(aside)
+    if farthest <= _ROUTE_DETAIL_M:
+        return points[0], points[-1]
+    at = aside.index(farthest)
+    return *_simplified(points[:at + 1])[:-1], *_simplified(points[at:])
+
+
 def _radii(points: Sequence[_Point]) -> list[float]:
-    """The radius at each corner: the usual one, or what half of the shorter way allows."""
+    """The radius at each corner: the usual one, or what there is room for.
+
+    Of a way between two corners each has half.
+    """
+    rooms = [math.dist(*ends) / 2 for ends in pairwise(points)]
+    rooms[0], rooms[-1] = 2 * rooms[0], 2 * rooms[-1]
     radii = []
     for number, (before, corner, after) in enumerate(
         zip(points, points[1:], points[2:], strict=False), start=2
@@ -193,9 +212,9 @@ def _radii(points: Sequence[_Point]) -> list[float]:
             math.atan2(after[1] - corner[1], after[0] - corner[0])
             - math.atan2(corner[1] - before[1], corner[0] - before[0]), math.tau,
         )
-        half_m = min(math.dist(before, corner), math.dist(corner, after)) / 2
+        room_m = min(rooms[number - 2], rooms[number - 1])
         bend = math.tan(min(abs(turn), math.pi - 0.01) / 2)
-        radius_m = min(ROUTE_RADIUS_M, half_m / bend) if bend else ROUTE_RADIUS_M
+        radius_m = min(ROUTE_RADIUS_M, room_m / bend) if bend else ROUTE_RADIUS_M
         if radius_m < LEAST_RADIUS_M:
             raise ValueError(
                 f'the turn of {abs(math.degrees(turn)):.0f} deg at its point {number} leaves room '

@@ -211,11 +211,28 @@ def test_given_taxi_routes_then_they_are_tracks_by_their_names_in_order(tmp_path
     assert place.track('A').pose(0)[:2] == (500, 0), 'from the runway on'
 
 
+def test_given_a_route_of_many_nodes_then_the_track_passes_near_them(tmp_path):
+    curve = [
+        [500 + 40 * math.sin(k / 10), 40 - 40 * math.cos(k / 10)] for k in range(16)
+    ]
+    values = json.loads(json.dumps(OWN))
+    values['routes'] = [
+        {'name': 'A', 'points_m': [[round(x, 2) for x in point] for point in (a, b)]}
+        for a, b in pairwise([[300, 0], [400, 0.2], *curve, [540, 200]])
+    ]
+    path = tmp_path / 'own.yaml'
+    path.write_text(yaml.safe_dump(values))
+    track = find_place(load_place(str(path))).track('A')
+    assert len(track.legs) < 20  # a corner for each of 18 nodes would make 35
+    assert max(abs(track.measure(x, y).cte_m) for x, y in curve) < 1.0
+    assert min(1 / abs(leg.curvature) for leg in track.legs if leg.curvature) >= 16
+
+
 @pytest.mark.parametrize(('track', 'why'), [
     ('D', "track is 'D', not one of runway, apron, A, B, C, at own_16@"),
     ('A+apron', "track is 'A+apron', not one of runway, apron, A, B, C, at own_16@"),
     ('A+C', 'the taxi routes of these names do not meet in this order'),
-    ('C', 'the turn of 90 deg at its point 2 leaves room for an arc of 4.5 m, expected 16 m'),
+    ('C', 'the turn of 90 deg at its point 2 leaves room for an arc of 9.0 m, expected 16 m'),
 ])
 def test_given_a_track_that_a_place_has_not_then_one_line_says_so(tmp_path, track, why):
     with pytest.raises(UsageError) as caught:
