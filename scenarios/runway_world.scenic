@@ -9,7 +9,11 @@ A program may set these parameters: time_of_day_h [h, by the clocks there], clou
 rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
-positive], speed_mps [m/s], duration_s [s], place (a shipped one by its name, such as
+positive], speed_mps [m/s], camera_dropout_percent [%], camera_freeze_s [s], lens_dirt_percent [%],
+lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV, brighter positive],
+loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
+steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number),
+duration_s [s], place (a shipped one by its name, such as
 'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
 mean the same.
 

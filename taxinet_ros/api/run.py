@@ -56,7 +56,7 @@ from taxinet_ros.core.controller import (
 )
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
-from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
+from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
@@ -248,7 +248,7 @@ class Run:
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Replay the run: number and image of each step; None where not wanted or not available."""
         world = self.world.make(self.scenario)
-        commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
+        commands = LateCommands(self.timing, *_DRAWS, self.scenario)
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
             if repr(now.state) != repr(step.observation.state):  # by repr, NaN equals NaN

@@ -9,7 +9,8 @@ cy = (540 - 330) * 200/730 - 0.5 = 57.03.
 
 A frame is made by inverse mapping: every pixel's ray meets the ground, whose colour comes from a
 ripmap at the level of the pixel's footprint; then shade, light, haze, glare, sky, rain and
-the aircraft's own parts. Equal state, stamp and scenario give equal bytes in every process.
+the aircraft's own parts; last come faults of lens and sensor. Equal state, stamp and scenario give
+equal bytes in every process.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from taxinet_ros.core.camera.airframe import (
 from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
 from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
@@ -217,6 +219,8 @@ class Camera:
             if casts
             else None
         )
+        size = IMAGE_HEIGHT, IMAGE_WIDTH
+        self._faults = LensFaults(scenario, self._light, self._intrinsics, size)
 
     def render(
         self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
@@ -253,7 +257,7 @@ class Camera:
             mark('rain')
         self._airframe.lay_over(picture, state.yaw_rad)
         mark('airframe')
-        return picture
+        return self._faults.apply(picture, to_optical, stamp_ns)
 
     def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
         """Darken the ground in the aircraft's shadow."""

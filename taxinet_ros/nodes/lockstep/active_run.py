@@ -122,11 +122,15 @@ class ActiveRun:
         check_specs(judging.parsed_specs, scenario.duration_s, runway=scenario.runway)
         self.world = make_world(scenario)
         self.first = rolling_on(scenario.speed_mps)
-        self.commands = LateCommands(timing, message.seed, message.index, self.first)
+        self.commands = LateCommands(timing, message.seed, message.index, scenario)
         may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(
                 f'stop_on {message.stop_on}: not in a free run, which does not wait for the monitor'
+            )
+        if timing.free and (scenario.loop_delay_s or scenario.loop_jitter_s):
+            raise UsageError(
+                'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'
             )
         roles: dict[str, Any] = {
             'participants': self.participants, 'chain': interface.CHAIN,
