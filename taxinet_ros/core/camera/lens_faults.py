@@ -22,18 +22,20 @@ from taxinet_ros.core.camera.texture import Floats, smooth_noise
 from taxinet_ros.core.faults import begun, frame_lost
 from taxinet_ros.core.scenario import Scenario
 
-_FINE = 8192
-_BRIGHTEST = 4.0
-"""Linear exposure at the end of the display table; 1 is white."""
-_CODE = np.rint(display_code(np.linspace(0, _BRIGHTEST, _FINE))).astype(np.uint8)
+_EXPOSURES = np.linspace(0, 2, 2**20)
 _LINEAR = np.interp(
-    np.arange(256), display_code(np.linspace(0, 1, _FINE)), np.linspace(0, 1, _FINE)
+    np.minimum(np.arange(256), 254.5), display_code(_EXPOSURES), _EXPOSURES
 ).astype(np.float32)
-"""Linear exposure by display code."""
+"""Linear exposure by display code; white is where it begins."""
+_ROOTS, _BRIGHTEST = 8192, 4.0
+_CODE = np.rint(display_code(np.linspace(0, _BRIGHTEST**0.5, _ROOTS) ** 2)).astype(np.uint8)
+"""Display code by the square root of the linear exposure, in equal steps as codes nearly are."""
 
 _DIRT_SPOTS, _DROP_SPOTS = 260, 90
 _DIRT_RADIUS_RAD, _DROP_RADIUS_RAD = 0.030, 0.055
 """Median radius of a spot, if all of the lens were covered."""
+_FARTHEST = 3.0
+"""A spot covers nothing farther from its centre than so many of its radii."""
 _DIRT_BLUR_RAD, _DROP_BLUR_RAD = 0.007, 0.011
 _DIRT_COLOUR = np.array([0.155, 0.115, 0.075], np.float32)
 """Share of the light of the sky and the ground that dirt scatters into the camera."""
@@ -53,6 +55,8 @@ _GHOSTS = (
     (0.20, 0.032, 0.65, (1.0, 0.90, 0.60)),
     (0.38, 0.075, 0.40, (0.95, 0.75, 0.90)),
 )
+_GHOST_EDGE = 1.12
+"""A ghost fades between its radius and so many times that."""
 _VEIL = 0.12
 """Share of the light that ghosts of higher order spread evenly."""
 _FARTHEST_SUN_RAD = math.radians(70.0)
@@ -87,9 +91,9 @@ class LensFaults:
             self._drops = _drops(seed, scenario.lens_drops_fraction, size, focal)
         beam = float(light.direct.max()) / float(light.total.max())
         self._ghost = scenario.glare_ghost_fraction * beam
-        self._active = (
-            self._dirt is not None or self._drops is not None or self._ghost > 0
-            or self._gain != 1.0 or scenario.camera_dropout_fraction > 0
+        self._shines = self._ghost > 0 and light.sun_elevation_rad > 0
+        self._changes_light = (
+            self._dirt is not None or self._drops is not None or self._shines or self._gain != 1.0
         )
 
     def apply(
@@ -102,20 +106,21 @@ class LensFaults:
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             stamp_ns: simulated time since the start of the run [ns].
         """
-        if not self._active or not begun(self._scenario, stamp_ns):
-            return picture
         if frame_lost(self._scenario, stamp_ns):
             return np.zeros_like(picture)
+        if not (self._changes_light and begun(self._scenario, stamp_ns)):
+            return picture
         linear: Floats = _LINEAR[picture]
         if self._drops is not None:
             linear = self._refracted(linear, *self._drops)
         if self._dirt is not None:
             scattered = _DIRT_COLOUR * self._light.total.astype(np.float32)
             linear += self._dirt * (scattered - linear)
-        if self._ghost > 0:
+        if self._shines:
             self._add_ghosts(linear, to_optical)
-        linear *= np.float32(self._gain * (_FINE - 1) / _BRIGHTEST)
-        return _CODE[np.minimum(linear, _FINE - 1).astype(np.uint16)]
+        linear *= np.float32(self._gain / _BRIGHTEST)
+        roots = np.sqrt(np.clip(linear, 0, 1)) * np.float32(_ROOTS - 1)
+        return _CODE[np.rint(roots).astype(np.uint16)]
 
     def _refracted(
         self, linear: Floats, share: Floats, columns: Floats, rows: Floats, sky: Floats
@@ -131,19 +136,21 @@ class LensFaults:
     def _add_ghosts(self, linear: Floats, to_optical: NDArray[np.float64]) -> None:
         x, y, z = to_optical @ self._light.sun
         away_rad = math.acos(min(max(float(z), -1.0), 1.0))
-        if away_rad >= _FARTHEST_SUN_RAD or self._light.sun_elevation_rad <= 0:
+        if away_rad >= _FARTHEST_SUN_RAD:
             return
         strength = self._ghost * math.cos(away_rad / _FARTHEST_SUN_RAD * math.pi / 2)
-        focal_x, focal_y = self._intrinsics[0, 0], self._intrinsics[1, 1]
-        rows, columns = np.indices(self._size, np.float32)
-        right = (columns - np.float32(self._intrinsics[0, 2])) / np.float32(focal_x)
-        down = (rows - np.float32(self._intrinsics[1, 2])) / np.float32(focal_y)
         linear += np.float32(_VEIL * strength)
+        height, width = self._size
+        # Directions (right, down) of columns and rows, as tangents.
+        right = (np.arange(width) - self._intrinsics[0, 2]) / self._intrinsics[0, 0]
+        down = (np.arange(height) - self._intrinsics[1, 2]) / self._intrinsics[1, 1]
         for place, radius, share, tint in _GHOSTS:
-            away = np.hypot(right - np.float32(place * x / z), down - np.float32(place * y / z))
-            disc = np.clip((np.float32(radius) - away) / np.float32(0.12 * radius) + 1, 0, 1)
-            disc *= np.float32(0.6) + np.float32(0.4) * (away / np.float32(radius)) ** 2
-            linear += disc[:, :, None] * (np.float32(strength * share) * np.array(tint, np.float32))
+            beside, below = right - place * x / z, down - place * y / z
+            columns, rows = (_within(way, _GHOST_EDGE * radius) for way in (beside, below))
+            away = np.hypot(beside[columns], below[rows, None]) / radius
+            disc = np.clip((_GHOST_EDGE - away) / (_GHOST_EDGE - 1), 0, 1) * (0.6 + 0.4 * away**2)
+            light = strength * share * disc[:, :, None] * np.array(tint)
+            linear[rows, columns] += light.astype(np.float32)
 
 
 @lru_cache(maxsize=4)
@@ -166,16 +173,23 @@ def _spots(
     spots[:, 1] = draws.uniform(-0.05 * height, 1.05 * height, count)
     spots[:, 2] = radius_rad * np.exp(draws.normal(0.0, 0.5, count))
     spots[:, 3] = draws.uniform(0.0, 1.0, count)
-    best = np.full(size, -np.inf, np.float32)
+    best = np.full(size, -_FARTHEST, np.float32)
     which = np.zeros(size, np.int32)
-    rows, columns = np.indices(size, np.float32)
     for number, (column, row, radius, rank) in enumerate(spots):
-        away = np.hypot((columns - column) / focal[0], (rows - row) / focal[1])
-        early = rank - away / radius
-        nearer = early > best
-        best[nearer] = early[nearer]
-        which[nearer] = number
+        beside = (np.arange(width, dtype=np.float32) - column) / (focal[0] * radius)
+        below = (np.arange(height, dtype=np.float32) - row) / (focal[1] * radius)
+        part = _within(below, _FARTHEST), _within(beside, _FARTHEST)
+        early = rank - np.hypot(beside[part[1]], below[part[0], None])
+        nearer = early > best[part]
+        best[part][nearer] = early[nearer]
+        which[part][nearer] = number
     return best, which, spots
+
+
+def _within(places: NDArray[np.floating], limit: float) -> slice:
+    """Which of rising numbers are within a limit of 0."""
+    first, last = np.searchsorted(places, (-limit, limit))
+    return slice(int(first), int(last))
 
 
 def _dirt(
