@@ -235,7 +235,7 @@ class _PluginWorld(World):
             raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
         if shown == self._seq:
             self._shown = self._picture(now.image)
-            if self._shown is not None and self._scenario.faults:
+            if self._shown is not None and self._lens.any:
                 _, to_optical, _ = pose(now.state)
                 self._shown = self._lens.apply(self._shown, to_optical, stamp_ns)
         return Observation(

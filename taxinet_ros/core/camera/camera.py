@@ -47,7 +47,7 @@ Mark = Callable[[str], None]
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 
-STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe')
+STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe', 'lens')
 """Rendering stages in order."""
 
 _SCREEN_FOCAL_PX = 1125.0
@@ -257,7 +257,10 @@ class Camera:
             mark('rain')
         self._airframe.lay_over(picture, state.yaw_rad)
         mark('airframe')
-        return self._faults.apply(picture, to_optical, stamp_ns)
+        if self._faults.any:
+            picture = self._faults.apply(picture, to_optical, stamp_ns)
+            mark('lens')
+        return picture
 
     def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
         """Darken the ground in the aircraft's shadow."""

@@ -64,7 +64,11 @@ _FARTHEST_SUN_RAD = math.radians(70.0)
 
 
 class LensFaults:
-    """Faults of lens and sensor of one scenario's camera."""
+    """Faults of lens and sensor of one scenario's camera.
+
+    Attributes:
+        any: whether there are any.
+    """
 
     def __init__(
         self, scenario: Scenario, light: Light, intrinsics: NDArray[np.float64],
@@ -95,6 +99,7 @@ class LensFaults:
         self._changes_light = (
             self._dirt is not None or self._drops is not None or self._shines or self._gain != 1.0
         )
+        self.any = self._changes_light or scenario.camera_dropout_fraction > 0
 
     def apply(
         self, picture: NDArray[np.uint8], to_optical: NDArray[np.float64], stamp_ns: int
