@@ -359,7 +359,7 @@ LOOP_JITTER = ScenarioField(
 )
 STEERING_BIAS = ScenarioField(
     key='steering_bias_deg', short='steering_bias', attribute='steering_bias_rad',
-    title='steering bias, to the left', unit='°', si=math.pi / 180, form='{:+.1f}',
+    title='steering bias', unit='°', si=math.pi / 180, form='{:+.1f}',
     low=-math.pi / 6, high=math.pi / 6, si_unit='rad', counted=', left positive', absent=0.0,
 )
 STEERING_RATE_LIMIT = ScenarioField(
