@@ -54,6 +54,7 @@ from taxinet_ros.core.controller import (
     make_controller,
     read_command,
 )
+from taxinet_ros.core.faults import unseen_faults
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
@@ -324,7 +325,8 @@ def run(
         The run with its trace, robustness and outcome.
 
     Warns:
-        UserWarning: a requirement is likely mistaken, or the run violated an assumed bound or rate.
+        UserWarning: a requirement is likely mistaken, the run violated an assumed bound or rate, or
+            the perception needs no picture and so cannot notice faults of the camera.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
@@ -340,7 +342,8 @@ def run(
     timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
     asked = judging.parsed_specs
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
-    for line in check_specs(asked, scenario.duration_s, gains).warnings:
+    unseen = [] if eyes.needs_image else unseen_faults(scenario)
+    for line in (*check_specs(asked, scenario.duration_s, gains).warnings, *unseen):
         warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 

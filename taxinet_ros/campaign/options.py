@@ -22,6 +22,7 @@ from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
@@ -34,7 +35,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import PLACE, by_key
@@ -184,15 +185,19 @@ class CampaignOptions:
             first: scenario of the first run.
 
         Raises:
-            UsageError: a requirement cannot be evaluated on runs of this length.
+            UsageError: a requirement cannot be evaluated on runs of this length, or a delay of the
+                loop has no effect as the runs are free.
         """
+        if self.timing.free:
+            check_free(first)
         known = self.controller == STEERING and not self.standing_graph
         gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
         place = self.overrides.get(PLACE.key)
         runway = typed_place(place).runway if place else None
         found = check_specs(self.judging.parsed_specs, first.duration_s, gains, runway)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
+        unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
 
     @property
     def standing_graph(self) -> bool:

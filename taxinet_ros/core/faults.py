@@ -12,7 +12,27 @@ import dataclasses
 import numpy as np
 
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import PICTURE_FAULTS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.errors import UsageError
+
+
+def unseen_faults(scenario: Scenario) -> list[str]:
+    """A warning if a perception that needs no picture cannot notice some of the faults."""
+    keys = [field.key for field in scenario.faults if field in PICTURE_FAULTS]
+    return [f'{", ".join(keys)}: no effect, as the perception needs no picture'] if keys else []
+
+
+def check_free(scenario: Scenario) -> None:
+    """Refuse what a free run cannot have.
+
+    Raises:
+        UsageError: the scenario delays the loop.
+    """
+    if scenario.loop_delay_s or scenario.loop_jitter_s:
+        raise UsageError(
+            'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'
+        )
 
 
 def begun(scenario: Scenario, stamp_ns: int) -> bool:
