@@ -9,12 +9,21 @@ import numpy as np
 import pytest
 
 import taxinet_ros as tx
+from taxinet_ros.campaign.options import make_options
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.faults import SteeringFaults, frame_lost, loop_delay_ns, shown_step
+from taxinet_ros.core.faults import (
+    SteeringFaults,
+    check_free,
+    frame_lost,
+    loop_delay_ns,
+    shown_step,
+    unseen_faults,
+)
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import FAULTS, LENS_DIRT, PICTURE_FAULTS, STEERING_BIAS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
+from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import WORLDS, Extension
 
 SCENE = {'duration': 2.0, 'time_of_day': 7.0, 'cross_track': 2.0, 'heading': -6.0}
@@ -207,3 +216,31 @@ def test_given_a_run_with_faults_when_recorded_then_its_frames_are_rendered_agai
     assert all(same(there, again))
     assert all(same(there, list(run.frames())))
     assert tx.open_recording(tmp_path / 'with').scenario == failing
+
+
+def test_given_a_perception_that_needs_no_picture_then_faults_of_the_camera_are_warned_of():
+    failing = scene(lens_dirt=20, camera_freeze=1, steering_bias=2)
+    words = 'camera_freeze_s, lens_dirt_percent: no effect, as the perception needs no picture'
+    with pytest.warns(UserWarning, match=words):
+        tx.run(failing, perception='truth')
+    assert unseen_faults(scene(steering_bias=2)) == []
+    options = make_options(
+        program='nominal', runs=1, seed=0, perception='truth', settings=(), specs=(), out=None,
+        processes=False,
+    )
+    assert options.check(failing).warnings[-1] == words
+    assert options.check(scene(steering_bias=2, duration=30)).warnings == ()
+    seeing = dataclasses.replace(options, perception='taxinet')
+    assert not any('no picture' in line for line in seeing.check(failing).warnings)
+
+
+def test_given_a_free_run_then_a_delay_of_the_loop_is_refused_by_name():
+    with pytest.raises(UsageError, match='loop_delay_s, loop_jitter_s: no effect in a free run'):
+        check_free(scene(loop_jitter=0.1))
+    check_free(scene(lens_dirt=10))
+    options = make_options(
+        program='nominal', runs=1, seed=0, perception='truth', settings=(), specs=(), out=None,
+        processes=False, free=True,
+    )
+    with pytest.raises(UsageError, match='no effect in a free run'):
+        options.check(scene(loop_delay=0.1))
