@@ -355,7 +355,9 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
     None
 ):
     heard: list[str] = []
-    scene = Scenario(clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0)
+    scene = Scenario(
+        clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0, lens_dirt_fraction=0.1,
+    )
     wet, state = Camera(scene), at()
     with_marks = wet.render(state, 5, heard.append)
     assert tuple(heard) == STAGES
@@ -363,7 +365,7 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
 
     heard.clear()
     Camera(Scenario(shadows=False)).render(state, 0, heard.append)
-    assert heard == [s for s in STAGES if s not in ('cloud shade', 'own shadow', 'rain')]
+    assert heard == [s for s in STAGES if s not in ('cloud shade', 'own shadow', 'rain', 'lens')]
 
 
 def test_given_a_full_turn_when_photographed_then_the_skyline_has_no_seam() -> None:
