@@ -1,7 +1,9 @@
 """World model of every program here: the aircraft on the runway, and the weather's vocabulary.
 
 Scenic's axes: x to the RIGHT of the centreline and y past the threshold, in metres; a heading of 0
-looks along the runway and grows counter-clockwise, that is with the nose to the left.
+looks along the runway and grows counter-clockwise, that is with the nose to the left. With another
+`track` these are coordinates of that track: x to the right of it, y along it from its first point,
+and a heading of 0 looks along it, also in a curve.
 taxinet_ros has cross-track error positive to the LEFT, so `cross_track_m` is minus x. Distance and
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
@@ -9,7 +11,8 @@ A program may set these parameters: time_of_day_h [h, by the clocks there], clou
 rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
-positive], speed_mps [m/s], camera_dropout_percent [%], camera_freeze_s [s], lens_dirt_percent [%],
+positive], speed_mps [m/s], track (the line to follow: 'runway', or the name of a taxiway's
+centreline at the place, such as 'exit_left'), camera_dropout_percent [%], camera_freeze_s [s], lens_dirt_percent [%],
 lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV, brighter positive],
 loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
 steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number),

@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -238,6 +239,11 @@ def clock_words(hours: float) -> str:
     return f'{whole:02d}:{minutes:02d}'
 
 
+def along_words(track: str) -> str:
+    """What a distance is measured along: ``'past the threshold'``, ``'along exit_left'``."""
+    return 'past the threshold' if track in ('', RUNWAY_TRACK) else f'along {track}'
+
+
 def unusual_words(scene: Mapping[str, Any]) -> str:
     """What pushes the aircraft, and what fails, if anything: ``', wind 8.0 m/s, …'``.
 
@@ -259,7 +265,7 @@ CROSS_TRACK = ScenarioField(
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
-    title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
+    title='start distance along the track', unit='m', form='{:.0f}', low=0.0, high=2600.0,
     si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(
@@ -321,6 +327,9 @@ SLOPE = ScenarioField(
 SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
+)
+TRACK = ScenarioField(
+    key='track', attribute='track', title='track', kind=Kind.WORD, absent=RUNWAY_TRACK,
 )
 CAMERA_DROPOUT = ScenarioField(
     key='camera_dropout_percent', short='camera_dropout', attribute='camera_dropout_fraction',
@@ -404,8 +413,8 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 """Faults that the seed of the faults determines."""
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS,
-    *FAULT_FIELDS, DURATION, PLACE,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
+    DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
@@ -413,7 +422,9 @@ HUMAN_KEYS = tuple(BY_KEY)
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """Key by its short form, which input accepts and older files use."""
 
-BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
+BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
+"""Keys whose valid values depend on the track."""
+BY_PLACE = BY_TRACK | {CROSSING.key, TRACK.key}
 """Keys whose valid values depend on the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)

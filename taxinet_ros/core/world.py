@@ -7,6 +7,7 @@ The simulated world is the aircraft on its runway with its wing camera. A packag
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,14 +21,16 @@ from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera, in
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
 from taxinet_ros.core.faults import SteeringFaults, shown_step
+from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
+_START_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -39,12 +42,28 @@ class Observation:
         stamp_ns: simulated time since the start of the run [ns].
         state: true state of the aircraft.
         image: camera frame, (200, 360, 3) uint8 RGB; None if not requested.
+        track: that is followed; None for the runway's centreline.
     """
 
     seq: int
     stamp_ns: int
     state: AircraftState
     image: NDArray[np.uint8] | None
+    track: Track | None = None
+
+    @property
+    def on_track(self) -> OnTrack:
+        """Where the aircraft is along and beside the track."""
+        state = self.state
+        if self.track is None:
+            return OnTrack(state.x_m, state.y_m, state.yaw_rad)
+        return self.track.measure(state.x_m, state.y_m, state.yaw_rad)
+
+    @property
+    def truth(self) -> TrackingError:
+        """Ground-truth cross-track and heading error, relative to the track."""
+        _, cte_m, he_rad = self.on_track
+        return TrackingError(cte_m=cte_m, he_rad=he_rad)
 
 
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
@@ -119,6 +138,7 @@ class SimulatedWorld(World):
             scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS
         )
         self._seq = 0
+        self._track = scenario.line
         self._shown = self._aircraft.state, 0
 
     @cached_property
@@ -131,7 +151,8 @@ class SimulatedWorld(World):
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         image = self._camera.render(*self._shown) if picture and self._pictures else None
         return Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image
+            seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
+            track=self._track,
         )
 
     def advance(self, command: TaxiCommand) -> None:
@@ -238,10 +259,25 @@ class _PluginWorld(World):
             if self._shown is not None and self._lens.any:
                 _, to_optical, _ = pose(now.state)
                 self._shown = self._lens.apply(self._shown, to_optical, stamp_ns)
-        return Observation(
+        seen = Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=now.state,
             image=self._shown.copy() if picture and self._shown is not None else None,
+            track=self._scenario.line,
         )
+        if self._seq == 0 and not self._scenario.line.is_runway:
+            self._check_start(seen)
+        return seen
+
+    def _check_start(self, now: Observation) -> None:
+        """A world that knows of no tracks would set the aircraft on the runway."""
+        start = self._scenario
+        x_m, y_m, _ = start.line.pose(start.distance_m, start.cross_track_m)
+        away_m = math.hypot(now.state.x_m - x_m, now.state.y_m - y_m)
+        if not away_m < _START_M:
+            raise self._broken(
+                f'the run begins {away_m:.1f} m from its start on the track {start.track}; a world '
+                'has to place the aircraft by scenario.line.pose'
+            )
 
     @cached_property
     def _lens(self) -> LensFaults:

@@ -13,7 +13,13 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, unchecked_files
-from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.run.message_values import (
+    HeldCommand,
+    assumptions_of,
+    sample_of,
+    stamp_of,
+    track_of,
+)
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -35,6 +41,7 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -308,7 +315,8 @@ class _SamplesReader:
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(self.scenario, free=self.free)
-        samples = [self._sample(stamp, commands) for stamp in stamps]
+        track = track_of(self.scenario)
+        samples = [self._sample(stamp, commands, track) for stamp in stamps]
         if self.free:  # Missing answers are not lost: the frame was not answered.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
@@ -356,13 +364,16 @@ class _SamplesReader:
         }
         self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
-    def _sample(self, stamp_ns: int, commands: HeldCommand) -> dict[str, float]:
+    def _sample(
+        self, stamp_ns: int, commands: HeldCommand, track: Track | None
+    ) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return sample_of(truth, odometry, estimate, commands.at(command))
+        command = commands.at(command)
+        return sample_of(truth, odometry, estimate, command, track)
 
     def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:

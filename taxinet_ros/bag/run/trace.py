@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import stamp_of
+from taxinet_ros.bag.run.message_values import stamp_of, track_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
     IMAGE,
     ODOMETRY,
     ROBUSTNESS,
+    SCENARIO,
     TRUTH,
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.trace import STEP_UNITS
+from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
@@ -33,7 +36,7 @@ Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
-_TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
+_TRACED = (SCENARIO, TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 
 
 class CameraFrame(NamedTuple):
@@ -58,7 +61,7 @@ def trace_columns(recording: StoredRuns) -> dict[str, Column]:
     for name, stamp_ns, message in _messages(recording):
         try:
             _FILL[name](table, stamp_ns, message)
-        except (AttributeError, TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError, UsageError) as error:
             raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
     if not table.stamps:
         raise BagEmpty(f'{path}: no messages on {TRUTH}, so there is no trace', path=path)
@@ -132,6 +135,7 @@ class _TraceColumns:
     """Collects cells by step and column."""
 
     def __init__(self) -> None:
+        self.track: Track | None = None
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
         self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
@@ -145,6 +149,9 @@ class _TraceColumns:
     def columns(self) -> dict[str, Column]:
         """Return the columns, with rows in the order of the steps."""
         steps = sorted(self.stamps)
+        if self.track is not None:
+            for pose in self.poses.values():
+                pose['distance_m'] = self.track.measure(pose['x_m'], pose['y_m']).distance_m
         rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
         columns: dict[str, Column] = {
             'seq': np.array(steps, dtype=np.int64),
@@ -154,6 +161,10 @@ class _TraceColumns:
         for name in self.names:
             columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
         return columns
+
+
+def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    table.track = track_of(message)
 
 
 def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
@@ -166,7 +177,7 @@ def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     position = message.pose.pose.position
     table.poses[stamp_ns] = {
-        'x_m': float(position.x), 'y_m': float(position.y),
+        'x_m': float(position.x), 'y_m': float(position.y), 'distance_m': float(position.x),
         'speed_mps': float(message.twist.twist.linear.x),
     }
 
@@ -190,7 +201,7 @@ def _robustness(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 
 
 _FILL = {
-    TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
+    SCENARIO: _scenario, TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
     ROBUSTNESS: _robustness,
 }
 

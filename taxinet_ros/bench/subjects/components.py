@@ -62,6 +62,7 @@ SCENES = {
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),
+    'taxiway': _scene(x_m=960.0, y_m=50.0, heading_deg=70.0, track='exit_left'),
     'dirty-lens': _scene(
         x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day_h=7.2, lens_dirt_percent=20.0,
     ),
@@ -90,6 +91,7 @@ def camera_subjects() -> list[Subject]:
         Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
         Subject(name='camera/new, lens faults', run=partial(_new_lens, itertools.count())),
         Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
     ]
 
 
@@ -106,6 +108,11 @@ def _discard(made: object) -> None:
 def _make_textures() -> None:
     """Make the textures that every process makes once."""
     ground_atlas.__wrapped__(default_runway())
+
+
+def _make_taxiway() -> None:
+    """Make what the first run along a track makes in a process."""
+    ground_atlas.__wrapped__(default_runway(), SCENES['taxiway'].scenario.line)
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:

@@ -44,7 +44,7 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, camera_dropout_percent, camera_freeze_s,
+            runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
             lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
             fault_onset_s, fault_seed, duration_s, place: the scenario, see
@@ -101,6 +101,7 @@ class RunRow:
     runway_state: str = ''
     slope_percent: float | None = None
     speed_mps: float | None = None
+    track: str = ''
     camera_dropout_percent: float | None = None
     camera_freeze_s: float | None = None
     lens_dirt_percent: float | None = None

@@ -27,12 +27,13 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
+    TRACK,
     Kind,
 )
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
-NEW = (*PUSHING_FIELDS, *FAULT_FIELDS)
+NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS)
 RENAMED = {
     field.attribute: field.short for field in SCENARIO_FIELDS
     if field.short and field not in NEW
@@ -53,7 +54,7 @@ def before_units(topic: TopicInfo) -> TopicInfo:
 
 
 def before_wind(topic: TopicInfo) -> TopicInfo:
-    """The topic without the keys of after the units: what pushes, what fails, and where it is."""
+    """The topic without later keys: what pushes, what fails, the track and the place."""
     new = '|'.join(field.attribute for field in (*NEW, PLACE))
     definition = re.sub(rf'^\w+ ({new}) .*\n', '', topic.definition, flags=re.MULTILINE)
     return described(topic, definition)
