@@ -227,7 +227,7 @@ class _PluginWorld(World):
     ) -> None:
         self._extension, self._seq = extension, -1
         self.last_seq = last_step(scenario)
-        self._scenario = scenario
+        self._scenario, self._pictures = scenario, pictures
         self._shown: NDArray[np.uint8] | None = None
         self._steering = SteeringFaults(
             scenario, MODELS[scenario.aircraft].max_steering_rad, CONTROL_PERIOD_NS
@@ -241,9 +241,9 @@ class _PluginWorld(World):
 
     def observe(self, *, picture: bool = True) -> Observation:
         shown = shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS)
-        # The picture that will repeat is needed, whether or not it is asked for now.
+        # A picture that a frozen camera will repeat is needed even if not requested now.
         repeats = shown_step(self._scenario, self._seq + 1, CONTROL_PERIOD_NS) == self._seq
-        wanted = (picture or repeats) and shown == self._seq
+        wanted = (picture or (repeats and self._pictures)) and shown == self._seq
         now = self._call(lambda: self._world.observe(picture=wanted))
         if not isinstance(now, Observation):
             raise self._broken(f'observed {type(now).__name__}, expected an Observation')

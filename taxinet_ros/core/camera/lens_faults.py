@@ -1,11 +1,11 @@
-"""Faults of lens and sensor in a picture: dirt, drops, ghosts of the sun, exposure, lost frames.
+"""Faults of lens and sensor in an image: dirt, drops, ghosts of the sun, exposure, lost frames.
 
-Dirt and drops lie on the front lens, far within the shortest distance that is in focus, so their
-edges are as blurred as the aperture is wide. Each is a set of round spots of a seed, of which the
-more severe fault has more and larger ones: 10 % are part of 20 %. A drop is a strong lens itself:
-it shows a small, upside-down and blurred view of what is around it. Ghosts are reflections between
-the elements of a lens; rotational symmetry puts them on the line through the sun's image and the
-principal point. All light is added up before the display curve.
+Dirt and drops are on the front lens, much closer than the camera can focus, so their edges are
+blurred. Both consist of round spots drawn from a seed; with higher severity there are more spots,
+and the same ones are larger: 20 % contain 10 %. A drop acts as a strong lens: it shows a small,
+upside-down, blurred view of its surroundings. Ghosts are reflections between the lens elements; by
+rotational symmetry they are on the line through the sun's image and the principal point. Light is
+combined in linear exposure, before the display curve.
 """
 
 from __future__ import annotations
@@ -17,35 +17,32 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.camera.light import Light, display_code
+from taxinet_ros.core.camera.light import Light, display_code, linear_exposure
 from taxinet_ros.core.camera.texture import Floats, smooth_noise
 from taxinet_ros.core.faults import begun, frame_lost
 from taxinet_ros.core.scenario import Scenario
 
-_EXPOSURES = np.linspace(0, 2, 2**20)
-_LINEAR = np.interp(
-    np.minimum(np.arange(256), 254.5), display_code(_EXPOSURES), _EXPOSURES
-).astype(np.float32)
-"""Linear exposure by display code; white is where it begins."""
+_LINEAR = linear_exposure(np.minimum(np.arange(256.0), 254.5)).astype(np.float32)
+"""Linear exposure by display code; for white, the least one."""
 _ROOTS, _BRIGHTEST = 8192, 4.0
 _CODE = np.rint(display_code(np.linspace(0, _BRIGHTEST**0.5, _ROOTS) ** 2)).astype(np.uint8)
-"""Display code by the square root of the linear exposure, in equal steps as codes nearly are."""
+"""Display code by the square root of the linear exposure, which spaces codes nearly evenly."""
 
 _DIRT_SPOTS, _DROP_SPOTS = 260, 90
 _DIRT_RADIUS_RAD, _DROP_RADIUS_RAD = 0.030, 0.055
 """Median radius of a spot, if all of the lens were covered."""
 _FARTHEST = 3.0
-"""A spot covers nothing farther from its centre than so many of its radii."""
+"""Maximum distance covered by a spot, in its radii."""
 _DIRT_BLUR_RAD, _DROP_BLUR_RAD = 0.007, 0.011
 _DIRT_COLOUR = np.array([0.155, 0.115, 0.075], np.float32)
-"""Share of the light of the sky and the ground that dirt scatters into the camera."""
+"""Share of the scene's light that dirt scatters into the camera, RGB."""
 _DIRT_OPACITY = 0.88
 _DROP_OPACITY = 0.92
 _DROP_VIEW = 1.6
-"""A drop shows so many times its own width of the scene."""
+"""Width of the scene shown by a drop, in widths of the drop."""
 _DROP_SCENE_BLUR_PX = 3.0
 _DROP_SKY = 0.30
-"""Share of the ground's light that the sky adds at a drop's lower edge, as it shows it there."""
+"""Share of the ground's light added at a drop's lower edge, where it shows the sky."""
 _GHOSTS = (
     # Place along the line from the principal point (0) to the sun's image (1), radius [rad], share.
     (-0.16, 0.022, 0.90, (0.55, 1.0, 0.80)),
@@ -56,11 +53,11 @@ _GHOSTS = (
     (0.38, 0.075, 0.40, (0.95, 0.75, 0.90)),
 )
 _GHOST_EDGE = 1.12
-"""A ghost fades between its radius and so many times that."""
+"""Outer edge of a ghost, in its radii; it fades from 1 to there."""
 _VEIL = 0.12
-"""Share of the light that ghosts of higher order spread evenly."""
+"""Uniform light from ghosts of higher order, as a share."""
 _FARTHEST_SUN_RAD = math.radians(70.0)
-"""Beyond, the hood keeps the sun off the lens."""
+"""Maximum angle between sun and optical axis; beyond it, the lens hood shades the lens."""
 
 
 class LensFaults:
@@ -162,14 +159,13 @@ class LensFaults:
 def _spots(
     seed: int, count: int, radius_rad: float, size: tuple[int, int], focal: tuple[float, float]
 ) -> tuple[Floats, NDArray[np.int32], Floats]:
-    """How early each pixel (H, W) is covered, by which spot, and the spots (N, 4).
+    """Draw spots that appear one by one and grow as a threshold t decreases.
 
-    Spot i covers what is nearer to its centre than its radius times (its rank - t), for a t that
-    falls as more of the lens is covered: spots come one by one, and grow.
+    Spot i covers the pixels within its radius times (its rank - t) of its centre.
 
     Returns:
-        The greatest t at which a pixel is covered; number of the spot that does; column, row,
-        radius [rad] and rank of the spots.
+        The greatest t at which each pixel is covered, (H, W); number of the spot that covers it
+        there, (H, W); column, row, radius [rad] and rank of the spots, (N, 4).
     """
     height, width = size
     draws = np.random.default_rng([seed, count])
@@ -192,7 +188,7 @@ def _spots(
 
 
 def _within(places: NDArray[np.floating], limit: float) -> slice:
-    """Which of rising numbers are within a limit of 0."""
+    """Slice of the ascending numbers whose absolute value is within a limit."""
     first, last = np.searchsorted(places, (-limit, limit))
     return slice(int(first), int(last))
 
@@ -217,7 +213,7 @@ def _dirt(
 def _drops(
     seed: int, share: float, size: tuple[int, int], focal: tuple[float, float]
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Opacity of the drops (H, W, 1), columns and rows (H, W) that they show, sky (H, W, 1)."""
+    """Opacity of the drops (H, W, 1), columns and rows they show (H, W), and sky (H, W, 1)."""
     best, which, spots = _spots(seed, _DROP_SPOTS, _DROP_RADIUS_RAD, size, focal)
     down_to = np.quantile(best, 1.0 - share)
     opacity = cv2.GaussianBlur(

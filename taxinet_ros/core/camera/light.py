@@ -231,6 +231,13 @@ def display_code(linear: Colour) -> Colour:
     return code
 
 
+def linear_exposure(code: Colour) -> Colour:
+    """Inverse of :func:`display_code`, for codes 0..254.5."""
+    bent = (code / 255) ** GAMMA
+    over = np.maximum((bent - _SHOULDER) / (1 - _SHOULDER), 0)
+    return np.minimum(bent, _SHOULDER) - (1 - _SHOULDER) * np.log1p(-over)
+
+
 def ground_table(light: Light) -> NDArray[np.uint8]:
     """Lookup table (1, 256, 3) from daylight ground colour to display colour in this light.
 
