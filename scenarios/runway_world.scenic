@@ -9,7 +9,7 @@ A program may set these parameters: time_of_day_h [h, by the clocks there], clou
 rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
-positive], speed_mps [m/s], duration_s [s], place (a shipped one by its name, such as
+positive], speed_mps [m/s], traffic (the path of a YAML file; or objects, see below), duration_s [s], place (a shipped one by its name, such as
 'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
 mean the same.
 

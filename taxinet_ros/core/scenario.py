@@ -25,6 +25,8 @@ from taxinet_ros.core.scenario_fields import (
     ScenarioField,
     by_key,
 )
+from taxinet_ros.core.traffic.traffic import Traffic
+from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -59,6 +61,8 @@ class Scenario:
         slope_fraction: rise of the runway by its length, uphill ahead positive.
         speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
             ``speed_mps`` is another than the usual.
+        traffic: others on the ground as JSON, '' where nobody is; see
+            :mod:`taxinet_ros.core.traffic`.
         duration_s: length of the run [s], a multiple of the control period.
         place: where it takes place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -84,6 +88,7 @@ class Scenario:
     runway_state: str = 'dry'
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
+    traffic: str = ''
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -127,6 +132,11 @@ class Scenario:
     def runway(self) -> Runway:
         """The runway of its place."""
         return find_place(self.place).runway
+
+    @property
+    def others(self) -> Traffic:
+        """Others on the ground."""
+        return find_traffic(self.traffic)
 
     @property
     def duration_ns(self) -> int:

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -51,22 +52,23 @@ class Kind(Enum):
     DATE = 'date'
     SWITCH = 'switch'
     PLACE = 'place'
+    TRAFFIC = 'traffic'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
-    Kind.PLACE: (str, 'a place'),
+    Kind.PLACE: (str, 'a place'), Kind.TRAFFIC: (str, 'traffic'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
-    Kind.PLACE: 'string',
+    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'string',
+    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
 }
 
 
@@ -137,8 +139,8 @@ class ScenarioField:
         """Convert a user's value to SI units.
 
         Raises:
-            UsageError: it is no number within the range, no switch or no place, where there should
-                be one.
+            UsageError: it is no number within the range, no switch, no place or no traffic, where
+                there should be one.
         """
         if self.kind is Kind.NUMBER:
             number = self._number(value)
@@ -149,12 +151,21 @@ class ScenarioField:
             return number * self.si
         if self.kind is Kind.PLACE:
             return load_place(value)
+        if self.kind is Kind.TRAFFIC:
+            return typed_traffic(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
+
+    @property
+    def referred(self) -> bool:
+        """Whether tables and records have a short reference in place of the whole value."""
+        return self.kind in (Kind.PLACE, Kind.TRAFFIC)
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
         if self.kind is Kind.PLACE:
             return find_place(value).reference
+        if self.kind is Kind.TRAFFIC:
+            return find_traffic(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
     def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
@@ -180,6 +191,8 @@ class ScenarioField:
             raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
         if self.kind is Kind.PLACE and find_place(value).text != value:
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
+        if self.kind is Kind.TRAFFIC:
+            return find_traffic(value).text
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
@@ -234,13 +247,14 @@ def clock_words(hours: float) -> str:
 
 
 def pushing_words(scene: Mapping[str, Any]) -> str:
-    """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
+    """What pushes the aircraft and who is there, if not as ever: ``', wind 8.0 m/s, …'``.
 
     Args:
         scene: in human units, by key.
     """
     return ''.join(
-        f', {field.title} {field.value_words(scene[field.key])}' for field in PUSHING_FIELDS
+        f', {field.title} {field.value_words(scene[field.key])}'
+        for field in (*PUSHING_FIELDS, TRAFFIC)
         if scene[field.key] not in (None, '', field.to_human(field.absent))
     )
 
@@ -316,6 +330,9 @@ SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
+TRAFFIC = ScenarioField(
+    key='traffic', attribute='traffic', title='others on the ground', kind=Kind.TRAFFIC, absent='',
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
@@ -329,7 +346,9 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION, PLACE,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS,
+    TRAFFIC,
+    DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
@@ -358,6 +377,22 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
         if short in values and key in values:
             raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
     return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+
+
+def with_references(overrides: Mapping[str, str]) -> dict[str, str]:
+    """The overrides with references in place of files: a file may change.
+
+    Args:
+        overrides: by key.
+
+    Raises:
+        UsageError: a file is not as it should be.
+    """
+    return {
+        key: field.to_human(field.from_human(value))
+        if (field := BY_KEY.get(key)) and field.referred else value
+        for key, value in overrides.items()
+    }
 
 
 def other_form(name: str) -> str:

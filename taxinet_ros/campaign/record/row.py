@@ -16,6 +16,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.place.catalogue import is_reference
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
+from taxinet_ros.core.traffic import traffic_file
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -44,7 +45,7 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, duration_s, place: the scenario, see
+            runway_state, slope_percent, speed_mps, traffic, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is exact unless
@@ -98,6 +99,7 @@ class RunRow:
     runway_state: str = ''
     slope_percent: float | None = None
     speed_mps: float | None = None
+    traffic: str = ''
     duration_s: float | None = None
     place: str = ''
     kind: str = ''
@@ -164,6 +166,8 @@ class RunRow:
                 )
         if self.place and not is_reference(self.place):
             raise ValueError(f'place is {self.place!r:.80}, no reference of one')
+        if self.traffic and not traffic_file.is_reference(self.traffic):
+            raise ValueError(f'traffic is {self.traffic!r:.80}, no reference of it')
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: one of them is not."""

@@ -25,7 +25,15 @@ from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import BY_KEY, PUSHING_FIELDS, RAIN_CLOUDS, by_key
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    PUSHING_FIELDS,
+    RAIN_CLOUDS,
+    TRAFFIC,
+    by_key,
+)
+from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
+from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -41,8 +49,8 @@ STEPS = {
 """Step of each numeric parameter; 0.05 h are 3 min."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
-    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps', 'shadows',
-    'crossing', 'date', 'aircraft',
+    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps', 'traffic',
+    'shadows', 'crossing', 'date', 'aircraft',
 )
 """Parameters to move to nominal; the last four keep the run's values unless given."""
 _FOLLOWERS = {'wind_speed_mps': 'wind_direction_deg', 'gust_mps': 'gust_seed'}
@@ -139,6 +147,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
     }
     pushed = {field.key: field.to_human(field.absent) for field in PUSHING_FIELDS}
+    pushed[TRAFFIC.key] = NOBODY
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:
         asked = {**usual, **chosen}
@@ -180,6 +189,8 @@ def _followers(values: Mapping[str, Any]) -> dict[str, float]:
 def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     if nominal == original:
         return (nominal,)
+    if key == TRAFFIC.key:
+        return _fewer(nominal, original)
     if BY_KEY[key].words:
         return _words(BY_KEY[key].words, nominal, original)
     if key not in STEPS:
@@ -188,6 +199,13 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     # A rounding error must not add a step.
     whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
     return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
+
+
+def _fewer(nominal: str, original: str) -> tuple[str, ...]:
+    """References to the first objects of a scene, from the nominal ones to all of them."""
+    objects = typed_traffic(original).objects
+    parts = (find_traffic(Traffic(objects[:k]).text) for k in range(1, len(objects) + 1))
+    return nominal, *(part.reference for part in parts if part.reference != nominal)
 
 
 def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ...]:
