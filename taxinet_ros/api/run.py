@@ -180,7 +180,9 @@ class Run:
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
         and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
         """
-        return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
+        names = [spec.name for spec in self.specs]
+        others = bool(self.scenario.traffic)
+        return trace_table(columns_of_steps(self.steps, names, others=others))
 
     @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
@@ -340,7 +342,9 @@ def run(
     timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
     asked = judging.parsed_specs
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
-    for line in check_specs(asked, scenario.duration_s, gains).warnings:
+    for line in check_specs(
+        asked, scenario.duration_s, gains, others=scenario.others
+    ).warnings:
         warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 
@@ -450,9 +454,10 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
         trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
-            ``he_estimate``, ``estimate_gap`` and ``unusable_share`` come from the columns of
-            :attr:`Run.trace`, in SI units and radians. Any other numeric column is a signal under
-            its own name and in its own unit. A signal's column with another unit in
+            ``he_estimate``, ``estimate_gap``, ``unusable_share``, ``clearance`` and ``collision``
+            (with others on the ground) come from the columns of :attr:`Run.trace`, in SI units and
+            radians. Any other numeric column is a signal under its own name and in its own unit.
+            A signal's column with another unit in
             ``attrs['units']`` is rejected.
 
     Returns:

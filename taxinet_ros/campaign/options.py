@@ -16,13 +16,13 @@ self-contained: predicates are expanded.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
+from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs, reads_others
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
@@ -37,7 +37,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_l
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import PLACE, by_key, with_references
+from taxinet_ros.core.scenario_fields import PLACE, TRAFFIC, by_key, with_references
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -177,11 +177,12 @@ class CampaignOptions:
     bags: bool = True
     world: str = KMWH
 
-    def check(self, first: Scenario) -> SpecCheck:
+    def check(self, first: Scenario, drawn: Callable[[], Collection[str]]) -> SpecCheck:
         """Check the requirements and overrides before the first run.
 
         Args:
             first: scenario of the first run.
+            drawn: tells the keys that scenes differ in.
 
         Raises:
             UsageError: a requirement cannot be evaluated on runs of this length.
@@ -190,7 +191,14 @@ class CampaignOptions:
         gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
         place = self.overrides.get(PLACE.key)
         runway = typed_place(place).runway if place else None
-        found = check_specs(self.judging.parsed_specs, first.duration_s, gains, runway)
+        asked = self.judging.parsed_specs
+        nobody = reads_others(asked) and not first.others.solids and (
+            TRAFFIC.key in {**self.overrides, **self.laid_over} or TRAFFIC.key not in drawn()
+        )
+        found = check_specs(
+            asked, first.duration_s, gains, runway,
+            first.others if nobody else None,
+        )
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 

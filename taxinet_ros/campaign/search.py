@@ -289,7 +289,9 @@ class Search:
                 f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
-        self.check = campaign.check(first_scene(self._source))
+        self.check = campaign.check(
+            first_scene(self._source), lambda: self._source.search_space().drawn
+        )
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

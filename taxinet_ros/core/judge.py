@@ -19,11 +19,12 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
-from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M, Runway
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
+from taxinet_ros.core.traffic.traffic import Traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -47,7 +48,7 @@ class SpecCheck:
 
 def check_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
-    runway: Runway | None = None,
+    runway: Runway | None = None, others: Traffic | None = None,
 ) -> SpecCheck:
     """Check requirements for a run of the simulator.
 
@@ -56,15 +57,18 @@ def check_specs(
         duration_s: length of the run [s].
         gains: gains of the shipped controller; None for any other controller.
         runway: runway of the run, None if unknown.
+        others: others on the ground, None if it is unknown whether there are any.
 
     Raises:
-        UsageError: a window can hold no sample of such a run, or ``on_runway`` is asked of a runway
-            of another width.
+        UsageError: a window can hold no sample of such a run, ``on_runway`` is asked of a runway
+            of another width, or a distance to others where nobody is.
     """
     for spec in specs:
         check_windows(spec, round(duration_s * NS_PER_S), CONTROL_PERIOD_NS)
         if runway is not None:
             check_edge(spec, runway.half_width_m)
+        if others is not None and not others.solids:
+            _check_others(spec)
     return describe_specs(specs, duration_s, gains, runway)
 
 
@@ -79,6 +83,21 @@ def check_edge(spec: Spec, half_width_m: float) -> None:
             f'{spec.name}: its edges are those of a runway {2 * KMWH_HALF_WIDTH_M:g} m wide, here '
             f'it is {2 * half_width_m:g} m; write inside=always(abs(cte) <= {half_width_m:g})'
         )
+
+
+def reads_others(specs: Sequence[Spec]) -> bool:
+    """Whether a formula is about others on the ground."""
+    return any(name in OF_OTHERS for spec in specs for name in signal_names(spec.formula))
+
+
+def _check_others(spec: Spec) -> None:
+    """Refuse formulas about others on the ground where nobody is: nothing could violate them."""
+    for name in signal_names(spec.formula):
+        if name in OF_OTHERS:
+            raise UsageError(
+                f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
+                'objects that can be hit (docs/world.md), or leave the formula out'
+            )
 
 
 def describe_specs(
@@ -120,7 +139,7 @@ def signal_ranges(
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
-        'unusable_share': (0.0, 1.0),
+        'unusable_share': (0.0, 1.0), 'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
     }
     if gains is None:
         return ranges

@@ -10,12 +10,13 @@ import json
 import math
 from typing import Any
 
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, ScenarioField
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, TRAFFIC, ScenarioField
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
@@ -102,7 +103,31 @@ class HeldCommand:
         return self._held
 
 
-def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:
+def clearance_in(scenario: Any) -> Clearance | None:
+    """Distances to others on the ground of a scenario message; None in bags from before.
+
+    Raises:
+        UsageError, AttributeError: as :func:`scenario_of`.
+    """
+    return Clearance(scenario_of(scenario)) if hasattr(scenario, TRAFFIC.attribute) else None
+
+
+def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
+    """The distance to others on the ground at an odometry message [m].
+
+    NaN where that is None, or the recording is of before there were others: a formula about them
+    has no verdict there.
+    """
+    if clearance is None or odometry is None:
+        return math.nan
+    place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+    attitude = (float(turn.x), float(turn.y), float(turn.z), float(turn.w))
+    return clearance.at(stamp_of(odometry), float(place.x), float(place.y), attitude)
+
+
+def sample_of(
+    truth: Any, odometry: Any, estimate: Any, command: Any, clearance: Clearance | None
+) -> dict[str, float]:
     """The monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
     Args:
@@ -110,6 +135,7 @@ def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[st
         odometry: its odometry, or None: what would come from it is NaN, as with the next two.
         estimate: its estimate, or None.
         command: its command, or None.
+        clearance: of its run, see :func:`clearance_in`.
     """
     return signals(
         cte_m=float(truth.cross_track_error),
@@ -118,6 +144,7 @@ def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[st
         speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
         estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
         command=command_of(command) if command is not None else _NO_COMMAND,
+        clearance_m=clearance_of(clearance, odometry),
     )
 
 

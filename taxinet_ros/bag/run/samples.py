@@ -13,7 +13,13 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, unchecked_files
-from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.run.message_values import (
+    HeldCommand,
+    assumptions_of,
+    clearance_in,
+    sample_of,
+    stamp_of,
+)
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -26,6 +32,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     Assumptions,
@@ -34,6 +41,7 @@ from taxinet_ros.core.mtl import (
     parse_spec,
     signal_names,
 )
+from taxinet_ros.core.mtl.specs import OF_OTHERS
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
@@ -45,7 +53,7 @@ if TYPE_CHECKING:
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
-    'unusable_share': ESTIMATE,
+    'unusable_share': ESTIMATE, 'clearance': ODOMETRY, 'collision': ODOMETRY,
 }
 """The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 _READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
@@ -309,7 +317,8 @@ class _SamplesReader:
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(self.scenario, free=self.free)
-        samples = [self._sample(stamp, commands) for stamp in stamps]
+        clearance = clearance_in(self.scenario) if self._reads_others else None
+        samples = [self._sample(stamp, commands, clearance) for stamp in stamps]
         if self.free:  # What a frame lacks is no loss: nobody answered it.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
@@ -352,18 +361,21 @@ class _SamplesReader:
         return found
 
     def _plan(self, names: Collection[str]) -> None:
+        self._reads_others = not OF_OTHERS.isdisjoint(names)
         self.steps = {
             topic: self.steps.get(topic, {}) for topic in sorted(topics_of_signals(names))
         }
         self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
-    def _sample(self, stamp_ns: int, commands: HeldCommand) -> dict[str, float]:
+    def _sample(
+        self, stamp_ns: int, commands: HeldCommand, clearance: Clearance | None
+    ) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return sample_of(truth, odometry, estimate, commands.at(command))
+        return sample_of(truth, odometry, estimate, commands.at(command), clearance)
 
     def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:

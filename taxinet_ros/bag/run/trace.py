@@ -12,18 +12,22 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import stamp_of
+from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
     IMAGE,
     ODOMETRY,
     ROBUSTNESS,
+    SCENARIO,
     TRUTH,
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.trace import STEP_UNITS
+from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.scenario_fields import TRAFFIC
+from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
+from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
@@ -33,7 +37,7 @@ Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
-_TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
+_TRACED = (SCENARIO, TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 
 
 class CameraFrame(NamedTuple):
@@ -58,7 +62,7 @@ def trace_columns(recording: StoredRuns) -> dict[str, Column]:
     for name, stamp_ns, message in _messages(recording):
         try:
             _FILL[name](table, stamp_ns, message)
-        except (AttributeError, TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError, UsageError) as error:
             raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
     if not table.stamps:
         raise BagEmpty(f'{path}: no messages on {TRUTH}, so there is no trace', path=path)
@@ -134,8 +138,10 @@ class _TraceColumns:
     def __init__(self) -> None:
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
+        self.odometry: dict[int, Any] = {}
+        self.clearance: Clearance | None = None
         self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
-        self.names = dict.fromkeys(STEP_UNITS)
+        self.names: dict[str, None] = {}
 
     def put(self, seq: int, **values: float) -> None:
         """Set cells of one step."""
@@ -145,15 +151,24 @@ class _TraceColumns:
     def columns(self) -> dict[str, Column]:
         """The columns, rows in the order of the steps."""
         steps = sorted(self.stamps)
+        if self.clearance is not None:
+            for stamp_ns, message in self.odometry.items():
+                self.poses[stamp_ns][CLEARANCE_COLUMN] = clearance_of(self.clearance, message)
         rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
         columns: dict[str, Column] = {
             'seq': np.array(steps, dtype=np.int64),
             't_ns': np.array([self.stamps[k] for k in steps], dtype=np.int64),
             'est_valid': np.array(['est_cte_m' in row for row in rows], dtype=np.bool_),
         }
-        for name in self.names:
+        others = (CLEARANCE_COLUMN,) if self.clearance else ()
+        for name in dict.fromkeys((*STEP_UNITS, *others, *self.names)):
             columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
         return columns
+
+
+def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    if getattr(message, TRAFFIC.attribute, ''):
+        table.clearance = clearance_in(message)
 
 
 def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
@@ -169,6 +184,7 @@ def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
         'x_m': float(position.x), 'y_m': float(position.y),
         'speed_mps': float(message.twist.twist.linear.x),
     }
+    table.odometry[stamp_ns] = message
 
 
 def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
@@ -190,7 +206,7 @@ def _robustness(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 
 
 _FILL = {
-    TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
+    SCENARIO: _scenario, TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
     ROBUSTNESS: _robustness,
 }
 

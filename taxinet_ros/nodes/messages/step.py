@@ -42,11 +42,14 @@ class Motion(NamedTuple):
     """Monitored values of odometry.
 
     Attributes:
-        x_m: position along the runway [m].
+        x_m, y_m: position along the runway and left of it [m].
+        attitude: as x, y, z, w.
         speed_mps: ground speed along the body x axis [m/s].
     """
 
     x_m: float
+    y_m: float
+    attitude: tuple[float, float, float, float]
     speed_mps: float
 
 
@@ -63,7 +66,10 @@ def _read_command(message: Any) -> StepMessage:
 
 
 def _read_motion(message: Any) -> StepMessage:
-    motion = Motion(message.pose.pose.position.x, message.twist.twist.linear.x)
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    motion = Motion(
+        place.x, place.y, (turn.x, turn.y, turn.z, turn.w), message.twist.twist.linear.x
+    )
     return StepMessage(stamp_of(message.header.stamp), motion)
 
 
