@@ -21,6 +21,7 @@ from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 
 
@@ -59,6 +60,15 @@ SCENES = {
     ),
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
+    ),
+    'traffic': _scene(
+        x_m=400.0, y_m=0.0, heading_deg=0.0, time_of_day_h=10.0, traffic=load_traffic([
+            {'kind': 'aircraft', 'x_m': 440, 'y_m': -20, 'heading_deg': 70},
+            {'kind': 'vehicle', 'x_m': 425, 'y_m': -30, 'heading_deg': 90,
+             'path': [{'x_m': 425, 'y_m': 30, 'speed_mps': 5}]},
+            {'kind': 'cone', 'x_m': 412, 'y_m': -4}, {'kind': 'person', 'x_m': 415, 'y_m': 3},
+            {'kind': 'closed_marking', 'x_m': 450, 'y_m': 0},
+        ]),
     ),
 }  # fmt: skip
 """Scenes by name."""

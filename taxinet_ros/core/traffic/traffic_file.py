@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,7 @@ def typed_traffic(text: str) -> Traffic:
     return find_traffic(_known[text])
 
 
-def load_traffic(source: str | Iterable[Mapping[str, Any]]) -> str:
+def load_traffic(source: str | Path | Sequence[Mapping[str, Any]]) -> str:
     """Others on the ground as a scenario has them.
 
     ``Scenario(traffic=load_traffic([{'kind': 'vehicle', 'x_m': 450, 'y_m': 8}]))``
@@ -107,7 +107,8 @@ def load_traffic(source: str | Iterable[Mapping[str, Any]]) -> str:
     """
     if isinstance(source, str | Path):
         return typed_traffic(str(source)).text
-    return make_traffic({'objects': [dict(one) for one in source]}, _FROM_SCENARIO).text
+    objects = list(source) if isinstance(source, tuple) else source
+    return make_traffic({'objects': objects}, _FROM_SCENARIO).text
 
 
 def is_reference(text: str) -> bool:

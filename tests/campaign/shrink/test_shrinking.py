@@ -40,6 +40,7 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import UsageError
 
 NAME = 'phi_eventually'
@@ -393,3 +394,17 @@ def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path)
         assert drawn.to_human()[key] == value
     assert drawn.cross_track_m == WET.cross_track_m
     assert drawn.heading_rad == pytest.approx(WET.heading_rad, abs=1e-15)
+
+
+def test_given_others_on_the_ground_then_they_are_taken_away_from_the_last_to_the_first():
+    cones = [{'kind': 'cone', 'x_m': 1100 + k, 'y_m': 5} for k in range(3)]
+    crowded = dataclasses.replace(WET, traffic=load_traffic(cones))
+    space = make_shrink_space(crowded)
+    others = next(one for one in space.moving if one.key == 'traffic')
+    assert [word.split('_')[0] for word in others.values] == ['nobody', '1', '2', '3']
+    top = [one.axis.steps for one in space.moving]
+    assert space.scenario(tuple(top)) == crowded
+    top[space.moving.index(others)] = 1
+    assert space.scenario(tuple(top)).traffic == load_traffic(cones[:1])
+    assert space.nominal.traffic == ''
+    assert 'traffic' not in {one.key for one in make_shrink_space(WET).parameters}

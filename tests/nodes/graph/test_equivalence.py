@@ -17,7 +17,12 @@ from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
-SPECS = ('phi_eventually', 'phi_always')
+SPECS = ('phi_eventually', 'phi_always', 'no_collision')
+VAN = {
+    'kind': 'vehicle', 'x_m': 730, 'y_m': -12, 'heading_deg': 90, 'wait_s': 1.0,
+    'path': [{'x_m': 730, 'y_m': 12, 'speed_mps': 4}],
+}
+PARKED = {'kind': 'aircraft', 'x_m': 722, 'y_m': -16, 'heading_deg': 70}
 SCENES = [
     scenario_from_human({
         'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
@@ -30,6 +35,10 @@ SCENES = [
         'cross_track': 2.5, 'heading': -8, 'distance': 900, 'time_of_day': 10, 'clouds': 'broken',
         'rain': 30, 'wind_speed': 9, 'wind_direction': 300, 'gust': 3, 'gust_seed': 7,
         'runway_state': 'auto', 'slope': -1.5, 'speed': 7.5, 'duration': 6,
+    }),
+    scenario_from_human({
+        'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
+        'traffic': tx.load_traffic([VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}]),
     }),
 ]
 STEPS = 61
@@ -95,7 +104,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
 
 
 def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_in_it(tmp_path):
-    first, _, second = requests()
+    first, _, second, _ = requests()
     options = GraphOptions(perception='truth', out=tmp_path / 'both')
     run_graph(composed_graph(options), [first, second])
     options = GraphOptions(perception='truth', out=tmp_path / 'alone')
