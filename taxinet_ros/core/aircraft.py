@@ -118,7 +118,7 @@ FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 """Tyre friction, lateral and in braking, relative to dry pavement.
 
 Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
-EASA AMC 25.1591 gives 0.05 for ice; our models have 0.8 on dry pavement.
+EASA AMC 25.1591 gives 0.05 for ice; the models have 0.8 on dry pavement.
 """
 _OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
@@ -136,7 +136,7 @@ _OUTPUTS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AircraftModel:
-    """A flight-dynamics model and its trimmed attitude while rolling straight at taxi speed.
+    """A flight-dynamics model and its trimmed attitude in straight taxiing at taxi speed.
 
     The attitude follows :class:`~taxinet_ros.core.types.AircraftState`; a run that starts with it
     has no vertical or pitch transient.
@@ -194,7 +194,7 @@ def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bo
         models: folder of model folders.
         name: name of the model.
         scratch: folder to write to, which is returned.
-        windy: add the aerodynamics of ``wind.xml`` beside the model.
+        windy: add the aerodynamics of ``wind.xml`` from the model's folder.
         sloping: add a force set by :func:`_pull_down`, since JSBSim's ground is level and its
             gravity vertical.
     """
@@ -261,8 +261,8 @@ class Wind:
         north_mps = fdm['velocities/v-north-fps'] * M_PER_FT - self._north_mps
         east_mps = fdm['velocities/v-east-fps'] * M_PER_FT - self._east_mps
         way_mps = math.hypot(north_mps, east_mps)
-        # The specification aligns its axes with the mean relative wind; at rest in still air there
-        # is none, and any axes will do.
+        # The specification aligns its axes with the mean relative wind; without one (at rest in
+        # still air) the axes are arbitrary.
         north, east = (north_mps / way_mps, east_mps / way_mps) if way_mps else (1.0, 0.0)
         for _ in range(steps):
             along, across = self._gusts.along_mps, self._gusts.across_mps
@@ -273,7 +273,7 @@ class Wind:
 
 
 class Aircraft:
-    """Aircraft of one run, rolling at the scenario's speed from its start pose.
+    """Aircraft of one run; starts at the scenario's pose and speed.
 
     Attributes:
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
@@ -283,7 +283,7 @@ class Aircraft:
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
         model: AircraftModel | None = None, runway: Runway | None = None,
     ) -> None:
-        """Load a model and set it on the runway.
+        """Load a model and place it on the runway.
 
         Args:
             scenario: start pose and aircraft model.
@@ -377,7 +377,7 @@ class Aircraft:
         fdm['ic/psi-true-rad'] = pose.heading_rad
         fdm['ic/theta-rad'] = -self._model.settled_pitch_rad
         fdm['ic/phi-rad'] = self._model.settled_roll_rad
-        # Along the ground, not along the tilted body axis, or the aircraft would start to sink.
+        # Parallel to the ground, not along the tilted body axis: the aircraft would sink.
         fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
         fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
         fdm['ic/vd-fps'] = 0.0
@@ -397,7 +397,7 @@ class Aircraft:
         if not propulsion.get_num_engines():  # the caravan's thrust is an external force
             return
         # Starting an engine also opens its throttle and leaves it at full speed. One step with
-        # motion frozen passes our lever to the engine, which then settles at that speed.
+        # motion frozen passes the lever to the engine, which then settles at that speed.
         fdm['propulsion/set-running'] = _ALL
         fdm['fcs/throttle-cmd-norm'] = lever
         fdm['simulation/models/FGPropagate/enabled'] = 0
@@ -418,7 +418,7 @@ class Aircraft:
     def _attempt(
         self, action: Callable[[], bool], name: str, log: CapturedLog | None = None
     ) -> None:
-        """Call JSBSim, which signals failure by an exception, or by False and a log line."""
+        """Call JSBSim; it signals failure by an exception, or by False and a log line."""
         try:
             done = action()
         except RuntimeError as error:
@@ -439,7 +439,7 @@ class Aircraft:
                 heading_rad=read['attitude/psi-rad'],
             )
         )
-        # JSBSim has y right and z down: its pitch is nose up, its turns are clockwise.
+        # In JSBSim y is right and z down: pitch is nose up positive, yaw rate clockwise positive.
         return AircraftState(
             x_m=pose.x_m,
             y_m=pose.y_m,

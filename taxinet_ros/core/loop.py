@@ -1,7 +1,7 @@
-"""The closed loop in one process, without ROS: the bit-exact reference for the graph.
+"""The closed loop in one process, without ROS: the bit-exact reference for the ROS graph.
 
-One control step, ten times a simulated second: the world is observed, the perception estimates,
-the controller answers, the judge looks at the truth, the world moves on (paper, section 3.1).
+Each control step (10 Hz in simulated time): observe the world, estimate, compute the command,
+evaluate the requirements on the truth, advance the world (paper, section 3.1).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
-"""A lockstep run has a sample every control period; a longer gap means that one was lost."""
+"""Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ def rolling_on(speed_mps: float) -> TaxiCommand:
     """Command before the first answer: constant initial motion.
 
     Args:
-        speed_mps: of the scenario [m/s].
+        speed_mps: initial speed of the scenario [m/s].
     """
     return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
 
@@ -70,7 +70,7 @@ class LateCommands:
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
-        """The command in effect from step ``seq``, whose own answer is ``command``.
+        """Return the command in effect from step ``seq``; ``command`` is the answer to that step.
 
         Call once per step, in order.
         """
@@ -117,8 +117,8 @@ def run_closed_loop(
 
     Args:
         scenario: initial condition and environment.
-        perception: turns a camera frame, or the truth, into an estimate.
-        specs: formulas to judge the ground truth by.
+        perception: computes estimates from camera frames or the truth.
+        specs: formulas to evaluate.
         controller: computes commands from estimates; None: the steering law with default gains.
         stop_on: stop rule; the deciding step is the last.
         assumptions: assumptions on the signals.
@@ -128,7 +128,7 @@ def run_closed_loop(
         make_world: factory of the world.
 
     Returns:
-        The judgement over the run.
+        The judgement of the run.
     """
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()

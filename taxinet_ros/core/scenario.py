@@ -1,8 +1,8 @@
 """One test case: a point in the paper's six-dimensional feature space, with its settings.
 
-Inside the program a scenario is in SI units; people write metres, degrees, percent and hours (in
-Scenic programs, on the command line, in tables). :func:`scenario_from_human` is the one door;
-ranges, units and words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
+Internally a scenario is in SI units; user interfaces (Scenic programs, command line, tables) use
+metres, degrees, percent and hours. :func:`scenario_from_human` converts them; ranges, units and
+words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 C172P_WIND_MPS = 5.0
-"""Above, JSBSim's model of it leaves the ground: it is made for flight, and what its tables say of
-air from behind is that of the greatest angle of attack that they have."""
+"""Maximum wind for the c172p [m/s]. Above it JSBSim's model leaves the ground: its tables are made
+for flight and treat air from behind as their maximum angle of attack."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,29 +46,29 @@ class Scenario:
         clouds: one of ``scenario_fields.CLOUDS``.
         rain_fraction: intensity, 0..1; more than 0 only under
             ``scenario_fields.RAIN_CLOUDS``.
-        time_of_day_s: after midnight, as the clocks of the place have it [s].
+        time_of_day_s: local time since midnight [s].
         date: ISO date of the sun's position; near an equinox 6-18 h is daylight.
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
-        crossing: whether the other runway is there that crosses this one (KMWH: near 1,450 m);
-            without it pavement and paint go on as elsewhere. Never, where nothing crosses.
+        crossing: whether the crossing runway exists (KMWH: near 1,450 m); without it pavement and
+            paint are continuous. Always False at a place without a crossing.
         aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
-        gust_mps: standard deviation of the turbulence in either horizontal direction [m/s], see
+        gust_mps: standard deviation of the turbulence in each horizontal direction [m/s], see
             :mod:`taxinet_ros.core.gusts`.
         gust_seed: random seed of the gusts; a whole number.
         runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
-        slope_fraction: rise of the runway by its length, uphill ahead positive.
-        speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
-            ``speed_mps`` is another than the usual.
+        slope_fraction: rise of the runway divided by its length, uphill ahead positive.
+        speed_mps: initial speed [m/s]; the steering law holds it unless its gain ``speed_mps``
+            differs from the default.
         traffic: others on the ground as JSON, '' where nobody is; see
             :mod:`taxinet_ros.core.traffic`.
         duration_s: length of the run [s], a multiple of the control period.
-        place: where it takes place: a shipped name, or the whole place as JSON, see
+        place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
 
     Raises:
-        UsageError: a value is out of range, not finite, or of an unknown word.
+        UsageError: a value is out of range, not finite, or an unknown word.
     """
 
     cross_track_m: float = 0.0
@@ -130,7 +130,7 @@ class Scenario:
 
     @property
     def runway(self) -> Runway:
-        """The runway of its place."""
+        """Runway of the place."""
         return find_place(self.place).runway
 
     @property
@@ -168,11 +168,11 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from user-facing units (m, degrees, percent, hours).
 
     Args:
-        values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
+        values: values by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
 
     Raises:
-        UsageError: an unknown key (the known ones are listed), one that is there with its short
-            form too, or a bad value; it is told in the units that were typed.
+        UsageError: an unknown key (the known ones are listed), a key given together with its short
+            form, or an invalid value; errors use the user's units.
     """
     values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -40,6 +41,8 @@ RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
 }
+_PLAIN_NUMBER = re.compile(r'\s*[+-]?[0-9a-zA-Z.+-]{1,40}\s*')
+"""Python also reads ``1_0`` and digits of other scripts; a typing error must not become a value."""
 _DECIMALS = 9
 """Rounding to a nano-unit makes degrees -> radians -> degrees give back what was typed."""
 
@@ -219,6 +222,8 @@ class ScenarioField:
         if isinstance(value, bool):
             raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
         try:
+            if isinstance(value, str) and not _PLAIN_NUMBER.fullmatch(value):
+                raise ValueError
             return float(value)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f'scenario: {self.key} needs a number, got {told(value)}') from None

@@ -299,11 +299,13 @@ class RunCode:
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
-    """Two numbers from a tuple, list or array; None if invalid, or text."""
+    """Two numbers from a tuple, list or array; None if invalid, or text, or truth values."""
     heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
         if any(isinstance(one, str | bytes) for one in (answer, first, second)):
+            return None
+        if any(type(one).__name__ in ('bool', 'bool_') for one in (first, second)):
             return None
         return float(first), float(second)
     except BaseException as error:  # the result may have a user-defined __iter__ or __float__

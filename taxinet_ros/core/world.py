@@ -59,7 +59,7 @@ def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
 
 
 class World(Protocol):
-    """Interface of the world of one run. A new one per run keeps runs bit-identical.
+    """Interface of the world of one run. One is created per run, so that runs are bit-identical.
 
     Attributes:
         last_seq: number of the last control step, :func:`last_step` of the scenario.
@@ -100,13 +100,13 @@ class SimulatedWorld(World):
         aircraft: Callable[[Scenario], Aircraft] = Aircraft,
         camera: Callable[[Scenario], Camera] = Camera,
     ) -> None:
-        """Set the aircraft on the runway.
+        """Place the aircraft on the runway.
 
         Args:
             scenario: initial condition, light and weather.
-            pictures: False leaves the camera out.
+            pictures: False: without camera.
             aircraft: factory of the aircraft.
-            camera: factory of the camera, called for the first picture.
+            camera: factory of the camera, called for the first image.
         """
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
@@ -115,7 +115,7 @@ class SimulatedWorld(World):
 
     @cached_property
     def _camera(self) -> Camera:
-        # Created for the first picture: its ground takes most of the set-up time and 63 MB.
+        # Created for the first image: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:
@@ -136,7 +136,7 @@ class ChosenWorld:
     """A world selected by name.
 
     Attributes:
-        name: of it.
+        name: name of the world.
         fingerprint: SHA-256 of the package that adds it; empty for the simulated one.
         make: factory, called once per run.
     """
@@ -150,12 +150,12 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
     """Find a world by name: ``kmwh`` or one added by a package.
 
     Args:
-        name: of it.
+        name: name of the world.
         fingerprint: required hash of its package; '' for any.
 
     Raises:
-        UsageError: unknown name, a package that cannot be imported or has no callable there, or a
-            hash that differs from the recorded one.
+        UsageError: unknown name, a package that cannot be imported or has no such callable, or a
+            hash that differs from the required one.
     """
     extension = find(WORLDS, name)
     if extension is None:
@@ -185,7 +185,7 @@ def world_options(name: str) -> list[str]:
 
 
 class _PluginWorld(World):
-    """A package's world; failures of its code are infrastructure errors that name the package."""
+    """World of a package; failures of its code are infrastructure errors naming the package."""
 
     def __init__(
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
@@ -223,7 +223,7 @@ class _PluginWorld(World):
             # A network would produce an estimate from any array.
             got = f'{image.shape} {image.dtype}'
             raise self._broken(f'the picture is {got}, not {frame} uint8')
-        return np.array(image, order='C')  # the package may paint the next one over it
+        return np.array(image, order='C')  # the package may reuse its buffer
 
     def advance(self, command: TaxiCommand) -> None:
         self._call(lambda: self._world.advance(command))

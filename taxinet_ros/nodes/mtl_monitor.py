@@ -1,6 +1,6 @@
 """MTL monitor node: ground truth in; robustness during the run and a verdict at its end out.
 
-If the scenario stops the run early, the verdict is sent at the deciding step in place of the
+If the scenario stops the run early, the verdict is sent at the deciding step instead of the
 progress report: the simulator waits for either, and ends the run.
 """
 

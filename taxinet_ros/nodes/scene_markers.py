@@ -1,6 +1,6 @@
 """Executable ``scene_markers``: publish runway, aircraft and path as markers for 3-D viewers.
 
-It runs beside any graph or ``bag_player`` without taking part. The Foxglove server publishes the
+It works with any graph or ``bag_player`` without taking part. The Foxglove server publishes the
 same markers.
 """
 
@@ -41,7 +41,7 @@ Triangle = tuple[tuple[float, float, float], ...]
 
 
 def runway_markers(runway: Runway) -> MarkerArray:
-    """Pavement, what crosses it and all paint, in ``map``."""
+    """Pavement, crossings and all paint, in ``map``."""
     pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
     pavement.pose.position = Point(x=runway.length_m / 2, z=-_THICKNESS_M / 2)
     pavement.scale = Vector3(x=runway.length_m, y=runway.width_m, z=_THICKNESS_M)
@@ -51,7 +51,7 @@ def runway_markers(runway: Runway) -> MarkerArray:
 
 
 def other_runway_markers(runway: Runway) -> MarkerArray:
-    """The same, in place of those of another runway."""
+    """The same markers, replacing those of another runway."""
     return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *runway_markers(runway).markers])
 
 
@@ -115,10 +115,10 @@ def _paint_triangles(runway: Runway) -> list[Triangle]:
 
 @cache
 def _aircraft_triangles() -> tuple[Triangle, ...]:
-    """The hulls of the parts that also throw its shadow, about the reference point."""
+    """Convex hulls of the parts that also cast its shadow, relative to the reference point."""
     found = []
     for part in OUTLINE:
-        # A flat part has no hull; qhull moves its corners by a hair (QJ) and finds one.
+        # A flat part has no hull; with QJ, qhull perturbs its corners slightly and finds one.
         faces = part[ConvexHull(part, qhull_options='QJ').simplices]
         found += [tuple(map(tuple, face)) for face in np.round(faces, 3).tolist()]
     return tuple(found)

@@ -8,10 +8,9 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.core.camera.airframe import OUTLINE
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.judge import check_specs
+from taxinet_ros.core.judge import check_others, check_specs
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, SHIPPED, parse_spec
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.traffic.traffic import Traffic
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import quaternion
 
@@ -130,10 +129,10 @@ def test_given_nobody_to_be_near_then_a_formula_about_it_is_refused_by_name(name
 
 def test_given_that_somebody_may_be_there_then_the_formula_is_not_refused_and_its_range_is_known():
     spec = parse_spec('no_collision')
-    assert check_specs([spec], 30.0).warnings == ()
-    assert 'clearance between 0 m and 1000 m' in check_specs([spec], 30.0).lines[0]
+    assert check_specs([spec], Scenario()).warnings == ()
+    assert 'clearance between 0 m and 1000 m' in check_specs([spec], Scenario()).lines[0]
     with pytest.raises(tx.UsageError):
-        check_specs([spec], 30.0, others=Traffic())
-    check_specs([SHIPPED['phi_always']], 30.0, others=Traffic())
-    (warning,) = check_specs([parse_spec('always(clearance >= 2000)')], 30.0).warnings
+        check_others([spec], Scenario())
+    check_others([SHIPPED['phi_always']], Scenario())
+    (warning,) = check_specs([parse_spec('always(clearance >= 2000)')], Scenario()).warnings
     assert 'no run can satisfy it' in warning

@@ -38,7 +38,7 @@ _ESTIMATE = (
 
 
 def explain_report(found: Explanation) -> Report:
-    """The whole, as a page of its own."""
+    """Report on an explanation."""
     run_id = found.run.request.run_id
     return Report(
         title=f'Network errors in {run_id}',

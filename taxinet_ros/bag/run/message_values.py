@@ -1,6 +1,6 @@
-"""Messages of a run as values of the core, and back; whether of a bag or of the graph.
+"""Conversion between messages of a run (from a bag or the ROS graph) and core values.
 
-Floats pass unchanged, so what is judged, or run once more, has the bits of what was recorded.
+Floats are not changed, so judging or repeating a run uses the recorded bits.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
 
 
 def scenario_of(message: Any) -> Scenario:
-    """The scenario in a message, validated.
+    """Convert a scenario message, with validation.
 
     Raises:
         UsageError: a value is out of range.
-        AttributeError: it is no scenario message.
+        AttributeError: not a scenario message.
     """
     return Scenario(**{field.attribute: _value(message, field) for field in SCENARIO_FIELDS})
 
@@ -40,26 +40,26 @@ def _value(message: Any, field: ScenarioField) -> Any:
 
 
 def assumptions_of(message: Any) -> Assumptions:
-    """What a scenario message vouches for of the signals; nothing, in bags from before.
+    """Assumptions in a scenario message; none in older bags.
 
     Raises:
-        UsageError: it is not spelled as it should be.
+        UsageError: invalid syntax.
     """
     return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
 
 
 def stamp_of(message: Any) -> int:
-    """The stamp in a message's header [ns].
+    """Header stamp of a message [ns].
 
     Raises:
-        AttributeError, TypeError, ValueError: it has none.
+        AttributeError, TypeError, ValueError: the message has none.
     """
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def error_of(message: Any) -> TrackingError:
-    """The tracking error in a message."""
+    """Convert a tracking error message."""
     return TrackingError(
         cte_m=float(message.cross_track_error), he_rad=float(message.heading_error),
         valid=bool(message.valid),
@@ -67,7 +67,7 @@ def error_of(message: Any) -> TrackingError:
 
 
 def command_of(message: Any) -> TaxiCommand:
-    """The command in a message, or the one that it is."""
+    """Convert a command message; a :class:`TaxiCommand` is returned unchanged."""
     if isinstance(message, TaxiCommand):
         return message
     return TaxiCommand(
@@ -76,23 +76,23 @@ def command_of(message: Any) -> TaxiCommand:
 
 
 class HeldCommand:
-    """In a free run frames may have no command: the last one holds, as the monitor has it too."""
+    """Zero-order hold of commands in a free run, where frames may have none; as in the monitor."""
 
     def __init__(self, scenario: Any, *, free: bool) -> None:
-        """Begin a run.
+        """Start a run.
 
         Args:
-            scenario: its message.
-            free: it is a free run, else one of the lockstep.
+            scenario: scenario message of the run.
+            free: whether it is a free run or in lockstep.
         """
         self._free = free
         self._held: Any = rolling_on(float(_value(scenario, SPEED)))
 
     def at(self, command: Any) -> Any:
-        """What holds at a frame.
+        """Command in effect at a frame; call for each frame in order.
 
         Args:
-            command: the message that answers it, or None. To be called for each frame in order.
+            command: the command message for this frame, or None.
 
         Returns:
             A message or :class:`TaxiCommand`, or None.
@@ -128,14 +128,16 @@ def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
 def sample_of(
     truth: Any, odometry: Any, estimate: Any, command: Any, clearance: Clearance | None
 ) -> dict[str, float]:
-    """The monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+    """Monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    Signals of missing messages are NaN.
 
     Args:
-        truth: its ground-truth tracking error.
-        odometry: its odometry, or None: what would come from it is NaN, as with the next two.
-        estimate: its estimate, or None.
-        command: its command, or None.
-        clearance: of its run, see :func:`clearance_in`.
+        truth: ground-truth tracking error.
+        odometry: odometry, or None.
+        estimate: estimate, or None.
+        command: command, or None.
+        clearance: of the run, see :func:`clearance_in`.
     """
     return signals(
         cte_m=float(truth.cross_track_error),
@@ -149,7 +151,7 @@ def sample_of(
 
 
 def scenario_json(message: Any) -> bytes:
-    """The file ``scenario.json`` that is put into a run's bag: the scene in people's units."""
+    """Attachment ``scenario.json`` of a run's bag: the request in user-facing units."""
     values = {
         **scenario_of(message).to_human(),
         'run_id': message.run_id,
@@ -166,7 +168,7 @@ def scenario_json(message: Any) -> bytes:
 
 
 def scenario_values(request: RunRequest) -> dict[str, Any]:
-    """The fields of the scenario message that asks for a run, less its header."""
+    """Fields of the scenario message of a run request, without header."""
     return {
         'run_id': request.run_id,
         'index': request.index,
@@ -182,7 +184,7 @@ def scenario_values(request: RunRequest) -> dict[str, Any]:
 
 
 def reading_values(spec: Spec, reading: Reading, run_id: str, seq: int) -> dict[str, Any]:
-    """The fields of a robustness message, less its header."""
+    """Fields of a robustness message, without header."""
     return {
         'run_id': run_id,
         'seq': seq,
@@ -200,7 +202,7 @@ def reading_values(spec: Spec, reading: Reading, run_id: str, seq: int) -> dict[
 
 
 def verdict_values(judgement: Judgement, run_id: str) -> dict[str, Any]:
-    """The fields of a verdict, less its header and the readings."""
+    """Fields of a verdict message, without header and readings."""
     figures = judgement.statistics
     cte, he = figures.cte_error, figures.he_error
     return {

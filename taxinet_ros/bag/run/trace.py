@@ -1,4 +1,4 @@
-"""The numbers of a run as columns over its control steps, and its camera frames."""
+"""Trace of a recorded run as columns over its control steps, and its camera frames."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class CameraFrame(NamedTuple):
     """One camera frame.
 
     Attributes:
-        seq: its control step.
+        seq: control step.
         stamp_ns: simulated time [ns].
         image: (200, 360, 3) uint8 RGB.
-        recorded: whether it is in the bag, else rendered again.
+        recorded: True if it is from the bag, False if rendered.
     """
 
     seq: int
@@ -78,7 +78,7 @@ def camera_frames(
     recording: StoredRuns, wanted: Callable[[int], bool],
     render: Callable[[Callable[[int], bool]], Iterator[Observation]] | None,
 ) -> Iterator[CameraFrame]:
-    """See :meth:`.recording.Recording.frames`; ``render`` makes pictures, None none."""
+    """See :meth:`.recording.Recording.frames`; ``render`` renders missing frames, or None."""
     there = recorded_steps(recording)
     if any(wanted(seq) for seq in there):
         for stamp_ns, image in _recorded_images(recording):
@@ -91,7 +91,7 @@ def camera_frames(
 
 
 def _steps_of(recording: StoredRuns, relative: str) -> Iterator[int]:
-    """Control steps of the messages on a topic, by the stamps in their headers."""
+    """Control steps of the messages on a topic, from their header stamps."""
     for _, stored in recording.messages((relative,)):
         try:
             yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
@@ -104,9 +104,9 @@ def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
     """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
 
     Raises:
-        BagCorrupt: an image contradicts its own size.
-        BagForeign: an image is neither rgb8 nor bgr8, or they are of several runs.
-        BagError: the bag is damaged or foreign.
+        BagCorrupt: size and data of an image do not match.
+        BagForeign: an image is neither rgb8 nor bgr8, or there are several runs.
+        BagError: the bag is damaged or unsupported.
     """
     path, topic, latest_ns = recording.path, '', -1
     pictures = recording.whole_messages(lambda name: is_topic(name, IMAGE))
@@ -133,7 +133,7 @@ def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
 
 
 class _TraceColumns:
-    """Cells by step and column, until all messages are in."""
+    """Collects cells by step and column."""
 
     def __init__(self) -> None:
         self.stamps: dict[int, int] = {}
@@ -149,7 +149,7 @@ class _TraceColumns:
         self.names.update(dict.fromkeys(values))
 
     def columns(self) -> dict[str, Column]:
-        """The columns, rows in the order of the steps."""
+        """Return the columns, with rows in the order of the steps."""
         steps = sorted(self.stamps)
         if self.clearance is not None:
             for stamp_ns, message in self.odometry.items():
@@ -212,7 +212,7 @@ _FILL = {
 
 
 def _messages(recording: StoredRuns) -> Iterator[tuple[str, int, Any]]:
-    """Decoded messages by relative name, for a run may have been recorded in a namespace."""
+    """Yield decoded messages with relative topic names; a run may be in a namespace."""
     path, chosen, run_id = recording.path, dict[str, str](), ''
     for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):
         message = decode_of(path, stored, count)

@@ -61,7 +61,7 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
         try:
             check_value(key, value, place)
         except UsageError as error:
-            raise _headed(error, f'override {key}={value}') from error
+            raise _headed(error, f'override {key}={value!s:.60}') from error
     if all(key in overrides for key in WEATHER):
         given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
         _build(overrides, f'override {given}')

@@ -80,7 +80,7 @@ class ShrinkSpace:
     """The scenarios between nominal and a failed run's.
 
     Attributes:
-        original, nominal: its two ends.
+        original, nominal: the two ends.
         parameters: all parameters considered, including those already nominal.
     """
 
@@ -136,7 +136,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         settings: ``key=value`` of the nominal scenario, in human units.
 
     Raises:
-        UsageError: a setting is wrong, or the run's scenario is nominal already.
+        UsageError: a setting is invalid, or the run's scenario is already nominal.
     """
     chosen = _chosen(settings)
     drawn = original.to_human()

@@ -1,4 +1,4 @@
-"""Visible parts of the own aircraft: shadow, and cowling, gear leg and wheel at the left edge."""
+"""Visible parts of the own aircraft: its shadow, and cowling, gear leg and wheel at the left."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from taxinet_ros.core.camera.light import GAMMA, Light, display_code
 
 Vectors = NDArray[np.float64]
 Mask = tuple[slice, slice, NDArray[np.uint8]]
-"""Slices of rows and columns of the image, and the shade there (255: full), soft at the edge."""
+"""Slices of rows and columns of the image, and the shade there (255: full) with soft edges."""
 LOWEST_SUN_RAD = math.radians(1.0)
-"""Below this the shadow is longer than the runway is wide and fainter than the sky's light."""
+"""Minimum sun elevation: below it the shadow is longer than the runway's width and too faint."""
 _NEAREST_M = 0.2
 _THROW = 0.5
-"""Typical length of the shadow's fall, as a share of its distance from the camera."""
+"""Typical distance from aircraft to shadow along the beam, relative to that from the camera."""
 _FARTHEST_PX = 4000.0
 _SHIFT = 4
-"""OpenCV draws with integer coordinates: sixteenths of a pixel."""
+"""Fractional bits of OpenCV's drawing coordinates: sixteenths of a pixel."""
 
 
 def _prism(
@@ -85,8 +85,8 @@ class OwnShadow:
             sun: unit vector towards the sun in ``map``; its z is positive.
             sun_width_rad: angular width of the sun, which sets the width of the penumbra [rad].
             intrinsics: camera matrix (3, 3).
-            height: of the pictures [px].
-            width: of the pictures [px].
+            height: height of the images [px].
+            width: width of the images [px].
         """
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
@@ -97,13 +97,13 @@ class OwnShadow:
     def mask(
         self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
     ) -> Mask | None:
-        """The shadow in the image; None if not in view.
+        """Shadow in the image; None if not in view.
 
         Args:
             body: rotation from the body frame to ``map`` (3, 3).
             place: the aircraft's reference point in ``map`` (3,).
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
-            camera: the camera's place in ``map`` (3,).
+            camera: camera position in ``map`` (3,).
         """
         turn = to_optical @ self._flatten
         optical = _POINTS @ (turn @ body).T + (turn @ place - to_optical @ camera)
@@ -233,7 +233,7 @@ def _rivets(colour: NDArray[np.uint8]) -> None:
 
 
 def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Darken towards the rim and the underside, as round bodies do."""
+    """Darken towards the rim and the underside, like a round body."""
     y = (np.arange(colour.shape[0]) / _FINE)[:, None]
     x = (np.arange(colour.shape[1]) / _FINE)[None, :]
     under = np.clip((y - 62 + 0.5 * x) / 90, 0, 1)
@@ -246,7 +246,7 @@ def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class AirframeView:
-    """The aircraft's parts in one scenario's light, to be drawn over images."""
+    """Draws the aircraft's parts over images in one scenario's light."""
 
     def __init__(self, light: Light) -> None:
         """Store the light; the parts are lit on first use of a heading."""
@@ -259,7 +259,7 @@ class AirframeView:
 
         Args:
             picture: image of ground and sky.
-            yaw_rad: heading of the aircraft in ``map``; it turns the parts in the sun, in steps.
+            yaw_rad: heading of the aircraft in ``map`` [rad]; sets the lighting, in steps.
         """
         step = round(yaw_rad / _YAW_STEP_RAD)
         if step not in self._lit:
@@ -267,7 +267,7 @@ class AirframeView:
         pixels.lay_over(picture[:HEIGHT, :WIDTH], _behind(), self._lit[step])
 
     def _lighten(self, yaw_rad: float) -> NDArray[np.uint8]:
-        """The drawing in the light, times its opacity."""
+        """Lit drawing times its opacity."""
         light = self._light
         beam = np.zeros(3)
         if light.sun[2] > 0:

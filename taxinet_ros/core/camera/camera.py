@@ -1,15 +1,15 @@
 """The wing camera: mounting, projection and rendering.
 
-Calibrated on the published X-Plane pictures: a 1920x1080 screen with a focal length of 1,125 px and
-the principal point in its middle, cut to the 1720x960 region at (100, 100), without its top 230
-rows, resized (not keeping the aspect) to 360x200. Screen and picture edges are continuous
-coordinates, so picture pixel u, whose centre is the whole number u as ROS has it, lies at
-100 + (u + 0.5) * 1720/360 on the screen; hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and
-cy = (540 - 330) * 200/730 - 0.5 = 57.03.
+Calibrated on the published X-Plane images: a 1920x1080 screen with a focal length of 1,125 px and
+the principal point at its centre, cropped to the 1720x960 region at (100, 100), without its top 230
+rows, resized (changing the aspect ratio) to 360x200. Screen coordinates are continuous and pixel
+centres are integers, as in ROS, so image column u is at 100 + (u + 0.5) * 1720/360 on the screen;
+hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and cy = (540 - 330) * 200/730 - 0.5 = 57.03.
 
-A frame is made by inverse mapping: every pixel's ray meets the ground, whose colour comes from a
-ripmap at the level of the pixel's footprint; then shade, light, haze, glare, sky, rain and
-the aircraft's own parts. Equal state, stamp and scenario give equal bytes in every process.
+A frame is rendered by inverse mapping: each pixel's ray is intersected with the ground, whose
+colour comes from a ripmap at the level of the pixel's footprint. Shade, light, haze, glare, sky,
+rain and the aircraft's own parts follow. Equal state, stamp and scenario give equal bytes in every
+process.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
 
 
 def intrinsics() -> NDArray[np.float64]:
-    """Camera matrix K (3, 3) of the picture; pixel centres are whole numbers; no distortion."""
+    """Camera matrix K (3, 3); pixel centres are integers; no distortion."""
     return np.array([
         [_SCREEN_FOCAL_PX / _COLUMN_PX, 0.0, (960 - 100) / _COLUMN_PX - 0.5],
         [0.0, _SCREEN_FOCAL_PX / _ROW_PX, (540 - 100 - 230) / _ROW_PX - 0.5],
@@ -68,7 +68,7 @@ def intrinsics() -> NDArray[np.float64]:
 
 
 def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of REP-103 fixed-axis angles: turned frame to ours."""
+    """Rotation matrix (3, 3) of REP-103 fixed-axis angles, from the rotated to the base frame."""
     cr, sr = math.cos(roll_rad), math.sin(roll_rad)
     cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
     cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -96,7 +96,7 @@ class Mount:
 
     @property
     def attitude(self) -> tuple[float, float, float, float]:
-        """That of ``camera_optical`` in ``base_link``: x, y, z, w; z ahead, x right, y down."""
+        """Quaternion (x, y, z, w) of ``camera_optical`` (z forward, x right) in ``base_link``."""
         turned = quaternion(self.roll_rad, self.pitch_rad, self.yaw_rad)
         return quaternion_product(turned, (-0.5, 0.5, -0.5, 0.5))
 
@@ -137,11 +137,11 @@ def pose(
 def project(
     state: AircraftState, points_map: NDArray[np.floating], mount: Mount = WING_MOUNT
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Project points in ``map`` into the image.
+    """Project points in ``map``, (N, 3) [m], into the image.
 
-    Takes (N, 3) points [m]; gives (N, 2) pixels (u, v) and (N,) depths along the optical axis [m].
-
-    Pixels are valid only for positive depth.
+    Returns:
+        Pixels (u, v), (N, 2), and depths along the optical axis (N,) [m]; pixels are valid only for
+        positive depth.
     """
     _, to_optical, camera = pose(state, mount)
     points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
@@ -151,16 +151,16 @@ def project(
 
 
 def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Split the light table of three channels into one common curve and a gain before it.
+    """Split the light table of three channels into a common curve and a gain per channel.
 
-    Every channel's display code is the same function of albedo times irradiance, and albedo is a
-    power of the ground's code; so the channels' tables differ by the scale of their argument only.
+    The display code of every channel is the same function of albedo times irradiance, and albedo is
+    a power of the ground code; so the tables differ only in the scale of their argument.
 
     Args:
         table: display code by ground code and channel, (1, 256, 3).
 
     Returns:
-        The brightest channel's table (256,), and factors on red, green and blue codes, 0..1.
+        Table of the brightest channel (256,), and factors on red, green and blue codes, 0..1.
     """
     codes = table[0].astype(np.float64)
     brightest = int(codes.sum(axis=0).argmax())
@@ -179,7 +179,7 @@ def prepare() -> None:
 
 
 class Camera:
-    """The wing camera in one scenario's light and weather. Not to be shared between threads."""
+    """The wing camera in one scenario's light and weather. Not thread-safe."""
 
     def __init__(
         self, scenario: Scenario, ground: NDArray[np.uint8] | None = None, *,
@@ -189,12 +189,12 @@ class Camera:
 
         Args:
             scenario: scenario with light and weather.
-            ground: atlas of another look of the ground
-                (:mod:`taxinet_ros.core.camera.ground.atlas`), which then also decides whether
-                there is a crossing.
+            ground: atlas of another ground style
+                (:mod:`taxinet_ros.core.camera.ground.atlas`); it then also determines whether there
+                is a crossing.
             mount: mounting; the aircraft parts in the image, and the ground they hide, are always
-            those of the wing mount.
-            runway: replaces the scenario's: its sun, surface and paint.
+                those of the wing mount.
+            runway: replaces the scenario's runway (sun, surface and paint).
         """
         self._mount = mount
         runway = runway or scenario.runway
@@ -236,8 +236,8 @@ class Camera:
 
         Args:
             state: the aircraft's true state.
-            stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
-            mark: called with the name of each of :data:`STAGES` when it ends.
+            stamp_ns: simulated time since the start of the run [ns]; seeds the rain pattern.
+            mark: called with the name of each of :data:`STAGES` when it is finished.
 
         Returns:
             (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.

@@ -1,8 +1,8 @@
-"""Places by name: those that are shipped, those of files, and those that this process has seen.
+"""Lookup of places: shipped ones, ones from files, and ones already loaded in this process.
 
-A scenario says where it takes place by a shipped name, or carries the whole place as JSON, so that
-messages, bags and other processes need no file. Tables have the short reference ``NAME@DIGEST``;
-what it stands for is in the campaign's ledger, once, and known here to whoever has read that.
+A scenario contains a shipped name or the whole place as JSON, so messages, bags and other processes
+need no file. Tables contain the short reference ``NAME@DIGEST``; the whole place is stored once in
+the campaign's ledger, and the reference resolves after that has been read.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _FOLDER = Path(__file__).parent / 'shipped'
 _REFERENCE = re.compile(r'[a-z][a-z0-9_]*@[0-9a-f]{12}')
 _SUFFIXES = ('.yaml', '.yml')
 _OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
-"""``FILE:ICAO/RUNWAY``, and the time zone where it is told."""
+"""``FILE:ICAO/RUNWAY``, optionally with ``@ZONE``."""
 _known: dict[str, Place] = {}
-"""By reference. What a reference stands for never changes, so it does not matter who told."""
+"""Loaded places by reference; references are content hashes, so entries never change."""
 
 
 @lru_cache(maxsize=64)
 def find_place(text: str) -> Place:
-    """The place of a scenario: of a shipped name, or of the JSON that it carries.
+    """Find the place of a scenario by a shipped name or by its JSON.
 
     Raises:
-        UsageError: there is none of that name, or the JSON is not as it should be.
+        UsageError: unknown name, or invalid JSON.
     """
     if text.startswith('{'):
         place = place_from_document(text)
@@ -53,10 +53,10 @@ def typed_place(text: str) -> Place:
 
     Args:
         text: a shipped name, a YAML file, ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
-            zone), or a reference out of a table.
+            zone), or a reference from a table.
 
     Raises:
-        UsageError: it is none of these, or the file is not as it should be.
+        UsageError: none of these, or an invalid file.
     """
     if airport := _OF_AIRPORT.fullmatch(text):
         return _place_of_airport(*airport.groups(default=''))
@@ -73,13 +73,13 @@ def typed_place(text: str) -> Place:
 
 
 def load_place(word: str) -> str:
-    """A place as a scenario has it: ``Scenario(place=load_place('mine.yaml'))``.
+    """Load a place for a scenario: ``Scenario(place=load_place('mine.yaml'))``.
 
     Args:
         word: a shipped name, a YAML file, or ``apt.dat:ICAO/RUNWAY`` (docs/world.md).
 
     Raises:
-        UsageError: it is none of these, or the file is not as it should be.
+        UsageError: none of these, or an invalid file.
     """
     return typed_place(str(word)).text
 
@@ -93,7 +93,7 @@ def _place_of_airport(path: str, icao: str, runway: str, zone: str) -> Place:
 
 
 def is_reference(text: str) -> bool:
-    """Whether a text is what tables have of a place."""
+    """Whether a text is a :attr:`.Place.reference`."""
     return text in SHIPPED_PLACES or _REFERENCE.fullmatch(text) is not None
 
 

@@ -1,4 +1,4 @@
-"""A place: a runway, and what else of its airport is known, as one frozen value with a digest."""
+"""A place: a runway and optional airport ground data, as one frozen value with a digest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Pavement:
     Attributes:
         surface: one of :data:`~taxinet_ros.core.place.runway.SURFACES`, or ``other``.
         outline: corners (x, y) in ``map`` [m].
-        holes: likewise, of what is not paved within.
+        holes: outlines of unpaved areas inside.
     """
 
     surface: str
@@ -29,11 +29,11 @@ class Pavement:
 
 @dataclass(frozen=True, kw_only=True)
 class PaintedLine:
-    """A line on the ground, such as the centreline of a taxiway.
+    """A painted line on the ground, such as a taxiway centreline.
 
     Attributes:
-        style: X-Plane's number of its look: 1 is a taxiway's solid yellow centreline.
-        points: along it, (x, y) in ``map`` [m]; the first once more at the end of a closed one.
+        style: X-Plane line type; 1 is a taxiway's solid yellow centreline.
+        points: points (x, y) in ``map`` [m]; a closed line repeats the first at the end.
     """
 
     style: int
@@ -42,13 +42,13 @@ class PaintedLine:
 
 @dataclass(frozen=True, kw_only=True)
 class TaxiRoute:
-    """An edge of the network of ways that aircraft taxi on.
+    """An edge of the taxi route network.
 
     Attributes:
-        name: of the taxiway, or ''.
-        one_way: whether it is only taxied from its first point to its last.
-        on_runway: whether it runs along a runway.
-        points: its ends, (x, y) in ``map`` [m].
+        name: name of the taxiway, or ''.
+        one_way: whether it is used only from its first point to its last.
+        on_runway: whether it is on a runway.
+        points: end points (x, y) in ``map`` [m].
     """
 
     name: str
@@ -59,16 +59,16 @@ class TaxiRoute:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where runs take place.
+    """Location of runs.
 
     Attributes:
         name: lower-case identifier, used on the command line and in tables.
         title: display name.
-        icao: of the airport, or ''.
-        runway: that is taxied along.
-        pavements, lines, routes: what else is known of the airport's ground.
-        document: all of this as canonical JSON, from which it can be made again.
-        shipped: whether it came with the program, so that its name says it all.
+        icao: ICAO code of the airport, or ''.
+        runway: runway for taxiing.
+        pavements, lines, routes: optional ground data of the airport.
+        document: the whole place as canonical JSON, from which it can be recreated.
+        shipped: whether it is shipped with the package and identified by its name.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Place:
 
     @property
     def text(self) -> str:
-        """What a scenario has of it, enough to find it anywhere: a shipped name, or everything."""
+        """Self-contained text for scenarios: a shipped name, or the document."""
         return self.name if self.shipped else self.document
 
     @cached_property
@@ -93,5 +93,5 @@ class Place:
 
     @property
     def reference(self) -> str:
-        """What tables have of it: a shipped name, or ``NAME@DIGEST`` with 12 digits of it."""
+        """Short text for tables: a shipped name, or ``NAME@DIGEST`` with 12 hex digits."""
         return self.name if self.shipped else f'{self.name}@{self.digest[:_DIGEST_SIGNS]}'

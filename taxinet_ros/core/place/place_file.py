@@ -1,7 +1,7 @@
 """Reads places from user YAML files and from the JSON in scenarios.
 
-Both are one mapping with the same keys (docs/world.md). Every bad value is one line that names the
-file and the key.
+Both are a mapping with the same keys (docs/world.md). Errors are one line with the file and the
+key.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _CROSSING_KEYS = ('x_m', 'yaw_deg', 'width_m', 'clear_half_m', 'paved_m')
 LEAST_LENGTH_M, MOST_LENGTH_M = 700.0, 5500.0
 LEAST_WIDTH_M, MOST_WIDTH_M = 15.0, 80.0
 _LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
-"""How far published figures may be from those of the ends."""
+"""Tolerances of published length (relative) and bearing against those computed from the ends."""
 _RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
 _CLEAR_M, _FILLET_M = 37.5, 85.0
-"""Unless a file says more: shoulder of a crossing runway, and length of the fillets beyond it."""
+"""Defaults: shoulder of a crossing runway, and length of the fillets beyond it."""
 STEEPEST_DEG = 20.0
 _FARTHEST_M = 50_000.0
 
@@ -58,19 +58,19 @@ _FROM_SCENARIO = Path('place')
 
 
 def read_place(path: Path, *, shipped: bool = False) -> Place:
-    """The place in a YAML file.
+    """Read the place of a YAML file.
 
     Raises:
-        UsageError: it cannot be read, or a value in it is not as it should be.
+        UsageError: an unreadable file, or an invalid value.
     """
     return make_place(read_yaml(path, option='place'), path, shipped=shipped)
 
 
 def place_from_document(document: str) -> Place:
-    """The place that a scenario carries.
+    """Parse the JSON place of a scenario.
 
     Raises:
-        UsageError: it is none.
+        UsageError: invalid JSON or an invalid value.
     """
     try:
         values = load_json(document)
@@ -80,15 +80,15 @@ def place_from_document(document: str) -> Place:
 
 
 def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
-    """The place that plain values stand for.
+    """Build a place from plain values.
 
     Args:
-        values: what a file holds.
-        path: of the file, for the messages.
-        shipped: whether it comes with the program.
+        values: content of a place file.
+        path: path of the file, for error messages.
+        shipped: whether it is shipped with the package.
 
     Raises:
-        UsageError: a value is not as it should be.
+        UsageError: an invalid value.
     """
     top = Section(path, values, _KEYS)
     name = _matching(top, 'name', _NAME, 'a lower-case word, such as kmwh_04')
@@ -113,7 +113,7 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
 
 
 def canonical(values: Mapping[str, Any]) -> str:
-    """Plain values as JSON, the same text for the same values whatever their order."""
+    """Canonical JSON of plain values: independent of the order of keys."""
     return json.dumps(values, sort_keys=True, separators=(',', ':'), ensure_ascii=False)
 
 
@@ -125,7 +125,7 @@ def _matching(section: Section, key: str, pattern: re.Pattern[str], kind: str) -
 
 
 def _entries(section: Section, key: str, known: tuple[str, ...]) -> list[Section]:
-    """A list of mappings that may be left out."""
+    """Sections of an optional list of mappings."""
     return section.sections(key, known) if key in section else []
 
 
@@ -171,7 +171,7 @@ def _runway(section: Section, zone: str) -> Runway:
 def _extent(
     section: Section, near: tuple[float, float], far: tuple[float, float], elevation_m: float
 ) -> tuple[float, float]:
-    """Length [m] and true bearing [deg]: of the ends, or near these as they are published."""
+    """Length [m] and true bearing [deg]: as published, if close to those of the ends."""
     length_m, bearing_deg = _measured(near, far, elevation_m)
     if not LEAST_LENGTH_M <= length_m <= MOST_LENGTH_M:
         raise section.wrong(
@@ -192,9 +192,9 @@ def _extent(
 def _measured(
     near: tuple[float, float], far: tuple[float, float], elevation_m: float
 ) -> tuple[float, float]:
-    """Distance of two points [m], and true bearing of the second at the first [deg].
+    """Distance between two points [m], and true bearing from the first to the second [deg].
 
-    By the ellipsoid's radii of curvature at the middle (mid-latitude formula; WGS84): better than a
+    Mid-latitude formula with the WGS84 ellipsoid's radii of curvature; the error is below a
     centimetre for the length of a runway.
     """
     squared = _FLATTENING * (2 - _FLATTENING)

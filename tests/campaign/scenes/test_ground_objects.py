@@ -5,13 +5,13 @@ import math
 import pytest
 
 from taxinet_ros.campaign.scenes.programs import scenario_program
-from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import UsageError
 
 HEAD = 'model runway_world\nego = new Plane at (0, 400)\n'
-BUSY = HEAD + '''
+BUSY = HEAD + """
 y = Range(450, 520)
 class Tug(Vehicle):
     colour: 'blue'
@@ -22,7 +22,7 @@ new Tug at (10, 480), with behavior GoStraight(5, 30)
 new Person at (4, 470), with behavior FollowPath([(-4, 470), (-4 @ 480)], speed=1.5, wait=2)
 new Cone at (5, 430), with colour 'red'
 new ClosedMarking at (0, 480), facing 10 deg
-'''
+"""
 
 
 def program(folder, text):
@@ -120,11 +120,12 @@ def test_given_a_behavior_of_a_library_then_it_is_refused(tmp_path):
 def test_given_a_size_that_cannot_be_by_chance_then_only_such_scenes_are_rejected(tmp_path):
     path = program(tmp_path, HEAD + 'new Vehicle at (3, 450), with width Range(-3, 3)\n')
     with SceneSource(path, seed=1) as source:
-        widths = []
+        widths, words = [], []
         for index in range(20):
             try:
                 widths.append(source.scene(index).others.objects[0].size.width_m)
-            except Exception as error:
-                assert type(error).__name__ == 'Rejected', error
+            except Rejected as error:
+                words.append(str(error))
+        assert all('width_m: expected a number, 0.1' in word for word in words)
         assert 3 < len(widths) < 17
         assert all(0.1 <= width <= 3 and math.isfinite(width) for width in widths)

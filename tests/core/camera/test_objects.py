@@ -56,11 +56,14 @@ def test_given_an_object_then_it_is_where_it_projects_and_nowhere_else(kind, ahe
         for x in (-1, 1) for y in (-1, 1) for z in (0, 1)
     ])
     pixels, depth = project(STATE, corners)
-    assert (depth > 0).all() and len(rows) > 20
+    assert (depth > 0).all()
+    assert len(rows) > 20
     (left, top), (right, bottom) = pixels.min(axis=0), pixels.max(axis=0)
     margin = 2 if height == 0 else 3 + 0.3 * (bottom - top)  # soft shade of the sky below it
-    assert left - margin <= columns.min() and columns.max() <= right + margin
-    assert top - margin <= rows.min() and rows.max() <= bottom + margin
+    assert left - margin <= columns.min()
+    assert columns.max() <= right + margin
+    assert top - margin <= rows.min()
+    assert rows.max() <= bottom + margin
     seen_px = min(right, 359) - max(left, 0)
     share = 0.2 if kind == 'aircraft' else 0.6  # the wing is above the picture
     assert columns.max() - columns.min() > share * seen_px

@@ -1,5 +1,6 @@
 """Others on the ground: read strictly, written canonically, and moved along their paths."""
 
+import itertools
 import json
 import math
 
@@ -44,7 +45,7 @@ def test_given_a_path_then_it_starts_as_it_faces_and_turns_as_something_on_wheel
     assert (begin, straight, end) == (pytest.approx(90), pytest.approx(90), pytest.approx(0))
     assert 40 < corner < 50
     turns = [pose.heading_rad for pose in poses(van, *(11 + k / 100 for k in range(600)))]
-    most = max(abs(b - a) for a, b in zip(turns, turns[1:], strict=False))
+    most = max(abs(b - a) for a, b in itertools.pairwise(turns))
     assert most < math.radians(10), 'it never jumps round'
     across = first({**VAN, 'heading_deg': 0})
     assert poses(across, 0)[0].heading_rad == pytest.approx(0)
@@ -100,7 +101,7 @@ def test_given_a_file_when_typed_then_its_objects_are_there(tmp_path):
     ([{'kind': 'patch', 'x_m': 1, 'y_m': 1, 'height_m': 1}], 'height_m: patch lies on the ground'),
     ([{'kind': 'cone', 'x_m': 1, 'y_m': 1, 'wait_s': 3}], 'wait_s: has no effect without a path'),
     ([{**VAN, 'path': [{'x_m': 500, 'y_m': -20, 'speed_mps': 1}]}], 'it is there already'),
-    ([{**VAN, 'path': [{'x_m': 5, 'y_m': 5, 'speed_mps': 0}]}], 'speed_mps: expected a number, 0.1'),
+    ([{**VAN, 'path': [{'x_m': 5, 'y_m': 5, 'speed_mps': 0}]}], 'speed_mps: expected a number'),
     ([{'kind': 'cone', 'x_m': float('nan'), 'y_m': 1}], 'x_m: expected a number'),
     ([{'kind': 'cone', 'x_m': 1, 'y_m': 1}] * 33, '33 of them, more than 32'),
 ])

@@ -1,9 +1,9 @@
 """Ground textures: a whole runway strip as one ripmap, and a tile of fine grain.
 
-The strip begins 100 m before the runway and has rows of 0.4 m. Its columns follow a bent ruler:
-0.12 m each to a few metres beyond the runway's edges, 0.9 m beyond, 144 m farther. So the paint is
-sharp, the atlas of KMWH 04 (8,192 rows, to 19.2 m and to 163 m from the centreline) is 63 MB, and
-it is made in the memory of every process in a few tenths of a second; nothing is stored.
+The strip starts 100 m before the runway and has rows of 0.4 m. Columns are 0.12 m wide up to a few
+metres beyond the runway's edges, for sharp paint, and 0.9 m wide for another 144 m. The atlas of
+KMWH 04 (8,192 rows, fine to 19.2 m, coarse to 163 m from the centreline) has 63 MB. Each process
+generates it in memory in a few tenths of a second; nothing is stored on disk.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ GRAIN_NEUTRAL = 128
 
 @lru_cache(maxsize=4)
 def ground_atlas(runway: Runway, *, crossing: bool = True) -> NDArray[np.uint8]:
-    """The atlas of a runway's usual look, made once per process.
+    """Atlas of a runway in its standard style, made once per process.
 
     Args:
-        runway: that it shows.
-        crossing: whether what crosses it is there.
+        runway: the runway.
+        crossing: whether crossing runways are drawn.
     """
     return make_ground_atlas(standard_style(runway, crossing=crossing), runway)
 
 
 def fine_half_m(columns: int) -> float:
-    """How far from the centreline an atlas of so many columns has fine ones [m]."""
+    """Distance from the centreline covered by the fine columns of an atlas [m]."""
     return (columns - 2 * SIDE_COLUMNS) / 2 * FINE_M
 
 
 def _shape(runway: Runway) -> tuple[int, int]:
-    """Rows and columns of a runway's atlas: whole numbers of the coarsest level's."""
+    """Rows and columns of a runway's atlas: multiples of the coarsest level's texel."""
     rows = (runway.length_m - START_X_M + _LEAST_BEYOND_M) / ROW_M
     fine = 2 * (runway.half_width_m + _LEAST_BESIDE_M) / FINE_M
     row_block, column_block = 2 ** (ROW_LEVELS - 1), 2 ** COLUMN_LEVELS
@@ -91,7 +91,7 @@ def make_ground_atlas(style: GroundStyle, runway: Runway) -> NDArray[np.uint8]:
 
 
 def _field(grid: Grid, style: GroundStyle, runway: Runway, seed: int) -> NDArray[np.uint8]:
-    """Dry ground beside the runway, tan near it, olive grass farther out; and the crossing."""
+    """Ground beside the runway, near tint to far tint, with the crossings; RGB codes."""
     value = _dry_texture(grid, seed)
     _, y = grid.centres(slice(0, 1))
     grass = np.clip((np.abs(y[0]) - 55) / 40, 0, 1)[:, None]
@@ -108,7 +108,7 @@ def _field(grid: Grid, style: GroundStyle, runway: Runway, seed: int) -> NDArray
 
 
 def _dry_texture(grid: Grid, seed: int) -> Floats:
-    """Brightness factor near 1 of open ground: mottled, with a few dark cracks across it."""
+    """Brightness factor near 1 of open ground: mottled, with a few dark transverse cracks."""
     value = smooth_noise(seed, grid.shape, (30, 10))
     value *= np.float32(0.02)
     value += np.float32(0.025) * smooth_noise(seed + 10, grid.shape, (300, 30))
@@ -123,7 +123,7 @@ def _dry_texture(grid: Grid, seed: int) -> Floats:
 def _shoulders(
     base: NDArray[np.uint8], fine: Grid, style: GroundStyle, runway: Runway
 ) -> None:
-    """Bare tan ground between the pavement's edge and the end of the fine columns."""
+    """Draw the bare ground between the pavement's edge and the end of the fine columns."""
     first = round(fine.column(runway.half_width_m))
     count = fine.columns - first
     for side in (-1, 1):
@@ -145,7 +145,7 @@ def _shoulders(
 
 @cache
 def grain_atlas() -> NDArray[np.uint8]:
-    """Ripmap of a 6.1 m tile of fine grain around GRAIN_NEUTRAL, a factor on the colour."""
+    """Ripmap of a 6.1 m tile of fine grain around GRAIN_NEUTRAL; multiplies the colour."""
     size = (GRAIN_TEXELS, GRAIN_TEXELS)
     grey = np.zeros(size, np.float32)
     for seed, blur_texels, amount in ((91, 0.4, 0.062), (92, 1.3, 0.022), (93, 4.0, 0.014)):
