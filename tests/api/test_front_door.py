@@ -22,6 +22,7 @@ EXAMPLES = {
     'random_search.py': 'worst: Scenario(',
     'wind_table.py': '| dry | 100 % ',
     'place_table.py': '| kmwh_04 | 100 % ',
+    'traffic_table.py': '| a van that crosses | 100 % ',
     'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
