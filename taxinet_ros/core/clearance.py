@@ -38,6 +38,11 @@ class Clearance:
         """Take the objects that can be hit."""
         self._objects = scenario.others.solids
 
+    @property
+    def anybody(self) -> bool:
+        """Whether there is anything to be hit."""
+        return bool(self._objects)
+
     def of_state(self, stamp_ns: int, state: AircraftState) -> float:
         """As :meth:`at`, of a true state."""
         if not self._objects:  # spares the default scene the arithmetic

@@ -205,7 +205,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
                  run.unclear)
         for run, reader in present
     ]
-    notes = [unchecked_files(path)]
+    notes = [unchecked_files(path), found[0].note]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
         notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
@@ -338,8 +338,16 @@ class _SamplesReader:
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
             unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
             trouble=trouble, there=there, timing=self.timing,
+            note=self._note(clearance),
             flaws=self._partial() | self.flaws | ({ODOMETRY: unclear} if unclear else {}),
         )
+
+    def _note(self, clearance: Clearance | None) -> str:
+        if not self._reads_others or (clearance is not None and clearance.anybody):
+            return ''
+        return 'nobody is on the ground, so nothing could violate a formula about others' if (
+            clearance is not None
+        ) else 'of a version without others on the ground: no verdict on formulas about them'
 
     def _partial(self) -> dict[str, str]:
         """One line per topic that is missing, begins late, or ends a step or more too early."""
