@@ -23,7 +23,7 @@ from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 
-SHADOW, CROSSING, RAIN = 'shadow', 'crossing', 'rain'
+SHADOW, CROSSING, RAIN, OTHERS = 'shadow', 'crossing', 'rain', 'others'
 
 LEAST_SHARE = 0.25
 """Minimum share of the error that a factor must remove to be named as its cause."""
@@ -34,7 +34,7 @@ _CLOSE = 0.85
 _TEN = 10 * 3600.0
 _EASY: dict[str, Any] = {
     'clouds': 'clear', 'rain_fraction': 0.0, 'time_of_day_s': _TEN, 'shadows': False,
-    'crossing': False,
+    'crossing': False, 'traffic': '',
 }
 
 
@@ -97,6 +97,7 @@ def factors(scenario: Scenario) -> tuple[Factor, ...]:
     wanted: list[tuple[str, str, str, dict[str, Any]]] = [
         (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
         (CROSSING, 'without the crossing', 'the crossing runway', {'crossing': False}),
+        (OTHERS, 'with nobody else there', 'others on the ground', {'traffic': ''}),
         (RAIN, 'dry', 'the rain', {'rain_fraction': 0.0}),
         ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
         ('clear', 'dry under a clear sky' if rain else 'under a clear sky',

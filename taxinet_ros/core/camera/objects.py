@@ -191,22 +191,16 @@ class ObjectsView:
         away = np.hypot(*(mesh.group_middles @ turn.T + place - camera)[:, :2].T)
         order = np.lexsort((np.arange(len(seen)), -away[mesh.group_of]))
         order = order[seen[order]]
-        polygons = [self._projected(optical[list(mesh.faces[k])]) for k in order.tolist()]
         share = self._clouds.sun_share(pose.x_m, pose.y_m)
         codes = _face_codes(self._light, mesh.albedos[order], normals[order], share)
         kept, added = self._atmosphere.veil_at(away_m)
-        codes = codes * kept + added
-        _draw_faces(picture, polygons, codes, self._size)
-
-    def _projected(self, optical: Vectors) -> NDArray[np.float64] | None:
-        """Pixels (n, 2) of a polygon in the optical frame; None where it is behind the camera."""
+        faces = [mesh.faces[k] for k in order.tolist()]
         if optical[:, 2].min() < _NEAREST_M:
-            optical = _before_camera(optical)
-            if len(optical) < 3:
-                return None
-        image = optical @ self._intrinsics.T
-        found = image[:, :2] / image[:, 2:]
-        return np.asarray(np.clip(found, -_FARTHEST_PX, _FARTHEST_PX))
+            optical, faces = _before_camera(optical, faces)
+        if faces:
+            image = optical @ self._intrinsics.T
+            points = np.clip(image[:, :2] / image[:, 2:], -_FARTHEST_PX, _FARTHEST_PX)
+            _draw_faces(picture, points, faces, codes * kept + added, self._size)
 
     def _coverage(
         self, parts: Sequence[Vectors], blur_px: float = 0.0
@@ -251,7 +245,7 @@ class _Mesh:
         self.corners = np.concatenate(self.parts)
         starts = np.cumsum([0, *(len(part.corners) for part in parts[:-1])]).tolist()
         self.faces = [
-            tuple(start + k for k in face)
+            np.array([start + k for k in face])
             for start, part in zip(starts, parts, strict=True) for face in part.faces
         ]
         groups = np.cumsum([not part.detail for part in parts]) - 1
@@ -262,8 +256,8 @@ class _Mesh:
             ]).mean(axis=0)
             for number in range(groups[-1] + 1)
         ])
-        self.middles = np.array([self.corners[list(face)].mean(axis=0) for face in self.faces])
-        self.normals = np.array([face_normal(self.corners[list(face)]) for face in self.faces])
+        self.middles = np.array([self.corners[face].mean(axis=0) for face in self.faces])
+        self.normals = np.array([face_normal(self.corners[face]) for face in self.faces])
         wet = 1 - 0.15 * light.wetness
         colours = [
             daylight_colour(one.colour if part.colour == PAINT else part.colour)
@@ -285,10 +279,19 @@ def _face_codes(light: Light, albedos: Vectors, normals: Vectors, sun_share: flo
 
 
 def _draw_faces(
-    picture: Picture, polygons: Sequence[NDArray[np.float64] | None], codes: Vectors,
+    picture: Picture, points: Vectors, faces: Sequence[NDArray[np.intp]], codes: Vectors,
     size: tuple[int, int],
 ) -> None:
-    area = _area([one for one in polygons if one is not None], size, 1)
+    """Fill polygons of pixels one over the other.
+
+    Args:
+        picture: (height, width, 3), changed in place.
+        points: (n, 2) pixels.
+        faces: indices of the points of each polygon.
+        codes: display codes of each (faces, 3).
+        size: height and width of the picture [px].
+    """
+    area = _area([points[np.concatenate(faces)]], size, 1)
     if area is None:
         return
     rows, columns = area
@@ -298,10 +301,10 @@ def _draw_faces(
     canvas = cv2.resize(
         behind, (width * fine, height * fine), interpolation=cv2.INTER_NEAREST
     )
-    for polygon, code in zip(polygons, codes, strict=True):
-        if polygon is not None:
-            colour = tuple(np.rint(code).tolist())
-            cv2.fillConvexPoly(canvas, _fine_points(polygon, area, fine), colour, shift=_SHIFT)
+    corners = _fine_points(points, area, fine)
+    for face, code in zip(faces, np.rint(codes).tolist(), strict=True):
+        if len(face):
+            cv2.fillConvexPoly(canvas, corners[face], code, shift=_SHIFT)
     behind[:] = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -309,9 +312,9 @@ def _area(
     polygons: Sequence[NDArray[np.float64]], size: tuple[int, int], margin: int
 ) -> tuple[slice, slice] | None:
     """Rows and columns of the picture that polygons may touch; None if there are none."""
-    if not polygons:
+    points = np.concatenate(polygons) if polygons else np.empty((0, 2))
+    if not len(points):
         return None
-    points = np.concatenate(polygons)
     (left, top), (right, bottom) = points.min(axis=0), points.max(axis=0)
     rows = slice(max(math.floor(top) - margin, 0), min(math.ceil(bottom) + margin + 1, size[0]))
     columns = slice(max(math.floor(left) - margin, 0), min(math.ceil(right) + margin + 1, size[1]))
@@ -358,14 +361,23 @@ def _flattened(points: Vectors) -> Vectors:
     return points * (1.0, 1.0, 0.0)
 
 
-def _before_camera(polygon: Vectors) -> Vectors:
-    """The part of a convex polygon (n, 3) beyond the nearest depth (Sutherland and Hodgman)."""
-    kept = []
-    for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        inside = here[2] >= _NEAREST_M
-        if inside:
-            kept.append(here)
-        if inside != (there[2] >= _NEAREST_M):
-            share = (_NEAREST_M - here[2]) / (there[2] - here[2])
-            kept.append(here + share * (there - here))
-    return np.array(kept).reshape(-1, 3)
+def _before_camera(
+    optical: Vectors, faces: Sequence[NDArray[np.intp]]
+) -> tuple[Vectors, list[NDArray[np.intp]]]:
+    """Corners (n, 3) and faces, cut off at the nearest depth (Sutherland and Hodgman).
+
+    Faces keep their number; one that is wholly behind the camera has no corner.
+    """
+    corners: list[Vectors] = []
+    found: list[NDArray[np.intp]] = []
+    for face in faces:
+        polygon, first = optical[face], len(corners)
+        for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            inside = here[2] >= _NEAREST_M
+            if inside:
+                corners.append(here)
+            if inside != (there[2] >= _NEAREST_M):
+                share = (_NEAREST_M - here[2]) / (there[2] - here[2])
+                corners.append(here + share * (there - here))
+        found.append(np.arange(first, len(corners)))
+    return np.array(corners).reshape(-1, 3), found if corners else []
