@@ -47,6 +47,7 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.errors import UsageError
 
 PATIENCE = 3
@@ -315,7 +316,10 @@ class Search:
 
 
 def _digest(scenario: Scenario) -> str:
-    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
+    values = scenario.to_human()
+    if not scenario.traffic:  # as in searches from before there were others on the ground
+        del values[TRAFFIC.key]
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 
 def search_heading(options: SearchOptions) -> str:
