@@ -424,8 +424,9 @@ def render(
     Args:
         scenario: light, weather and runway; also the start pose if ``pose`` is None, which gives
             the first frame of its run.
-        pose: ``(x_m, cte_m, he_rad)``: metres past the threshold, metres left of the centreline,
-            heading error in radians, left positive, with the attitude of a run's start; or a full
+        pose: ``(x_m, cte_m, he_rad)``: metres along the scenario's track (past the threshold),
+            metres left of it, heading error in radians, left positive, with the attitude of a run's
+            start; or a full
             :class:`AircraftState`.
         t_s: simulated time [s], which moves clouds and rain.
 

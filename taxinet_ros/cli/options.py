@@ -14,7 +14,7 @@ from taxinet_ros.errors import UsageError
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
-    """Names of the parameters given on the command line."""
+    """Parameters given on the command line, by name."""
     return {
         name: value for name, value in context.params.items()
         if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
@@ -31,7 +31,7 @@ _APT_DAT = (
 def with_airport(
     settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None
 ) -> list[str]:
-    """What ``--set`` gives, with the place that ``--airport`` and the like mean.
+    """Values of ``--set``, with the place selected by ``--airport`` and its options.
 
     Raises:
         UsageError: one of them is missing, there is a place already, or no apt.dat is found.
@@ -45,7 +45,7 @@ def with_airport(
 
 
 def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
-    """The place of an airport's runway, as ``--set place=`` takes it.
+    """Place of an airport's runway, in the form of ``--set place=``.
 
     Raises:
         UsageError: no runway is named, or no apt.dat is found.

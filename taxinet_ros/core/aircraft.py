@@ -360,13 +360,11 @@ class Aircraft:
 
     def _place(self, scenario: Scenario) -> float:
         """Set the initial pose; return the runway's true heading there [rad]."""
+        x_m, y_m, yaw_rad = scenario.line.pose(
+            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
+        )
         pose = self._frame.to_geodetic(
-            MapPose(
-                x_m=scenario.distance_m,
-                y_m=scenario.cross_track_m,
-                z_m=self._model.settled_z_m,
-                yaw_rad=scenario.heading_rad,
-            )
+            MapPose(x_m=x_m, y_m=y_m, z_m=self._model.settled_z_m, yaw_rad=yaw_rad)
         )
         fdm = self._fdm
         # Order matters: terrain before height above it, attitude before speeds.
@@ -381,7 +379,7 @@ class Aircraft:
         fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
         fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
         fdm['ic/vd-fps'] = 0.0
-        return pose.heading_rad + scenario.heading_rad
+        return pose.heading_rad + yaw_rad
 
     def _start_rolling(self, scenario: Scenario, along_rad: float) -> None:
         fdm, lever = self._fdm, self._model.speed_gains.rolling_lever

@@ -60,7 +60,7 @@ def check_specs(
     """
     for spec in specs:
         check_windows(spec, scenario.duration_ns, CONTROL_PERIOD_NS)
-        check_edge(spec, scenario.runway.half_width_m)
+        check_edge(spec, scenario.line.half_width_m)
     return describe_specs(specs, scenario.duration_s, gains, scenario)
 
 
@@ -133,10 +133,12 @@ def signal_ranges(
     if scenario.pushed:
         return ranges
     fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps, scenario.speed_mps)
-    way_m, runway = fastest_mps * duration_s, scenario.runway
-    side_m = runway.farthest_start_m + way_m
+    way_m, line = fastest_mps * duration_s, scenario.line
+    side_m = line.farthest_start_m + way_m
     ranges['cte'] = -side_m, side_m
-    ranges['x'] = -way_m, runway.last_start_m + way_m
+    # Inside a curve the distance grows faster than the aircraft moves.
+    ahead_m = line.last_start_m if line.is_runway else line.length_m
+    ranges['x'] = -way_m, ahead_m + way_m
     ranges['speed'] = -fastest_mps, fastest_mps
     return ranges
 
@@ -177,7 +179,7 @@ class Judge:
             max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
             stop_on: rule that ends the run before its horizon.
             assumptions: assumptions of the user.
-            half_width_m: half the runway's width [m].
+            half_width_m: half the width of the runway or track [m].
 
         Raises:
             UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is used

@@ -40,10 +40,10 @@ class Step:
     @property
     def sample(self) -> dict[str, float]:
         """The monitored signals."""
-        state = self.observation.state
-        truth = state.tracking_error
+        now = self.observation
+        along_m, cte_m, he_rad = now.on_track
         return signals(
-            cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m, speed_mps=state.speed_mps,
+            cte_m=cte_m, he_rad=he_rad, x_m=along_m, speed_mps=now.state.speed_mps,
             estimate=self.estimate, command=self.command, clearance_m=self.clearance_m,
         )
 
@@ -137,19 +137,19 @@ def run_closed_loop(
     commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(
-        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.runway.half_width_m
+        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
     )
     clearance = Clearance(scenario)
     while True:
         now = world.observe()
-        estimate = perception.estimate(now.image, now.state.tracking_error)
+        along_m, cte_m, he_rad = now.on_track
+        estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
         command = controller.command(estimate)
-        truth = now.state.tracking_error
         clearance_m = clearance.of_state(now.stamp_ns, now.state)
         sample = signals(
-            cte_m=truth.cte_m,
-            he_rad=truth.he_rad,
-            x_m=now.state.x_m,
+            cte_m=cte_m,
+            he_rad=he_rad,
+            x_m=along_m,
             speed_mps=now.state.speed_mps,
             estimate=estimate,
             command=command,

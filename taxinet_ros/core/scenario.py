@@ -8,11 +8,12 @@ words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CROSS_TRACK,
@@ -22,7 +23,9 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
+    TRACK,
     ScenarioField,
+    along_words,
     by_key,
 )
 from taxinet_ros.core.traffic.traffic import Traffic
@@ -41,7 +44,8 @@ class Scenario:
 
     Attributes:
         cross_track_m: start cross-track error [m], left positive.
-        distance_m: start distance past the threshold along the runway [m].
+        distance_m: start distance along the track [m]: past the threshold, on the runway's
+            centreline.
         heading_rad: start heading error [rad], nose left positive.
         clouds: one of ``scenario_fields.CLOUDS``.
         rain_fraction: intensity, 0..1; more than 0 only under
@@ -61,6 +65,8 @@ class Scenario:
         slope_fraction: rise of the runway divided by its length, uphill ahead positive.
         speed_mps: initial speed [m/s]; the steering law holds it unless its gain ``speed_mps``
             differs from the default.
+        track: the line to follow: ``runway``, its centreline, or the name of another one of the
+            place; also taxi routes of these names, ``A+B``. Empty is ``runway``.
         traffic: others on the ground as JSON, '' where nobody is; see
             :mod:`taxinet_ros.core.traffic`.
         duration_s: length of the run [s], a multiple of the control period.
@@ -88,21 +94,23 @@ class Scenario:
     runway_state: str = 'dry'
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
+    track: str = RUNWAY_TRACK
     traffic: str = ''
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
     def __post_init__(self) -> None:
         PLACE.checked(self.place)
-        runway = self.runway
+        object.__setattr__(self, TRACK.attribute, TRACK.checked(self.track) or RUNWAY_TRACK)
+        line = self.line
         limits = {
-            CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
-            DISTANCE.key: (0.0, runway.last_start_m),
+            CROSS_TRACK.key: (-line.farthest_start_m, line.farthest_start_m),
+            DISTANCE.key: (0.0, line.last_start_m),
         }
         for field in SCENARIO_FIELDS:
             value = self._checked(field, limits.get(field.key))
             object.__setattr__(self, field.attribute, value)
-        if not runway.crossings:
+        if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
@@ -121,17 +129,26 @@ class Scenario:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
+        if field is DISTANCE and not self.line.is_runway:
+            field = replace(field, counted=f' {along_words(self.track)}')
         try:
             return field.checked(getattr(self, field.attribute), limits)
         except UsageError as error:
-            if limits is None or self.place == DEFAULT_PLACE:
+            usual = self.place == DEFAULT_PLACE and self.line.is_runway
+            if limits is None or usual:
                 raise
-            raise UsageError(f'{error}, at {find_place(self.place).reference}') from None
+            where = '' if self.line.is_runway else f'track {self.track} of '
+            raise UsageError(f'{error}, at {where}{find_place(self.place).reference}') from None
 
     @property
     def runway(self) -> Runway:
         """Runway of the place."""
         return find_place(self.place).runway
+
+    @property
+    def line(self) -> Track:
+        """The track that it follows."""
+        return find_track(self.place, self.track)
 
     @property
     def others(self) -> Traffic:

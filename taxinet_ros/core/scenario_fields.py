@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
 from taxinet_ros.errors import UsageError
 
@@ -251,6 +252,11 @@ def clock_words(hours: float) -> str:
     return f'{whole:02d}:{minutes:02d}'
 
 
+def along_words(track: str) -> str:
+    """What a distance is measured along: ``'past the threshold'``, ``'along exit_left'``."""
+    return 'past the threshold' if track in ('', RUNWAY_TRACK) else f'along {track}'
+
+
 def pushing_words(scene: Mapping[str, Any]) -> str:
     """What pushes the aircraft and who is there, if not as ever: ``', wind 8.0 m/s, …'``.
 
@@ -272,7 +278,7 @@ CROSS_TRACK = ScenarioField(
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
-    title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
+    title='start distance along the track', unit='m', form='{:.0f}', low=0.0, high=2600.0,
     si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(
@@ -335,6 +341,9 @@ SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
+TRACK = ScenarioField(
+    key='track', attribute='track', title='track', kind=Kind.WORD, absent=RUNWAY_TRACK,
+)
 TRAFFIC = ScenarioField(
     key='traffic', attribute='traffic', title='others on the ground', kind=Kind.TRAFFIC, absent='',
 )
@@ -351,8 +360,7 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS,
-    TRAFFIC,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, TRAFFIC,
     DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
@@ -361,7 +369,9 @@ HUMAN_KEYS = tuple(BY_KEY)
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """Key by its short form, which input accepts and older files use."""
 
-BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
+BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
+"""Keys whose valid values depend on the track."""
+BY_PLACE = BY_TRACK | {CROSSING.key, TRACK.key}
 """Keys whose valid values depend on the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)

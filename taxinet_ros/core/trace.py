@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 Column = NDArray[np.generic]
 
 STEP_UNITS: Mapping[str, str] = MappingProxyType({
-    'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad', 'est_cte_m': 'm',
-    'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
+    'x_m': 'm', 'y_m': 'm', 'distance_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad',
+    'est_cte_m': 'm', 'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
 })
-"""Columns of a control step with units. The position is in ``map``; ``cte_m`` and ``he_rad`` are
-the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps`` the command.
-Signs are defined in :mod:`taxinet_ros.core.types`."""
+"""Columns of a control step with units. The position is in ``map``, ``distance_m`` is that along
+the track; ``cte_m`` and ``he_rad`` are the truth, ``est_`` the perception's estimate,
+``steering_rad`` and ``speed_cmd_mps`` the command. Signs are defined in
+:mod:`taxinet_ros.core.types`."""
 
 CLEARANCE_COLUMN = 'clearance_m'
 """Distance to others on the ground, where there are any."""
@@ -38,17 +39,19 @@ CLEARANCE_COLUMN = 'clearance_m'
 _UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm'}
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
-    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'x_m', 'steering': 'steering_rad',
-    'cte_estimate': 'est_cte_m', 'he_estimate': 'est_he_rad', 'clearance': CLEARANCE_COLUMN,
+    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
+    'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
+    'he_estimate': 'est_he_rad', 'clearance': CLEARANCE_COLUMN,
 })
 """Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
 _OF_STEP: Mapping[str, Callable[[Step], float]] = {
     'x_m': lambda step: step.observation.state.x_m,
     'y_m': lambda step: step.observation.state.y_m,
+    'distance_m': lambda step: step.observation.on_track.distance_m,
     'speed_mps': lambda step: step.observation.state.speed_mps,
-    'cte_m': lambda step: step.observation.state.tracking_error.cte_m,
-    'he_rad': lambda step: step.observation.state.tracking_error.he_rad,
+    'cte_m': lambda step: step.observation.truth.cte_m,
+    'he_rad': lambda step: step.observation.truth.he_rad,
     'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.valid else math.nan,
     'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.valid else math.nan,
     'steering_rad': lambda step: step.command.steering_rad,
@@ -116,6 +119,9 @@ def trace_signals(
         name: np.asarray(columns[column], dtype=np.float64)
         for name, column in SIGNAL_COLUMNS.items() if column in columns
     }
+    if 'x' not in signals and 'x_m' in columns:
+        # A trace of an older version, whose track was always the runway's centreline.
+        signals['x'] = np.asarray(columns['x_m'], dtype=np.float64)
     if 'clearance' in signals:
         clearance_m = np.asarray(signals['clearance'], np.float64)
         signals['collision'] = np.where(np.isnan(clearance_m), np.nan, clearance_m <= 0)

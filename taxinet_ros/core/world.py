@@ -7,6 +7,7 @@ The simulated world is the aircraft on its runway with its wing camera. A packag
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,13 +18,15 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
+from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
+_START_M = 1.0
 
 SHOWS_TRAFFIC = 'shows_traffic'
 """Attribute of a package's world, true where it shows others on the ground."""
@@ -38,12 +41,28 @@ class Observation:
         stamp_ns: simulated time since the start of the run [ns].
         state: true state of the aircraft.
         image: camera frame, (200, 360, 3) uint8 RGB; None if not requested.
+        track: that is followed; None for the runway's centreline.
     """
 
     seq: int
     stamp_ns: int
     state: AircraftState
     image: NDArray[np.uint8] | None
+    track: Track | None = None
+
+    @property
+    def on_track(self) -> OnTrack:
+        """Where the aircraft is along and beside the track."""
+        state = self.state
+        if self.track is None:
+            return OnTrack(state.x_m, state.y_m, state.yaw_rad)
+        return self.track.measure(state.x_m, state.y_m, state.yaw_rad)
+
+    @property
+    def truth(self) -> TrackingError:
+        """Ground-truth cross-track and heading error, relative to the track."""
+        _, cte_m, he_rad = self.on_track
+        return TrackingError(cte_m=cte_m, he_rad=he_rad)
 
 
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
@@ -115,6 +134,7 @@ class SimulatedWorld(World):
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
         self._seq = 0
+        self._track = scenario.line
 
     @cached_property
     def _camera(self) -> Camera:
@@ -126,7 +146,9 @@ class SimulatedWorld(World):
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         state = self._aircraft.state
         image = self._camera.render(state, stamp_ns) if picture and self._pictures else None
-        return Observation(seq=self._seq, stamp_ns=stamp_ns, state=state, image=image)
+        return Observation(
+            seq=self._seq, stamp_ns=stamp_ns, state=state, image=image, track=self._track
+        )
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
@@ -201,6 +223,7 @@ class _PluginWorld(World):
             )
         self.last_seq = last_step(scenario)
         self._world = self._call(lambda: make(scenario, pictures=pictures))
+        self._scenario = scenario
         told = self._call(lambda: self._world.last_seq)
         if told != self.last_seq:
             raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
@@ -217,9 +240,24 @@ class _PluginWorld(World):
             raise self._broken(f'observed stamp {now.stamp_ns!r} ns, expected {stamp_ns}')
         if not isinstance(now.state, AircraftState):
             raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
-        return Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image)
+        seen = Observation(
+            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image),
+            track=self._scenario.line,
         )
+        if self._seq == 0 and not self._scenario.line.is_runway:
+            self._check_start(seen)
+        return seen
+
+    def _check_start(self, now: Observation) -> None:
+        """A world that knows of no tracks would set the aircraft on the runway."""
+        start = self._scenario
+        x_m, y_m, _ = start.line.pose(start.distance_m, start.cross_track_m)
+        away_m = math.hypot(now.state.x_m - x_m, now.state.y_m - y_m)
+        if not away_m < _START_M:
+            raise self._broken(
+                f'the run begins {away_m:.1f} m from its start on the track {start.track}; a world '
+                'has to place the aircraft by scenario.line.pose'
+            )
 
     def _picture(self, image: Any) -> NDArray[np.uint8] | None:
         frame = IMAGE_HEIGHT, IMAGE_WIDTH, 3

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import painted_line
 
 Points = NDArray[np.float64]
 
@@ -34,12 +35,16 @@ def plot_place(place: Place, path: Path) -> None:
     FigureCanvasAgg(figure)
     runway = place.runway
     outlines = [_outline(runway), *(area.outline for area in place.pavements)]
+    outlines += [track.strip(track.half_width_m) for track in place.tracks]
     corners = np.concatenate([_north_up(np.array(one), runway.bearing_rad) for one in outlines])
     width, height = np.ptp(corners, axis=0) + 2 * _MARGIN_M
     map_in = float(np.clip(_WIDTH_IN * height / width, 1.5, 9.0))
     figure.set_size_inches(_WIDTH_IN, map_in + 4.0)
     above, near, far = figure.subplots(3, 1, height_ratios=(map_in, 1.5, 1.5))
     _draw_ground(above, place, lambda points: _north_up(points, runway.bearing_rad))
+    for track in place.tracks:
+        at = _north_up(np.array([track.pose(track.length_m)[:2]]), runway.bearing_rad)[0]
+        above.annotate(track.name, at, (6, 6), textcoords='offset points', fontsize=9)
     _add_compass(above)
     above.set_title(f'{place.title}: {runway.length_m:.0f} m × {runway.width_m:g} m, '
                     f'{math.degrees(runway.bearing_rad) % 360:.1f}° true, {runway.category}')
@@ -66,6 +71,8 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     axes.add_collection(PolyCollection(areas, facecolors=_APRON, linewidths=0))
     holes = turned(hole for area in place.pavements for hole in area.holes)
     axes.add_collection(PolyCollection(holes, facecolors=_GROUND, linewidths=0))
+    taxiways = turned(track.strip(track.half_width_m) for track in place.tracks)
+    axes.add_collection(PolyCollection(taxiways, facecolors=_APRON, linewidths=0))
     crossings = turned(one.strip(_REACH_M) for one in runway.crossings)
     axes.add_collection(PolyCollection(crossings, facecolors=_CROSSING, linewidths=0))
     pavement = turned([_outline(runway)])
@@ -73,11 +80,14 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     paint = turned(marking.polygon for marking in markings(runway))
     # With snapping to pixels, stripes thinner than a pixel would vanish.
     axes.add_collection(PolyCollection(paint, facecolors=_PAINT, linewidths=0, snap=False))
-    lines = turned(line.points for line in place.lines)
+    lines = turned([
+        *(line.points for line in place.lines),
+        *(line for track in place.tracks for line in painted_line(track, runway)),
+    ])
     axes.add_collection(LineCollection(lines, colors=_LINE, linewidths=0.5))
     routes = turned(route.points for route in place.routes if not route.on_runway)
     axes.add_collection(LineCollection(routes, colors=_ROUTE, linewidths=0.8, linestyles=':'))
-    seen = np.concatenate([*pavement, *areas])
+    seen = np.concatenate([*pavement, *areas, *taxiways])
     low, high = seen.min(axis=0) - _MARGIN_M, seen.max(axis=0) + _MARGIN_M
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

@@ -15,7 +15,7 @@ from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
 _GAP_PX = 6
@@ -247,6 +247,6 @@ def pose_words(scene: Scenario) -> str:
     """The start pose of a scene in display units."""
     human = scene.to_human()
     return (
-        f'{human["distance_m"]:.0f} m past the threshold, CTE {human["cross_track_m"]:+.1f} m, '
-        f'heading {human["heading_deg"]:+.0f}°'
+        f'{human["distance_m"]:.0f} m {along_words(scene.track)}, '
+        f'CTE {human["cross_track_m"]:+.1f} m, heading {human["heading_deg"]:+.0f}°'
     )

@@ -133,7 +133,7 @@ def failures_table(failures: pd.DataFrame, most: int) -> Table:
             Column(name='time_of_day', title='time'), Column(name='clouds', title='clouds'),
             Column(name='rain_percent', title='rain [%]', decimals=0),
             Column(name='cross_track_m', title='left of the line [m]', decimals=1),
-            Column(name='distance_m', title='along the runway [m]', decimals=0),
+            Column(name='distance_m', title='along the track [m]', decimals=0),
             Column(name='heading_deg', title='nose left [°]', decimals=0),
             Column(name='left_runway', title='off the runway'),
             Column(name='cause', title='cause'), Column(name='group', title='group'),

@@ -36,6 +36,7 @@ from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -197,7 +198,7 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
 
 def moment_words(moment: Moment) -> str:
     """Display text: time, place, estimate, and its effect."""
-    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m past the threshold: '
+    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m {along_words(moment.line.name)}: '
     if not moment.estimate.usable:
         return f'{where}truth {error_words(moment.truth)}; the network gave no estimate'
     return (

@@ -293,9 +293,10 @@ def _centreline(moment: Moment, error: TrackingError) -> Floats:
     """Pixels of the centreline as seen from a pose with that tracking error."""
     if moment.state is None:
         raise ValueError('no state')
-    state = dataclasses.replace(moment.state, y_m=error.cte_m, yaw_rad=error.he_rad)
+    x_m, y_m, yaw_rad = moment.line.pose(moment.x_m, error.cte_m, error.he_rad)
+    state = dataclasses.replace(moment.state, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
     ahead = np.geomspace(0.5, 600, 400)
-    points = np.stack([state.x_m + np.concatenate([-ahead[:200][::-1], ahead]),
-                       np.zeros(600), np.zeros(600)], axis=1)
+    along = moment.x_m + np.concatenate([-ahead[:200][::-1], ahead])
+    points = np.array([(*moment.line.pose(at)[:2], 0.0) for at in along.tolist()])
     pixels, depths = project(state, points)
     return np.asarray(pixels[depths > 0.3], np.float64)

@@ -21,6 +21,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Track:
     Attributes:
         seq: control steps.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
         cte_m, he_rad: the truth, left positive [m], [rad].
         est_cte_m, est_he_rad: the network's estimates on the frames.
         rec_cte_m, rec_he_rad: the estimates in the bag.
@@ -105,7 +106,8 @@ class Moment:
         row: row in the track.
         seq: control step.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
+        line: that the run follows.
         image: the frame, (200, 360, 3) uint8 RGB.
         state: the aircraft's true state; None if the run cannot be rerun.
         truth, estimate: tracking errors.
@@ -116,6 +118,7 @@ class Moment:
     seq: int
     t_s: float
     x_m: float
+    line: Line
     image: Frame
     state: AircraftState | None
     truth: TrackingError
@@ -182,12 +185,12 @@ def read_track(
                        path=path)
     steps = trace['seq'].astype(np.int64)
     return Track(
-        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['x_m']),
+        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['distance_m']),
         cte_m=_float(trace['cte_m']), he_rad=_float(trace['he_rad']),
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
         gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
-        half_width_m=recording.scenario.runway.half_width_m,
+        half_width_m=recording.scenario.line.half_width_m,
     )
 
 
@@ -237,8 +240,9 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
                 continue  # a failed run may have a step without a state
             image = camera.render(state, seq * CONTROL_PERIOD_NS)
         yield Moment(
-            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]), image=image,
-            state=state, truth=track.truth(row), estimate=track.estimate(row),
+            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
+            line=recording.scenario.line, image=image, state=state,
+            truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]),
         )
 

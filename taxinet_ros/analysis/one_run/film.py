@@ -203,7 +203,7 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
         BagError: it is damaged, not ours, or contains no truth.
     """
     bag, trace, facts = recording.path, recording.columns, recording.facts
-    panel = _draw_panel(trace, recording.scenario.runway.half_width_m)
+    panel = _draw_panel(trace, recording.scenario.line.half_width_m)
     rows = {int(stamp): row for row, stamp in enumerate(trace['t_ns'])}
     shown = 0
     for frame in recording.frames(render=False):
@@ -229,7 +229,7 @@ def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Pi
     draw.rectangle((0, 0, size[0], 46), fill=_SHADE)
     draw.text((16, 23), f't = {row["t_ns"] / NS_PER_S:4.1f} s', _WHITE, _font(22), anchor='lm')
     draw.text((size[0] // 2, 23), _title(facts), _WHITE, _font(22), anchor='mm')
-    words = f'{row["speed_mps"]:.1f} m/s at {row["x_m"]:.0f} m'
+    words = f'{row["speed_mps"]:.1f} m/s at {row["distance_m"]:.0f} m'
     draw.text((size[0] - 16, 23), words, _WHITE, _font(22), anchor='rm')
     _draw_steering(draw, size, float(np.rad2deg(row['steering_rad'])))
     large.paste(shade, mask=shade)

@@ -38,7 +38,7 @@ class Trajectory:
     Attributes:
         label: name of the column, usually the perception's word.
         t_s: stamps from the start of the run [s], (N,).
-        x_m: position past the threshold [m], (N,).
+        x_m: distance along the track [m], (N,).
         cte_m: cross-track error [m], left positive, (N,).
         ok: whether the run satisfied its specification; None if it was not judged.
         half_width_m: half width of its runway [m].
@@ -83,7 +83,7 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
         _draw(grid[1, column], own, [one.x_m for one in own])
         grid[0, column].set_title(f'{label}: {_count(own)}', fontsize=12)
         grid[0, column].set_xlabel('time [s]')
-        grid[1, column].set_xlabel('distance past the threshold [m]')
+        grid[1, column].set_xlabel('distance along the track [m]')
     for axes in grid[:, 0]:
         axes.set_ylabel('cross-track error [m], left is up')
     _legend(figure, trajectories)

@@ -20,7 +20,7 @@ from taxinet_ros.analysis.report.parts import Report, Section
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
-from taxinet_ros.analysis.report.viewer import RunView, ground_shapes, read_run_view
+from taxinet_ros.analysis.report.viewer import RunView, read_run_view
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
@@ -111,7 +111,7 @@ def _grounds(runs: _Runs) -> dict[str, Any]:
     """The runways of the runs, each distinct one once."""
     views = {view.ground_name: view for view in runs.views.values()}
     return {
-        name: ground_shapes(views[name].place.runway, crossing=views[name].crossing)
+        name: views[name].ground_shapes()
         for name in sorted(views)
     }
 

@@ -24,6 +24,7 @@ from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import RUNWAY_TRACK, Track, painted_line
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
@@ -32,15 +33,26 @@ _CROSSING_REACH_M = 400.0
 """Half length at which the crossing runway is drawn [m]; runs stay within."""
 
 
-def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
-    """Polygons in ``map`` [m] as JSON values: pavement, paint, and half width of the band."""
+def ground_shapes(
+    runway: Runway, track: Track | None = None, *, crossing: bool
+) -> dict[str, Any]:
+    """Polygons in ``map`` [m] as JSON values: pavement, paint, and half width of the band.
+
+    With a track that leaves the runway, also its pavement, its yellow lines and the band along it.
+    """
     length, half = runway.length_m, runway.half_width_m
     crossings = runway.crossings if crossing else ()
     pavement = (
         ((0.0, -half), (length, -half), (length, half), (0.0, half)),
         *(one.strip(_CROSSING_REACH_M) for one in crossings),
     )
+    aside = {} if track is None or track.is_runway else {'track': {
+        'pavement': _corners(track.strip(track.half_width_m)),
+        'band': _corners(track.strip(CENTRELINE_TOLERANCE_M)),
+        'lines': [_corners(line[::4]) for line in painted_line(track, runway)],
+    }}
     return {
+        **aside,
         'pavement': [_corners(polygon) for polygon in pavement],
         'paint': [_corners(marking.polygon) for marking in markings(runway, crossing=crossing)],
         'tolerance': CENTRELINE_TOLERANCE_M,
@@ -133,10 +145,12 @@ class RunView:
         run_id: id of the run.
         outcome: one of the five words, or ''.
         place: place of the run.
+        track: track of the run.
         crossing: whether the crossing runway was present.
         facts: display text of the request and the result.
         t_s: time of each control step since the start [s].
-        curves: by name, a value for each step: metres, m/s, degrees; left positive.
+        curves: by name, a value for each step: metres, m/s, degrees; left positive. ``yaw``, where
+            it is not the heading error.
         intervals: robust satisfaction interval by formula: lower and upper end for each step.
         frames: a selection of the camera frames.
     """
@@ -144,6 +158,7 @@ class RunView:
     run_id: str
     outcome: str
     place: Place
+    track: Track
     crossing: bool
     facts: Mapping[str, str]
     t_s: Column
@@ -160,8 +175,13 @@ class RunView:
     def ground_name(self) -> str:
         """Name by which runs refer to their ground."""
         kind = 'crossed' if self.crossing else 'plain'
+        kind = kind if self.track.is_runway else f'{self.track.name} {kind}'
         place = self.place.reference
         return kind if place == DEFAULT_PLACE else f'{place} {kind}'
+
+    def ground_shapes(self) -> dict[str, Any]:
+        """The ground that it took place on, see :func:`ground_shapes`."""
+        return ground_shapes(self.place.runway, self.track, crossing=self.crossing)
 
     def data(self) -> dict[str, Any]:
         """Everything as rounded JSON values."""
@@ -193,16 +213,22 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     recording = open_recording(bag)
     trace, facts = recording.columns, recording.facts
     specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
+    place = typed_place(DEFAULT_PLACE if facts is None else facts.scene['place'])
+    track = place.track(RUNWAY_TRACK if facts is None else facts.scene['track'])
+    curves = {
+        name: np.asarray(trace[column], dtype=np.float64) * factor
+        for name, (column, factor) in _COLUMNS.items()
+    }
+    if not track.is_runway:
+        directions = [track.pose(at)[2] for at in np.nan_to_num(trace['distance_m']).tolist()]
+        curves['yaw'] = curves['he'] + np.degrees(directions)
     return RunView(
         run_id=run_id, outcome='' if facts is None else facts.outcome,
-        place=typed_place(DEFAULT_PLACE if facts is None else facts.scene['place']),
+        place=place, track=track,
         crossing=facts is None or bool(facts.scene.get('crossing', True)),
         facts={} if facts is None else _words(facts),
         t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,
-        curves={
-            name: np.asarray(trace[column], dtype=np.float64) * factor
-            for name, (column, factor) in _COLUMNS.items()
-        },
+        curves=curves,
         intervals={
             spec: (trace[f'rho_lower.{spec}'], trace[f'rho_upper.{spec}']) for spec in specs
         },

@@ -13,8 +13,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES
-from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
+from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, SHIPPED_TRACKS
+from taxinet_ros.core.scenario_fields import ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -89,7 +89,10 @@ class Feature:
         return both.format(self.value_words(low), self.value_words(high))
 
 
-_KINDS = {Kind.SWITCH: ('off', 'on'), Kind.PLACE: SHIPPED_PLACES}
+_KINDS = {
+    fields.SHADOWS.key: ('off', 'on'), fields.CROSSING.key: ('off', 'on'),
+    fields.PLACE.key: SHIPPED_PLACES, fields.TRACK.key: SHIPPED_TRACKS,
+}
 
 
 def _feature(
@@ -100,7 +103,7 @@ def _feature(
     return Feature(
         name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
         form=form, step=step, words=words, source=field.key, widths=widths,
-        kinds=_KINDS.get(field.kind, field.words),
+        kinds=_KINDS.get(field.key, field.words),
     )
 
 
@@ -126,8 +129,8 @@ CROSS_TRACK = _feature(
 )
 DISTANCE = _feature(
     fields.DISTANCE, step=10.0, widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
-    words=('start {} to {} m along the runway', 'start on the first {} m of the runway',
-           'start beyond {} m along the runway'),
+    words=('start {} to {} m along the track', 'start on the first {} m of the track',
+           'start beyond {} m along the track'),
 )
 HEADING = _feature(
     fields.HEADING, widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
@@ -175,7 +178,7 @@ PUSHING_FEATURES = (
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
-    for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE)
+    for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE, fields.TRACK)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six features, as columns of the table."""
@@ -185,7 +188,7 @@ ALL_FEATURES = (
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
-    field.key: field.to_human(field.absent) for field in fields.PUSHING_FIELDS
+    field.key: field.to_human(field.absent) for field in (*fields.PUSHING_FIELDS, fields.TRACK)
 }
 
 

@@ -158,8 +158,8 @@ def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
         drawn.append(Trajectory(
             label=f'{name}, rho {row.rho[options.headline]:+.2f}',
             t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-            x_m=trace['x_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
+            x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
             ok=row.outcome is Outcome.PASS,
-            half_width_m=recording.scenario.runway.half_width_m,
+            half_width_m=recording.scenario.line.half_width_m,
         ))
     return drawn

@@ -15,8 +15,17 @@ from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
 from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.place.catalogue import find_track
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, TRAFFIC, ScenarioField
+from taxinet_ros.core.scenario_fields import (
+    PLACE,
+    SCENARIO_FIELDS,
+    SPEED,
+    TRACK,
+    TRAFFIC,
+    ScenarioField,
+)
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
@@ -125,8 +134,19 @@ def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
     return clearance.at(stamp_of(odometry), float(place.x), float(place.y), attitude)
 
 
+def track_of(message: Any) -> Track | None:
+    """The track of a scenario message; None for the runway's centreline.
+
+    Raises:
+        UsageError: its place has no such track.
+    """
+    word = _value(message, TRACK) or TRACK.absent
+    return None if word == TRACK.absent else find_track(_value(message, PLACE), word)
+
+
 def sample_of(
-    truth: Any, odometry: Any, estimate: Any, command: Any, clearance: Clearance | None
+    truth: Any, odometry: Any, estimate: Any, command: Any, track: Track | None,
+    clearance: Clearance | None,
 ) -> dict[str, float]:
     """Monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
@@ -137,12 +157,17 @@ def sample_of(
         odometry: odometry, or None.
         estimate: estimate, or None.
         command: command, or None.
+        track: that its run follows; None for the runway's centreline.
         clearance: of the run, see :func:`clearance_in`.
     """
+    x_m = math.nan
+    if odometry is not None:
+        at = odometry.pose.pose.position
+        x_m = track.measure(at.x, at.y).distance_m if track else float(at.x)
     return signals(
         cte_m=float(truth.cross_track_error),
         he_rad=float(truth.heading_error),
-        x_m=float(odometry.pose.pose.position.x) if odometry is not None else math.nan,
+        x_m=x_m,
         speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
         estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
         command=command_of(command) if command is not None else _NO_COMMAND,

@@ -146,7 +146,7 @@ def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic,
     stamp_ns = now.stamp_ns
     yield topics.CLOCK, clock_cdr(stamp_ns)
     yield topics.ODOMETRY, odometry_cdr(now.state, stamp_ns)
-    yield topics.TRUTH, error_cdr(now.state.tracking_error, run_id, now.seq, stamp_ns)
+    yield topics.TRUTH, error_cdr(now.truth, run_id, now.seq, stamp_ns)
     yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns)
     if now.image is not None:
         yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)

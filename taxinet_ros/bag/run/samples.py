@@ -19,6 +19,7 @@ from taxinet_ros.bag.run.message_values import (
     clearance_in,
     sample_of,
     stamp_of,
+    track_of,
 )
 from taxinet_ros.bag.run.topics import (
     COMMAND,
@@ -43,6 +44,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.specs import OF_OTHERS
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -316,8 +318,9 @@ class _SamplesReader:
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(self.scenario, free=self.free)
+        track = track_of(self.scenario)
         clearance = clearance_in(self.scenario) if self._reads_others else None
-        samples = [self._sample(stamp, commands, clearance) for stamp in stamps]
+        samples = [self._sample(stamp, commands, track, clearance) for stamp in stamps]
         if self.free:  # Missing answers are not lost: the frame was not answered.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
@@ -375,14 +378,16 @@ class _SamplesReader:
         self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
     def _sample(
-        self, stamp_ns: int, commands: HeldCommand, clearance: Clearance | None
+        self, stamp_ns: int, commands: HeldCommand, track: Track | None,
+        clearance: Clearance | None,
     ) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return sample_of(truth, odometry, estimate, commands.at(command), clearance)
+        command = commands.at(command)
+        return sample_of(truth, odometry, estimate, command, track, clearance)
 
     def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of
+from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of, track_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -25,6 +25,7 @@ from taxinet_ros.bag.run.topics import (
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
 from taxinet_ros.errors import UsageError
@@ -136,6 +137,7 @@ class _TraceColumns:
     """Collects cells by step and column."""
 
     def __init__(self) -> None:
+        self.track: Track | None = None
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
         self.odometry: dict[int, Any] = {}
@@ -151,6 +153,9 @@ class _TraceColumns:
     def columns(self) -> dict[str, Column]:
         """Return the columns, with rows in the order of the steps."""
         steps = sorted(self.stamps)
+        if self.track is not None:
+            for pose in self.poses.values():
+                pose['distance_m'] = self.track.measure(pose['x_m'], pose['y_m']).distance_m
         if self.clearance is not None:
             for stamp_ns, message in self.odometry.items():
                 self.poses[stamp_ns][CLEARANCE_COLUMN] = clearance_of(self.clearance, message)
@@ -167,6 +172,7 @@ class _TraceColumns:
 
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    table.track = track_of(message)
     if getattr(message, TRAFFIC.attribute, ''):
         table.clearance = clearance_in(message)
 
@@ -181,7 +187,7 @@ def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     position = message.pose.pose.position
     table.poses[stamp_ns] = {
-        'x_m': float(position.x), 'y_m': float(position.y),
+        'x_m': float(position.x), 'y_m': float(position.y), 'distance_m': float(position.x),
         'speed_mps': float(message.twist.twist.linear.x),
     }
     table.odometry[stamp_ns] = message

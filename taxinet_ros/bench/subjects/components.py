@@ -61,6 +61,7 @@ SCENES = {
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),
+    'taxiway': _scene(x_m=960.0, y_m=50.0, heading_deg=70.0, track='exit_left'),
     'traffic': _scene(
         x_m=400.0, y_m=0.0, heading_deg=0.0, time_of_day_h=10.0, traffic=load_traffic([
             {'kind': 'aircraft', 'x_m': 440, 'y_m': -20, 'heading_deg': 70},
@@ -90,6 +91,7 @@ def camera_subjects() -> list[Subject]:
         Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
         Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
         Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
     ]
 
 
@@ -100,6 +102,11 @@ def _discard(made: object) -> None:
 def _make_textures() -> None:
     """Make the textures that every process makes once."""
     ground_atlas.__wrapped__(default_runway())
+
+
+def _make_taxiway() -> None:
+    """Make what the first run along a track makes in a process."""
+    ground_atlas.__wrapped__(default_runway(), SCENES['taxiway'].scenario.line)
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:
@@ -168,25 +175,40 @@ def inference_subjects() -> list[Subject]:
 _PHYSICS_STEPS = 20
 
 
+_PUSHED = {
+    '': Scenario(),
+    ', wind': Scenario(wind_speed_mps=5.0),
+    ', gusts': Scenario(wind_speed_mps=5.0, gust_mps=1.5),
+    ', wet, uphill': Scenario(runway_state='wet', slope_fraction=0.02),
+}
+"""Scenarios by the end of the subject's name: what moves the aircraft besides the controller."""
+
+
 def physics_subjects() -> list[Subject]:
     """Twelve physics steps make one control step."""
-    aircraft = Aircraft(Scenario())
-    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
-
-    def advance() -> None:
-        for _ in range(_PHYSICS_STEPS):
-            aircraft.advance(command)
-
-    def make() -> None:
-        Aircraft(Scenario())
-
     return [
-        Subject(
-            name='physics/control step', run=advance, calls=_PHYSICS_STEPS,
-            simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+        *(
+            Subject(
+                name=f'physics/control step{words}', run=partial(_advance, Aircraft(scenario)),
+                calls=_PHYSICS_STEPS, simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+            )
+            for words, scenario in _PUSHED.items()
         ),
-        Subject(name='physics/new', run=make, most=20),
-    ]  # fmt: skip
+        *(
+            Subject(name=f'physics/new{words}', run=partial(_make, scenario), most=20)
+            for words, scenario in _PUSHED.items()
+        ),
+    ]
+
+
+def _advance(aircraft: Aircraft) -> None:
+    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
+    for _ in range(_PHYSICS_STEPS):
+        aircraft.advance(command)
+
+
+def _make(scenario: Scenario) -> None:
+    Aircraft(scenario)
 
 
 SAMPLER_SPACE = (

@@ -45,8 +45,8 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, traffic, duration_s, place: the scenario, see
-            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+            runway_state, slope_percent, speed_mps, track, traffic, duration_s, place: the scenario,
+            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: outcome; the other three explain an unjudged run.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
             exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
@@ -99,6 +99,7 @@ class RunRow:
     runway_state: str = ''
     slope_percent: float | None = None
     speed_mps: float | None = None
+    track: str = ''
     traffic: str = ''
     duration_s: float | None = None
     place: str = ''

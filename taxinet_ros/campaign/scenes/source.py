@@ -29,7 +29,15 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_PLACE, DURATION, HUMAN_KEYS, PLACE, by_key
+from taxinet_ros.core.scenario_fields import (
+    BY_PLACE,
+    BY_TRACK,
+    DURATION,
+    HUMAN_KEYS,
+    PLACE,
+    TRACK,
+    by_key,
+)
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -247,6 +255,8 @@ class SceneSource:
         drawn = self.search_space().drawn - set(self._values)
         if PLACE.key in drawn:  # it determines the valid values of the others
             drawn |= BY_PLACE
+        if TRACK.key in drawn:
+            drawn |= BY_TRACK
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)

@@ -140,11 +140,12 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    crossings = original.runway.crossings
+    crossings = original.runway.crossings if original.line.is_runway else ()
     beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
-        'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
+        'time_of_day_h': NOMINAL_HOUR,
+        'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
     pushed = {field.key: field.to_human(field.absent) for field in PUSHING_FIELDS}
     pushed[TRAFFIC.key] = NOBODY

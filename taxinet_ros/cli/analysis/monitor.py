@@ -197,9 +197,9 @@ def run_monitor(
         run: which run of the one bag named; None: all.
 
     Returns:
-        Exit code: 1 where a run violates a requirement in a bag that holds several; 3 where a bag
-        is incomplete, damaged, or contradicts what was recorded in it; else 1 where a requirement
-        is violated; else 0.
+        Exit code: 1 if a run in a bag of several violates a requirement; 3 if a bag is incomplete,
+        damaged, or inconsistent with its recorded verdict; else 1 if a requirement is violated;
+        else 0.
 
     Raises:
         UsageError: bad input.

@@ -32,7 +32,7 @@ from taxinet_ros.core.camera.airframe import (
     hidden_columns,
 )
 from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
-from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.camera.objects import ObjectsView
@@ -198,13 +198,17 @@ class Camera:
         """
         self._mount = mount
         runway = runway or scenario.runway
+        track = None if scenario.line.is_runway else scenario.line
         self._light = scenario_light(scenario, runway)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
-            ground = ground_atlas(runway, crossing=scenario.crossing)
-        self._ground = GroundView(ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH)
+            ground = ground_atlas(runway, track, crossing=scenario.crossing)
+        self._ground = GroundView(
+            ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH,
+            ground_layout(runway, track),
+        )
         self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._airframe = AirframeView(self._light)

@@ -32,8 +32,9 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'collision': '1',
     }
 )
-"""Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` (distance along the runway) are ground
-truth; ``steering`` is the command; the estimates are from the perception. Signs are defined in
+"""Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` are ground truth relative to the track,
+which by default is the runway's centreline; ``x`` is the distance along it. ``steering`` is the
+command; the estimates are from the perception. Signs are defined in
 :mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive. ``estimate_gap``
 is the time since the last usable estimate, 0 if this frame has one; ``unusable_share`` is the
 number of frames so far without one divided by that of all frames of the run; it only grows.

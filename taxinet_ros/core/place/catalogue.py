@@ -14,11 +14,15 @@ from pathlib import Path
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import place_from_document, read_place
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.errors import UsageError
 
 DEFAULT_PLACE = 'kmwh_04'
 SHIPPED_PLACES = ('kmwh_04', 'bikf_10', 'nzqn_05')
 """Grant County (the paper's), Keflavík and Queenstown."""
+
+SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
+"""Tracks at them, see :class:`.track.Track`."""
 
 _FOLDER = Path(__file__).parent / 'shipped'
 _REFERENCE = re.compile(r'[a-z][a-z0-9_]*@[0-9a-f]{12}')
@@ -46,6 +50,20 @@ def find_place(text: str) -> Place:
         f'scenario: place is {text!r:.60}, not one of {", ".join(SHIPPED_PLACES)}, '
         'nor a YAML file of a place (in Python: load_place)'
     )
+
+
+@lru_cache(maxsize=64)
+def find_track(place: str, track: str) -> Track:
+    """The track of a scenario.
+
+    Args:
+        place: as for :func:`find_place`.
+        track: its name there.
+
+    Raises:
+        UsageError: there is no such place, or no such track at it.
+    """
+    return find_place(place).track(track)
 
 
 def typed_place(text: str) -> Place:

@@ -24,6 +24,13 @@ from taxinet_ros.core.place.runway import (
     Runway,
     time_zone,
 )
+from taxinet_ros.core.place.track import (
+    LEAST_RADIUS_M,
+    RUNWAY_TRACK,
+    Track,
+    check_room,
+    make_track,
+)
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import (
     Section,
@@ -33,7 +40,7 @@ from taxinet_ros.files.plain_values import (
     read_yaml,
 )
 
-_KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes')
+_KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes', 'tracks')
 _RUNWAY_KEYS = (
     'ends', 'width_m', 'elevation_m', 'length_m', 'bearing_deg', 'category', 'edge_stripes',
     'surface', 'surroundings', 'crossings',
@@ -43,6 +50,8 @@ _CROSSING_KEYS = ('x_m', 'yaw_deg', 'width_m', 'clear_half_m', 'paved_m')
 
 LEAST_LENGTH_M, MOST_LENGTH_M = 700.0, 5500.0
 LEAST_WIDTH_M, MOST_WIDTH_M = 15.0, 80.0
+LEAST_TRACK_M = 7.5
+"""Least width of a taxiway (ICAO Annex 14, 3.9.5, code A)."""
 _LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
 """Tolerances of published length (relative) and bearing against those computed from the ends."""
 _RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
@@ -107,6 +116,7 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
         pavements=tuple(_pavement(one) for one in _entries(top, 'pavements', _PAVEMENT_KEYS)),
         lines=tuple(_line(one) for one in _entries(top, 'lines', _LINE_KEYS)),
         routes=tuple(_route(one) for one in _entries(top, 'routes', _ROUTE_KEYS)),
+        tracks=_tracks(top, checked=not shipped),
         document=canonical(values),
         shipped=shipped,
     )
@@ -251,6 +261,7 @@ def _crossing(section: Section, length_m: float) -> Crossing:
 _PAVEMENT_KEYS = ('surface', 'outline_m', 'holes_m')
 _LINE_KEYS = ('style', 'points_m')
 _ROUTE_KEYS = ('name', 'one_way', 'on_runway', 'points_m')
+_TRACK_KEYS = ('name', 'title', 'width_m', 'painted', 'points_m', 'radius_m')
 
 
 def _pavement(section: Section) -> Pavement:
@@ -280,6 +291,43 @@ def _route(section: Section) -> TaxiRoute:
         on_runway=section.switch('on_runway') if 'on_runway' in section else False,
         points=_points(section, points, 'points_m', 2),
     )
+
+
+def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
+    found: dict[str, Track] = {}
+    for section in _entries(top, 'tracks', _TRACK_KEYS):
+        name = _matching(section, 'name', _NAME, 'a lower-case word, such as exit_left')
+        if name in found or name == RUNWAY_TRACK:
+            raise section.wrong(f'there is a track {name} already', 'name')
+        found[name] = _track(section, name, checked=checked)
+    return tuple(found.values())
+
+
+def _track(section: Section, name: str, *, checked: bool) -> Track:
+    points = _points(section, section.take('points_m', 'points'), 'points_m', 2)
+    width_m = section.number('width_m', LEAST_TRACK_M, MOST_WIDTH_M)
+    try:
+        track = make_track(
+            name, section.text('title', name, kind='a title'), width_m, points,
+            _radii(section, len(points) - 2),
+            painted=section.switch('painted') if 'painted' in section else True,
+        )
+        if checked:  # for shipped ones a test does it, once
+            check_room(track)
+    except ValueError as error:
+        raise section.wrong(f'the track {error}', 'points_m') from None
+    return track
+
+
+def _radii(section: Section, corners: int) -> tuple[float, ...]:
+    """Radius of the arc at each corner: one number for all, or a list."""
+    if not corners:
+        if 'radius_m' in section:
+            raise section.wrong('has no effect: two points have no corner between them', 'radius_m')
+        return ()
+    if isinstance(section.take('radius_m', 'a number of metres'), list):
+        return section.numbers('radius_m', corners, LEAST_RADIUS_M, _FARTHEST_M)
+    return (section.number('radius_m', LEAST_RADIUS_M, _FARTHEST_M),) * corners
 
 
 def _points(section: Section, value: object, key: str, least: int) -> Polygon:

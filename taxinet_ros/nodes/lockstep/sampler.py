@@ -242,7 +242,7 @@ class ScenarioSampler(Node):
         if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
             return
         request = self._request
-        half_m = request.scenario.runway.half_width_m if request else KMWH_HALF_WIDTH_M
+        half_m = request.scenario.line.half_width_m if request else KMWH_HALF_WIDTH_M
         result = result_of(found.result, half_m)
         servers = self._servers()
         strangers = [who for gid, who in servers.items() if gid not in self._asked_of]

@@ -42,7 +42,7 @@ class Motion(NamedTuple):
     """Monitored values of odometry.
 
     Attributes:
-        x_m, y_m: position along the runway and left of it [m].
+        x_m, y_m: position in ``map`` [m].
         attitude: as x, y, z, w.
         speed_mps: ground speed along the body x axis [m/s].
     """

@@ -23,6 +23,7 @@ from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.processes.pool import SPAWN, ProcessPool, process_pool
@@ -48,22 +49,23 @@ def photograph(
         index: number of the picture in its dataset; with ``seed`` it determines all random draws.
     """
     state = Aircraft(scene).state
-    truth = state.tracking_error
+    _, cte_m, he_rad = scene.line.measure(state.x_m, state.y_m, state.yaw_rad)
+    truth = TrackingError(cte_m=cte_m, he_rad=he_rad)
     block = index // GROUND_BLOCK
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth
     variation = draw_variation(np.random.default_rng((seed, index, 1)))
-    ground = _varied_ground(seed, block, scene.runway, crossing=scene.crossing)
+    ground = _varied_ground(seed, block, scene.runway, scene.line, crossing=scene.crossing)
     camera = Camera(scene, ground)
     return variation.develop(camera.render(variation.misplaced(state), 0)), truth
 
 
 @lru_cache(maxsize=1)
 def _varied_ground(
-    seed: int, block: int, runway: Runway, *, crossing: bool
+    seed: int, block: int, runway: Runway, track: Track, *, crossing: bool
 ) -> NDArray[np.uint8]:
     style = varied_style(np.random.default_rng((seed, block, 2)))
-    return make_ground_atlas(dataclasses.replace(style, crossing=crossing), runway)
+    return make_ground_atlas(dataclasses.replace(style, crossing=crossing), runway, track)
 
 
 _CHUNK = 16

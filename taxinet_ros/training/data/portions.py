@@ -27,6 +27,7 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, o
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.weights import Source
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
@@ -82,8 +83,8 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
         except (BagError, UsageError):
             continue  # skip a deleted or damaged bag
         scene, _ = campaign.scenario(row)
-        columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
-        way = columns.astype(np.float64)[_useful_places(columns)]
+        columns = np.stack([trace['distance_m'], trace['cte_m'], trace['he_rad']], axis=1)
+        way = columns.astype(np.float64)[_useful_places(columns, scene.line)]
         if len(way):
             found.append((scene, way))
         progress('runs', number, len(campaign.counterexamples))
@@ -95,21 +96,26 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
     return found
 
 
-def _useful_places(columns: NDArray[np.generic]) -> NDArray[np.bool_]:
+def _useful_places(columns: NDArray[np.generic], track: Track) -> NDArray[np.bool_]:
     distance, cte, heading = columns.astype(np.float64).T
     return (
-        (distance >= 0) & (distance <= 2600)
-        & (np.abs(cte) <= MAX_CROSS_TRACK_M) & (np.abs(heading) <= MAX_HEADING_RAD)
+        (distance >= 0) & (distance <= min(2600, track.last_start_m))
+        & (np.abs(cte) <= _most_aside_m(track)) & (np.abs(heading) <= MAX_HEADING_RAD)
     )
+
+
+def _most_aside_m(track: Track) -> float:
+    return min(MAX_CROSS_TRACK_M, track.farthest_start_m)
 
 
 def _scene_on_path(scene: Scenario, way: NDArray[np.float64], rng: np.random.Generator) -> Scenario:
     distance, cte, heading = way[rng.integers(len(way))]
+    most_m = _most_aside_m(scene.line)
     aside, turned = rng.normal(0, SPREAD_M), rng.normal(0, SPREAD_RAD)
     return dataclasses.replace(
         scene,
         distance_m=float(distance),
-        cross_track_m=float(np.clip(cte + aside, -MAX_CROSS_TRACK_M, MAX_CROSS_TRACK_M)),
+        cross_track_m=float(np.clip(cte + aside, -most_m, most_m)),
         heading_rad=float(heading + turned),
     )
 

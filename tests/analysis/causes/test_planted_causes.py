@@ -61,7 +61,7 @@ def test_given_a_crossing_when_looked_for_then_its_limits_are_found(tmp_path):
     assert found[0].inside.low < 0.8 < found[0].inside.high
     assert found[0].outside.rate == pytest.approx(0.05, abs=0.02)
     assert found[0].p < 0.001
-    assert 'along the runway' in found[0].sentence()
+    assert 'along the track' in found[0].sentence()
 
 
 def test_given_the_papers_shadow_when_looked_for_then_sky_and_hours_are_found_together(tmp_path):

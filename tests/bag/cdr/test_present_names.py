@@ -26,6 +26,7 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
+    TRACK,
     TRAFFIC,
     Kind,
 )
@@ -52,8 +53,8 @@ def before_units(topic: TopicInfo) -> TopicInfo:
 
 
 def before_wind(topic: TopicInfo) -> TopicInfo:
-    """The topic without the keys of after the units: what pushes the aircraft, and where it is."""
-    new = '|'.join(field.attribute for field in (*PUSHING_FIELDS, TRAFFIC, PLACE))
+    """The topic without the keys of after the units: what pushes, track, others and place."""
+    new = '|'.join(field.attribute for field in (*PUSHING_FIELDS, TRACK, TRAFFIC, PLACE))
     definition = re.sub(rf'^\w+ ({new}) .*\n', '', topic.definition, flags=re.MULTILINE)
     return described(topic, definition)
 

@@ -208,7 +208,9 @@ def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
         row = round(grid.row(x))
         left, right = sorted(rng.uniform(-reach, reach, 2))
         columns = slice(round(grid.column(left)), round(grid.column(right)))
-        value[row : row + 3, columns] -= np.float32(rng.uniform(3, 11) * style.mottle) * _CRACK
+        depth = np.float32(rng.uniform(3, 11) * style.mottle)
+        if 0 <= row <= grid.rows - 3:
+            value[row : row + 3, columns] -= depth * _CRACK
         x += rng.uniform(6, 40)
     return value
 

@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.ground.atlas import (
     COARSE_M,
-    COLUMN_LEVELS,
     FINE_M,
     GRAIN_M,
     GRAIN_NEUTRAL,
     GRAIN_TEXELS,
     ROW_LEVELS,
-    ROW_M,
-    START_X_M,
-    fine_half_m,
+    Layout,
 )
 from taxinet_ros.core.camera.sky import GROUND_END_TAN
 
@@ -37,35 +34,31 @@ _LEAST_FALL = GROUND_END_TAN / 2
 _BEND = COARSE_M / FINE_M - 1
 _BESIDE_BEND = 1e-3
 
-# Power of two near the ratio of the ground's texels (along, across) to the grain's, so that the
-# levels computed for the ground serve for the grain too.
-_FINER = tuple(
-    2.0 ** round(math.log2(texel_m / GRAIN_M)) for texel_m in (ROW_M, FINE_M)
-)
 
-
-def _ruler(rows: int, columns: int) -> pixels.Ruler:
-    """Part of the pixel-to-texel mapping that depends on neither pose nor light.
-
-    ``rows`` and ``columns`` are the size of the ground's finest texture.
-    """
+def _ruler(layout: Layout) -> pixels.Ruler:
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light."""
     # Texels are counted from the far end of the ripmaps, so that a change of level is a
     # multiplication. Columns are in coarse units; the bend converts them to fine ones.
+    rows, columns = layout.rows, layout.columns
     row_end, column_end = 2 * rows, 2 * columns
     middle = (columns / 2 - column_end) / (1 + _BEND)
-    half = fine_half_m(columns) / COARSE_M
+    half = layout.fine_half_m / layout.coarse_m
     tile = GRAIN_TEXELS
+    # Power of two near the ratio of the ground's texels (along, across) to the grain's, so that the
+    # levels computed for the ground serve for the grain too.
     grain_along, grain_across = (
-        (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
+        (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5)
+        for texel_m in (layout.row_m, layout.fine_m)
+        for finer in [2.0 ** round(math.log2(texel_m / GRAIN_M))]
     )
     return pixels.Ruler(
         least_fall=_LEAST_FALL,
-        along=(ROW_M, -START_X_M / ROW_M - row_end, ROW_M),
+        along=(layout.row_m, -layout.start_x_m / layout.row_m - row_end, layout.row_m),
         along_limits=(16 - row_end, rows - 16 - row_end, row_end - 0.5,
                       2.0 ** (1 - ROW_LEVELS)),
-        across=(COARSE_M, middle, FINE_M),
+        across=(layout.coarse_m, middle - layout.middle_y_m / layout.coarse_m, layout.fine_m),
         across_limits=(4 - column_end, columns - 4 - column_end, column_end - 0.5,
-                       2.0 ** (1 - COLUMN_LEVELS)),
+                       2.0 ** (1 - layout.column_levels)),
         bend=(middle - half, middle + half, _BEND, _BESIDE_BEND),
         bend_levels=round(math.log2(1 + _BEND)),
         grain_along=grain_along,
@@ -85,6 +78,7 @@ class GroundView:
         gain: Vectors,
         hidden: NDArray[np.int32],
         width: int,
+        layout: Layout | None = None,
     ) -> None:
         """Prepare the grain and the buffer.
 
@@ -95,8 +89,10 @@ class GroundView:
             hidden: number of columns at the left of each image row, (height,), that will be
                 covered; their content is undefined.
             width: width of the images [px].
+            layout: of the atlas; None for that of a runway.
         """
         height = len(hidden)
+        rows, columns = atlas.shape[0] // 2, atlas.shape[1] // 2
         stretched = _FINER_CODES * gain
         red, green, blue = (GRAIN_NEUTRAL * stretched).tolist()
         self._size = height, width
@@ -106,7 +102,7 @@ class GroundView:
             atlas,
             np.asarray(cv2.multiply(grain, np.append(stretched, 1.0)), np.uint8),
             _dither(height, width),
-            _ruler(atlas.shape[0] // 2, atlas.shape[1] // 2),
+            _ruler(layout or Layout(rows=rows, columns=columns)),
             (round(red), round(green), round(blue)),
             1 / (GRAIN_NEUTRAL * _FINER_CODES),
         )
