@@ -22,6 +22,7 @@ from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
@@ -36,7 +37,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import TRAFFIC, by_key, with_references
 from taxinet_ros.core.user_code import short_word
@@ -186,8 +187,11 @@ class CampaignOptions:
             drawn: tells the keys that scenes differ in.
 
         Raises:
-            UsageError: a requirement cannot be evaluated on such runs, or a gain has no effect.
+            UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
+                the scenario delays the loop of a free run.
         """
+        if self.timing.free:
+            check_free(first)
         usual_mps = SteeringGains().speed_mps
         if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
             raise UsageError(
@@ -203,7 +207,8 @@ class CampaignOptions:
             check_others(asked, first)
         found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
+        unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
 
     @property
     def standing_graph(self) -> bool:

@@ -8,8 +8,8 @@ hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and cy = (540 - 330) * 200/730 -
 
 A frame is rendered by inverse mapping: each pixel's ray is intersected with the ground, whose
 colour comes from a ripmap at the level of the pixel's footprint. Shade, light, haze, glare, sky,
-rain and the aircraft's own parts follow. Equal state, stamp and scenario give equal bytes in every
-process.
+rain, the aircraft's own parts and faults of lens and sensor follow. Equal state, stamp and scenario
+give equal bytes in every process.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from taxinet_ros.core.camera.airframe import (
 from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.camera.objects import ObjectsView
 from taxinet_ros.core.place.catalogue import default_runway
@@ -48,7 +49,7 @@ IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 
 STAGES = (
     'ground', 'marks', 'cloud shade', 'own shadow', 'shadows of others', 'atmosphere', 'others',
-    'rain', 'airframe',
+    'rain', 'airframe', 'lens',
 )
 """Rendering stages in order; a scene has those that it needs."""
 
@@ -226,10 +227,12 @@ class Camera:
             if casts
             else None
         )
+        size = IMAGE_HEIGHT, IMAGE_WIDTH
+        self._faults = LensFaults(scenario, self._light, self._intrinsics, size)
         self._objects = (
             ObjectsView(
                 scenario.others, self._light, self._clouds, self._atmosphere, gain,
-                self._intrinsics, (IMAGE_HEIGHT, IMAGE_WIDTH), casts=casts_any,
+                self._intrinsics, size, casts=casts_any,
             ) if scenario.traffic else None
         )
 
@@ -282,6 +285,9 @@ class Camera:
             mark('rain')
         self._airframe.lay_over(picture, state.yaw_rad)
         mark('airframe')
+        if self._faults.any:
+            picture = self._faults.apply(picture, to_optical, stamp_ns)
+            mark('lens')
         return picture
 
     def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:

@@ -357,7 +357,7 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
 ):
     heard: list[str] = []
     scene = Scenario(
-        clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0,
+        clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0, lens_dirt_fraction=0.1,
         traffic=load_traffic([{'kind': 'cone', 'x_m': 420, 'y_m': 0}]),
     )
     wet, state = Camera(scene), at()
