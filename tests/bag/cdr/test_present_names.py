@@ -28,6 +28,7 @@ from taxinet_ros.core.scenario_fields import (
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
     TRACK,
+    TRAFFIC,
     Kind,
 )
 
