@@ -84,6 +84,7 @@ def run_graph(opened, asked: list[RunRequest]) -> dict[str, RunResult]:
     return results
 
 
+@pytest.mark.filterwarnings('ignore:.*no effect, as the perception needs no picture')
 @pytest.mark.parametrize('word', ['truth', 'taxinet'])
 def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(word, tmp_path):
     options = {name: GraphOptions(perception=word, out=tmp_path / name) for name in ('one', 'many')}
