@@ -8,7 +8,7 @@ import taxinet_ros as tx
 from taxinet_ros.campaign.rates import rate
 
 AHEAD = {  # of each: its kind, and where it is left of the centreline [m]
-    'nobody': {}, 'cones': {'cone': 5}, 'a person': {'person': 7}, 'a van': {'vehicle': 9},
+    'nobody': {}, 'a cone': {'cone': 5}, 'a person': {'person': 7}, 'a van': {'vehicle': 9},
     'a parked aircraft': {'aircraft': -22}, 'a van that crosses': {'vehicle': 25},
     'a closed marking (X)': {'closed_marking': 0}, 'tyre marks': {'tyre_marks': -3},
     'a patch': {'patch': -4}, 'a painted-over centreline': {'painted_over': 0},
