@@ -12,13 +12,17 @@ rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), air
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
 positive], speed_mps [m/s], track (the line to follow: 'runway', or the name of a taxiway's
-centreline at the place, such as 'exit_left'), camera_dropout_percent [%], camera_freeze_s [s], lens_dirt_percent [%],
-lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV, brighter positive],
-loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
-steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number),
-duration_s [s], place (a shipped one by its name, such as
-'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
-mean the same.
+centreline at the place, such as 'exit_left'), camera_dropout_percent [%], camera_freeze_s [s],
+lens_dirt_percent [%], lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV,
+brighter positive], loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
+steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number), traffic (the path
+of a YAML file of others on the ground; in its place the objects below), duration_s [s], place (a
+shipped one by its name, such as 'bikf_10', or the path of a YAML file). Short forms without the
+unit (time_of_day, rain, duration) mean the same.
+
+Others on the ground are objects of the classes below Plane, each with its width, length, height [m]
+and colour. The solid ones may move, with one of the behaviors below; their speeds are in m/s, and
+they react to nothing.
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are
@@ -44,3 +48,84 @@ class Plane(Object):
     # The short forms of the first two, for programs that have them.
     cross_track[dynamic, final]: self.cross_track_m
     distance[dynamic, final]: self.distance_m
+
+
+# Moves along a path: straight from point to point, at one speed, to the end, where it stays.
+behavior FollowPath(path, speed, delay=0, wait=0):
+    """`delay` seconds at the start, and `wait` seconds at each point of the path."""
+    wait
+
+
+# Straight ahead, the way it faces.
+behavior GoStraight(speed, distance, delay=0):
+    wait
+
+
+# Straight across to the same distance beyond the centreline.
+behavior CrossRunway(speed, delay=0):
+    wait
+
+
+class GroundObject(Object):
+    # Scenic's own tests take a wing for a box; what is hit is the signal collision.
+    allowCollisions: True
+    requireVisible: False
+    kind: ''
+    colour: ''
+
+
+class ParkedAircraft(GroundObject):
+    kind: 'aircraft'
+    width: 15.9
+    length: 12.7
+    height: 4.5
+
+
+class TaxiingAircraft(ParkedAircraft):
+    pass
+
+
+class Vehicle(GroundObject):
+    kind: 'vehicle'
+    width: 2.1
+    length: 5.4
+    height: 2.2
+
+
+class Cone(GroundObject):
+    kind: 'cone'
+    width: 0.4
+    length: 0.4
+    height: 0.75
+
+
+class Person(GroundObject):
+    kind: 'person'
+    width: 0.55
+    length: 0.35
+    height: 1.75
+
+
+# Marks lie on the ground: painted, or left by tyres.
+class ClosedMarking(GroundObject):
+    kind: 'closed_marking'
+    width: 14.0
+    length: 18.3
+
+
+class PaintedOver(GroundObject):
+    kind: 'painted_over'
+    width: 1.3
+    length: 37.0
+
+
+class TyreMarks(GroundObject):
+    kind: 'tyre_marks'
+    width: 2.4
+    length: 40.0
+
+
+class Patch(GroundObject):
+    kind: 'patch'
+    width: 5.0
+    length: 8.0

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.outcome import Outcome
     from taxinet_ros.core.place.catalogue import load_place
     from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.traffic.traffic_file import load_traffic
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.core.user_code import UserCodeError
     from taxinet_ros.errors import InfraError, RecordError, UsageError
@@ -50,6 +51,7 @@ __all__ = [
     'falsify',
     'load_perception',
     'load_place',
+    'load_traffic',
     'open_campaign',
     'open_recording',
     'render',
@@ -70,6 +72,7 @@ _MODULES = {
     'taxinet_ros.core.outcome': ('Outcome',),
     'taxinet_ros.core.place.catalogue': ('load_place',),
     'taxinet_ros.core.scenario': ('Scenario',),
+    'taxinet_ros.core.traffic.traffic_file': ('load_traffic',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
     'taxinet_ros.core.user_code': ('UserCodeError',),
     'taxinet_ros.errors': ('InfraError', 'RecordError', 'UsageError'),

@@ -54,7 +54,8 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
     WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
     REQUIREMENTS: _constants(
-        'taxinet_ros.core.mtl.specs', ('phi_always', 'phi_eventually', 'on_runway', 'usable')
+        'taxinet_ros.core.mtl.specs',
+        ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
     ),
 }
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in

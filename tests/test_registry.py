@@ -152,6 +152,18 @@ def test_given_a_world_whose_pictures_are_no_frames_then_the_run_is_none(
         tx.run(tx.Scenario(duration_s=0.5), perception='original', world='elsewhere')
 
 
+def test_given_a_world_that_shows_nobody_else_then_a_scene_with_others_is_refused_by_name(
+    site: Path,
+) -> None:
+    code = 'from taxinet_ros.core.world import SimulatedWorld\nclass Own(SimulatedWorld):\n    '
+    lay_down(site, 'empty-world', code + 'pass\n', worlds='empty = Own')
+    lay_down(site, 'busy-world', code + 'shows_traffic = True\n', worlds='busy = Own')
+    crowded = tx.Scenario(traffic=tx.load_traffic([{'kind': 'cone', 'x_m': 420, 'y_m': 3}]))
+    with pytest.raises(UsageError, match=r'empty-world 1\.2: the world does not show traffic'):
+        find_world('empty').make(crowded)
+    assert find_world('empty').make(tx.Scenario()).last_seq == 300
+    assert find_world('busy').make(crowded).last_seq == 300
+
 
 def lay_down_world(site: Path, body: str, first: str = '') -> None:
     """A package's world: the simulated one, but for ``body``; ``now`` is what that one observes."""

@@ -55,7 +55,7 @@ from taxinet_ros.core.controller import (
     read_command,
 )
 from taxinet_ros.core.faults import unseen_faults
-from taxinet_ros.core.judge import Judgement, check_specs
+from taxinet_ros.core.judge import Judgement, check_others, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import check_read, offline, signal_names
@@ -186,7 +186,9 @@ class Run:
 
     @cached_property
     def _trace(self) -> pd.DataFrame:
-        return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
+        names = [spec.name for spec in self.specs]
+        others = bool(self.scenario.traffic)
+        return trace_table(columns_of_steps(self.steps, names, others=others))
 
     @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
@@ -348,6 +350,7 @@ def run(
     asked = judging.parsed_specs
     check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
+    check_others(asked, scenario)
     unseen = [] if eyes.needs_image else unseen_faults(scenario)
     for line in (*check_specs(asked, scenario, gains).warnings, *unseen):
         warnings.warn(line, stacklevel=CALLER)
@@ -461,9 +464,10 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
         trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
-            ``he_estimate``, ``estimate_gap`` and ``unusable_share`` come from the columns of
-            :attr:`Run.trace`, in SI units and radians. Any other numeric column is a signal under
-            its own name and in its own unit. A signal's column with another unit in
+            ``he_estimate``, ``estimate_gap``, ``unusable_share``, ``clearance`` and ``collision``
+            (with others on the ground) come from the columns of :attr:`Run.trace`, in SI units and
+            radians. Any other numeric column is a signal under its own name and in its own unit.
+            A signal's column with another unit in
             ``attrs['units']`` is rejected.
 
     Returns:

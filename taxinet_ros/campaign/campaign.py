@@ -72,7 +72,9 @@ class Campaign:
         """
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
-            self.check = self.options.check(first_scene(self._source))
+            self.check = self.options.check(
+                first_scene(self._source), lambda: self._source.search_space().drawn
+            )
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
             opened.enter_context(self.book)

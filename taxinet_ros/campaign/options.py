@@ -16,14 +16,14 @@ self-contained: predicates are expanded.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.faults import check_free, unseen_faults
-from taxinet_ros.core.judge import SpecCheck, check_specs
+from taxinet_ros.core.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
@@ -38,9 +38,8 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
-from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import PLACE, by_key
+from taxinet_ros.core.scenario_fields import TRAFFIC, by_key, with_references
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -180,11 +179,12 @@ class CampaignOptions:
     bags: bool = True
     world: str = KMWH
 
-    def check(self, first: Scenario) -> SpecCheck:
+    def check(self, first: Scenario, drawn: Callable[[], Collection[str]]) -> SpecCheck:
         """Check the requirements and overrides before the first run.
 
         Args:
             first: scenario of the first run.
+            drawn: tells the keys that scenes differ in.
 
         Raises:
             UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
@@ -200,7 +200,12 @@ class CampaignOptions:
             )
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
-        found = check_specs(self.judging.parsed_specs, first, gains)
+        asked = self.judging.parsed_specs
+        if reads_others(asked) and (
+            TRAFFIC.key in {**self.overrides, **self.laid_over} or TRAFFIC.key not in drawn()
+        ):
+            check_others(asked, first)
+        found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
@@ -399,14 +404,13 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Split ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, a key is given twice, or a place is invalid.
+        UsageError: one is neither, a key is given twice, or a place or traffic is invalid.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
-            # A file may change: the campaign's identity includes its digest.
-            overrides[key] = typed_place(value).reference if key == PLACE.key else value
+            overrides[key] = value
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
@@ -416,4 +420,5 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    return overrides, gains
+    # What the campaign is, and whether it goes on, has the digests of files.
+    return with_references(overrides), gains

@@ -47,6 +47,7 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.errors import UsageError
 
 PATIENCE = 3
@@ -289,7 +290,9 @@ class Search:
                 f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
-        self.check = campaign.check(first_scene(self._source))
+        self.check = campaign.check(
+            first_scene(self._source), lambda: self._source.search_space().drawn
+        )
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
@@ -313,7 +316,10 @@ class Search:
 
 
 def _digest(scenario: Scenario) -> str:
-    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
+    values = scenario.to_human()
+    if not scenario.traffic:  # as in searches from before there were others on the ground
+        del values[TRAFFIC.key]
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 
 def search_heading(options: SearchOptions) -> str:

@@ -19,7 +19,7 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
-from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario import Scenario
@@ -77,6 +77,26 @@ def check_edge(spec: Spec, half_width_m: float) -> None:
         )
 
 
+def reads_others(specs: Sequence[Spec]) -> bool:
+    """Whether a formula is about others on the ground."""
+    return any(name in OF_OTHERS for spec in specs for name in signal_names(spec.formula))
+
+
+def check_others(specs: Sequence[Spec], scenario: Scenario) -> None:
+    """Refuse formulas about others on the ground where nobody is: nothing could violate them.
+
+    Raises:
+        UsageError: there is such a formula, and nothing that can be hit.
+    """
+    for spec in () if scenario.others.solids else specs:
+        for name in signal_names(spec.formula):
+            if name in OF_OTHERS:
+                raise UsageError(
+                    f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
+                    'objects that can be hit (docs/world.md), or leave the formula out'
+                )
+
+
 def describe_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
     scenario: Scenario | None = None,
@@ -105,7 +125,7 @@ def signal_ranges(
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
-        'unusable_share': (0.0, 1.0),
+        'unusable_share': (0.0, 1.0), 'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
     }
     if gains is None or scenario is None:
         return ranges

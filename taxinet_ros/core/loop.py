@@ -11,11 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.faults import loop_delay_ns
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
@@ -28,12 +30,13 @@ MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """One control step: state, observation, estimate, command and readings."""
+    """One control step: state, observation, estimate, command, readings, distance to others."""
 
     observation: Observation
     estimate: TrackingError
     command: TaxiCommand
     readings: tuple[Reading, ...]
+    clearance_m: float = MOST_CLEARANCE_M
 
     @property
     def sample(self) -> dict[str, float]:
@@ -42,7 +45,7 @@ class Step:
         along_m, cte_m, he_rad = now.on_track
         return signals(
             cte_m=cte_m, he_rad=he_rad, x_m=along_m, speed_mps=now.state.speed_mps,
-            estimate=self.estimate, command=self.command,
+            estimate=self.estimate, command=self.command, clearance_m=self.clearance_m,
         )
 
 
@@ -83,7 +86,7 @@ class LateCommands:
 
 def signals(
     *, cte_m: float, he_rad: float, x_m: float, speed_mps: float,
-    estimate: TrackingError, command: TaxiCommand,
+    estimate: TrackingError, command: TaxiCommand, clearance_m: float = MOST_CLEARANCE_M,
 ) -> dict[str, float]:
     """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
@@ -97,6 +100,8 @@ def signals(
         'steering': command.steering_rad,
         'cte_estimate': estimate.cte_m if estimate.usable else math.nan,
         'he_estimate': estimate.he_rad if estimate.usable else math.nan,
+        'clearance': clearance_m,
+        'collision': float(clearance_m <= 0) if clearance_m == clearance_m else math.nan,
     }
 
 
@@ -139,11 +144,13 @@ def run_closed_loop(
     judge = Judge(
         specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
     )
+    clearance = Clearance(scenario)
     while True:
         now = world.observe()
         along_m, cte_m, he_rad = now.on_track
         estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
         command = controller.command(estimate)
+        clearance_m = clearance.of_state(now.stamp_ns, now.state)
         sample = signals(
             cte_m=cte_m,
             he_rad=he_rad,
@@ -151,10 +158,14 @@ def run_closed_loop(
             speed_mps=now.state.speed_mps,
             estimate=estimate,
             command=command,
+            clearance_m=clearance_m,
         )
         readings = judge.push(now.stamp_ns, sample)
         if on_step is not None:
-            on_step(Step(observation=now, estimate=estimate, command=command, readings=readings))
+            on_step(Step(
+                observation=now, estimate=estimate, command=command, readings=readings,
+                clearance_m=clearance_m,
+            ))
         if now.seq == world.last_seq or judge.stopped_early:
             return judge.judgement
         world.advance(commands.at(now.seq, command))

@@ -33,6 +33,8 @@ from taxinet_ros.core.scenario_fields import (
     along_words,
     by_key,
 )
+from taxinet_ros.core.traffic.traffic import Traffic
+from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -81,6 +83,8 @@ class Scenario:
         steering_rate_limit_radps: greatest rate of the nose wheel [rad/s]; 0 for no limit.
         fault_onset_s: simulated time from which the faults of this run hold [s].
         fault_seed: random seed of the faults; a whole number.
+        traffic: others on the ground as JSON, '' where nobody is; see
+            :mod:`taxinet_ros.core.traffic`.
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -119,6 +123,7 @@ class Scenario:
     steering_rate_limit_radps: float = 0.0
     fault_onset_s: float = 0.0
     fault_seed: float = 0.0
+    traffic: str = ''
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -192,6 +197,11 @@ class Scenario:
     def line(self) -> Track:
         """The track that it follows."""
         return find_track(self.place, self.track)
+
+    @property
+    def others(self) -> Traffic:
+        """Others on the ground."""
+        return find_traffic(self.traffic)
 
     @property
     def duration_ns(self) -> int:

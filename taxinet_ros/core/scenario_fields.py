@@ -26,6 +26,7 @@ from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.core.place.track import RUNWAY_TRACK
+from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -55,22 +56,23 @@ class Kind(Enum):
     DATE = 'date'
     SWITCH = 'switch'
     PLACE = 'place'
+    TRAFFIC = 'traffic'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
-    Kind.PLACE: (str, 'a place'),
+    Kind.PLACE: (str, 'a place'), Kind.TRAFFIC: (str, 'traffic'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
-    Kind.PLACE: 'string',
+    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'string',
+    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
 }
 
 
@@ -141,8 +143,8 @@ class ScenarioField:
         """Convert a user's value to SI units.
 
         Raises:
-            UsageError: it is no number within the range, no switch or no place, where there should
-                be one.
+            UsageError: it is no number within the range, no switch, no place or no traffic, where
+                there should be one.
         """
         if self.kind is Kind.NUMBER:
             number = self._number(value)
@@ -153,12 +155,21 @@ class ScenarioField:
             return number * self.si
         if self.kind is Kind.PLACE:
             return load_place(value)
+        if self.kind is Kind.TRAFFIC:
+            return typed_traffic(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
+
+    @property
+    def referred(self) -> bool:
+        """Whether tables and records have a short reference in place of the whole value."""
+        return self.kind in (Kind.PLACE, Kind.TRAFFIC)
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
         if self.kind is Kind.PLACE:
             return find_place(value).reference
+        if self.kind is Kind.TRAFFIC:
+            return find_traffic(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
     def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
@@ -184,6 +195,8 @@ class ScenarioField:
             raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
         if self.kind is Kind.PLACE and find_place(value).text != value:
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
+        if self.kind is Kind.TRAFFIC:
+            return find_traffic(value).text
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
@@ -245,14 +258,14 @@ def along_words(track: str) -> str:
 
 
 def unusual_words(scene: Mapping[str, Any]) -> str:
-    """What pushes the aircraft, and what fails, if anything: ``', wind 8.0 m/s, …'``.
+    """What pushes the aircraft, what fails, and who is there: ``', wind 8.0 m/s, …'``.
 
     Args:
         scene: in human units, by key.
     """
     return ''.join(
         f', {field.title} {field.value_words(scene[field.key])}'
-        for field in (*PUSHING_FIELDS, *FAULT_FIELDS)
+        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC)
         if scene[field.key] not in (None, '', field.to_human(field.absent))
     )
 
@@ -391,6 +404,9 @@ FAULT_SEED = ScenarioField(
     key='fault_seed', attribute='fault_seed', title='seed of the faults',
     form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
 )
+TRAFFIC = ScenarioField(
+    key='traffic', attribute='traffic', title='others on the ground', kind=Kind.TRAFFIC, absent='',
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
@@ -414,6 +430,7 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
+    TRAFFIC,
     DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
@@ -445,6 +462,22 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
         if short in values and key in values:
             raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
     return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+
+
+def with_references(overrides: Mapping[str, str]) -> dict[str, str]:
+    """The overrides with references in place of files: a file may change.
+
+    Args:
+        overrides: by key.
+
+    Raises:
+        UsageError: a file is not as it should be.
+    """
+    return {
+        key: field.to_human(field.from_human(value))
+        if (field := BY_KEY.get(key)) and field.referred else value
+        for key, value in overrides.items()
+    }
 
 
 def other_form(name: str) -> str:

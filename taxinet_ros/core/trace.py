@@ -33,12 +33,15 @@ the track; ``cte_m`` and ``he_rad`` are the truth, ``est_`` the perception's est
 ``steering_rad`` and ``speed_cmd_mps`` the command. Signs are defined in
 :mod:`taxinet_ros.core.types`."""
 
-_UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS}
+CLEARANCE_COLUMN = 'clearance_m'
+"""Distance to others on the ground, where there are any."""
+
+_UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm'}
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
     'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
     'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
-    'he_estimate': 'est_he_rad',
+    'he_estimate': 'est_he_rad', 'clearance': CLEARANCE_COLUMN,
 })
 """Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
@@ -56,17 +59,21 @@ _OF_STEP: Mapping[str, Callable[[Step], float]] = {
 }
 
 
-def columns_of_steps(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Column]:
+def columns_of_steps(
+    steps: Sequence[Step], specs: Sequence[str], *, others: bool = False
+) -> dict[str, Column]:
     """Columns of a run, one row per step.
 
     Args:
         steps: steps of the run, in order.
         specs: names of the formulas, in the order of each step's readings.
+        others: whether others are on the ground.
 
     Returns:
         ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool, the columns of
-        :data:`STEP_UNITS` as float64 (NaN for an invalid estimate), and for each formula
-        ``rho_lower.<name>`` and ``rho_upper.<name>``.
+        :data:`STEP_UNITS` as float64 (NaN for an invalid estimate), with others
+        :data:`CLEARANCE_COLUMN`, and for each formula ``rho_lower.<name>`` and
+        ``rho_upper.<name>``.
     """
     columns: dict[str, Column] = {
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
@@ -75,6 +82,8 @@ def columns_of_steps(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, C
     }
     for name, value in _OF_STEP.items():
         columns[name] = np.array([value(step) for step in steps], dtype=np.float64)
+    if others:
+        columns[CLEARANCE_COLUMN] = np.array([step.clearance_m for step in steps], np.float64)
     for number, spec in enumerate(specs):
         for end in ('lower', 'upper'):
             columns[f'rho_{end}.{spec}'] = np.array(
@@ -113,6 +122,9 @@ def trace_signals(
     if 'x' not in signals and 'x_m' in columns:
         # A trace of an older version, whose track was always the runway's centreline.
         signals['x'] = np.asarray(columns['x_m'], dtype=np.float64)
+    if 'clearance' in signals:
+        clearance_m = np.asarray(signals['clearance'], np.float64)
+        signals['collision'] = np.where(np.isnan(clearance_m), np.nan, clearance_m <= 0)
     if 'cte_estimate' in signals and 'he_estimate' in signals and len(stamps_ns):
         period_ns = int(stamps_ns[1] - stamps_ns[0]) if len(stamps_ns) > 1 else NS_PER_S
         watch = EstimateWatch(int(stamps_ns[-1] - stamps_ns[0]), max(period_ns, 1))

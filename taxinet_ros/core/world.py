@@ -32,6 +32,9 @@ from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 _T = TypeVar('_T')
 _START_M = 1.0
 
+SHOWS_TRAFFIC = 'shows_traffic'
+"""Attribute of a package's world, true where it shows others on the ground."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:
@@ -226,6 +229,11 @@ class _PluginWorld(World):
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
     ) -> None:
         self._extension, self._seq = extension, -1
+        if scenario.traffic and not getattr(make, SHOWS_TRAFFIC, False):
+            raise UsageError(
+                f'{extension.words}: the world does not show traffic (no attribute '
+                f'{SHOWS_TRAFFIC}); leave it out, or take the world {KMWH}'
+            )
         self.last_seq = last_step(scenario)
         self._scenario, self._pictures = scenario, pictures
         self._shown: NDArray[np.uint8] | None = None

@@ -14,6 +14,7 @@ from taxinet_msgs.msg import Scenario, Timing, Verdict
 from taxinet_ros.bag.run.message_values import scenario_of, verdict_values
 from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import MAX_GAP_NS, rolling_on, signals
@@ -81,6 +82,7 @@ class MtlMonitor(Participant):
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
             judging.assumptions, scene.line.half_width_m,
         )
+        self._clearance = Clearance(scene)
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
         heard = interface.ODOMETRY, interface.TRUTH, interface.TIMING
@@ -148,6 +150,9 @@ class MtlMonitor(Participant):
             speed_mps=odometry.value.speed_mps,
             estimate=estimate[0].value if estimate else NO_ESTIMATE,
             command=self._command,  # the last one counts
+            clearance_m=self._clearance.at(
+                stamp_ns, odometry.value.x_m, odometry.value.y_m, odometry.value.attitude
+            ),
         )
         readings = self._readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():

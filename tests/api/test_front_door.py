@@ -24,6 +24,7 @@ EXAMPLES = {
     'place_table.py': '| kmwh_04 | 100 % ',
     'fault_table.py': '| dirt on the lens 20 % | 100% ',
     'fault_sheet.py': 'sheet: ',
+    'traffic_table.py': '| a van that crosses | 100 % ',
     'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }

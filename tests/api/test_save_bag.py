@@ -194,6 +194,46 @@ print(recording.judge('phi_always').interval.lower)
     assert float(rho) < -18
 
 
+def test_given_others_on_the_ground_when_saved_then_the_bag_alone_shows_and_judges_them(tmp_path):
+    van = {'kind': 'vehicle', 'x_m': 430, 'y_m': -9, 'heading_deg': 90,
+           'path': [{'x_m': 430, 'y_m': 9, 'speed_mps': 5}]}
+    scene = tx.Scenario(traffic=tx.load_traffic([van]), duration_s=2.0)
+    run = tx.run(scene, specs=[*SPECS, 'no_collision'])
+    bag = run.save_bag(tmp_path / 'run')
+    program = """
+import hashlib, sys
+import taxinet_ros as tx
+recording = tx.open_recording(sys.argv[1])
+frames = [frame.image.tobytes() for frame in recording.frames()]
+print(hashlib.sha256(b''.join(frames)).hexdigest())
+print(recording.judge('no_collision').interval.lower, recording.judge('keep_clear').interval.lower)
+print(recording.judge('always(collision < 0.5)').interval.lower)
+print(hashlib.sha256(recording.trace['clearance_m'].to_numpy().tobytes()).hexdigest())
+"""
+    told = subprocess.run(
+        [sys.executable, '-c', program, str(bag)], capture_output=True, text=True, check=True
+    ).stdout.split()
+    frames = b''.join(image.tobytes() for image in run.frames())
+    assert told[0] == hashlib.sha256(frames).hexdigest()
+    closest = run.rho['no_collision'].lower
+    assert [float(word) for word in told[1:4]] == [closest, closest - 3, 0.5]
+    assert told[4] == hashlib.sha256(run.trace['clearance_m'].to_numpy().tobytes()).hexdigest()
+    recording = tx.open_recording(bag)
+    assert list(recording.trace.columns) == list(run.trace.columns)
+    again = [dict(row) for row in recording.samples.samples]
+    assert [row['clearance'] for row in again] == [step.clearance_m for step in run.steps]
+
+
+def test_given_a_bag_of_before_others_then_a_formula_about_them_has_no_verdict():
+    recording = tx.open_recording(ROOT / 'bags' / 'golden' / 'truth-nominal')
+    assert recording.judge('phi_always').interval.lower > -100
+    for text in ('no_collision', 'always(collision < 0.5)'):
+        found = recording.judge(text)
+        assert found.verdict == 'INVALID'
+        assert not found.interval.satisfied
+    assert 'clearance_m' not in recording.trace.columns
+
+
 def test_given_messages_of_another_version_then_one_line_says_what_to_do():
     with pytest.raises(tx.UsageError, match=r'Scenario, as it is installed, has no fog: .* anew'):
         message_cdr(topics.SCENARIO, {'fog': 1.0})

@@ -34,6 +34,7 @@ CALLS = {
     'robustness': (tx.robustness, {'spec': 'phi_always', 'trace': RUN.trace}),
     'load_perception': (tx.load_perception, {}),
     'load_place': (tx.load_place, {}),
+    'load_traffic': (tx.load_traffic, {}),
     'open_recording': (tx.open_recording, {}),
     'open_campaign': (tx.open_campaign, {}),
     # No search is begun here, whatever else is right.

@@ -34,7 +34,7 @@ MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
 WORLD = ROOT / 'scenarios/runway_world.scenic'
 TYPES = {
     Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'str',
+    Kind.PLACE: 'str', Kind.TRAFFIC: 'str',
 }
 UNITS = {
     'm': 'm', 'rad': '°', 'rad/s': '°/s', 's': 'h', '0..1': '%', 'm/m': '%', '1': '',
@@ -80,7 +80,7 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
     columns = {one.name: str(one.type) for one in dataclasses.fields(RunRow)}
-    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.PLACE: 'str'}
+    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.PLACE: 'str', Kind.TRAFFIC: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
         assert columns[field.key] == wanted, field.key

@@ -15,6 +15,7 @@ import numpy as np
 from taxinet_ros.analysis.explain.counterfactual import (
     CROSSING,
     LEAST_SHARE,
+    OTHERS,
     SHADOW,
     Effect,
     Rerun,
@@ -182,7 +183,7 @@ def _insight(
     occlusion = occlusion_map(look, moment.image, track.gains)
     parts = {}
     for effect in found:
-        if effect.factor.name in (SHADOW, CROSSING) and effect.outcomes[number].changed > 0:
+        if effect.factor.name in PARTS and effect.outcomes[number].changed > 0:
             mask = changed_pixels(moment.image, effect.outcomes[number].image)
             parts[effect.factor.name] = (float(mask.mean()), occlusion.share(mask))
     nearness = None if training is None else training.near(moment.image, _scene(moment, run))
@@ -202,7 +203,9 @@ def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
 _HARDLY_RAD = math.radians(2.0)
 """Equivalent of half a metre of cross-track error in the steering law."""
 _NOT_IN_VIEW = 0.002
-PARTS = {SHADOW: "the aircraft's own shadow", 'crossing': 'the crossing'}
+PARTS = {
+    SHADOW: "the aircraft's own shadow", CROSSING: 'the crossing', OTHERS: 'others on the ground',
+}
 
 
 def explain_sentences(found: Explanation) -> Iterator[str]:

@@ -10,6 +10,7 @@ import json
 import math
 from typing import Any
 
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
@@ -22,6 +23,7 @@ from taxinet_ros.core.scenario_fields import (
     SCENARIO_FIELDS,
     SPEED,
     TRACK,
+    TRAFFIC,
     ScenarioField,
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
@@ -110,6 +112,28 @@ class HeldCommand:
         return self._held
 
 
+def clearance_in(scenario: Any) -> Clearance | None:
+    """Distances to others on the ground of a scenario message; None in bags from before.
+
+    Raises:
+        UsageError, AttributeError: as :func:`scenario_of`.
+    """
+    return Clearance(scenario_of(scenario)) if hasattr(scenario, TRAFFIC.attribute) else None
+
+
+def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
+    """The distance to others on the ground at an odometry message [m].
+
+    NaN where that is None, or the recording is of before there were others: a formula about them
+    has no verdict there.
+    """
+    if clearance is None or odometry is None:
+        return math.nan
+    place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+    attitude = (float(turn.x), float(turn.y), float(turn.z), float(turn.w))
+    return clearance.at(stamp_of(odometry), float(place.x), float(place.y), attitude)
+
+
 def track_of(message: Any) -> Track | None:
     """The track of a scenario message; None for the runway's centreline.
 
@@ -121,7 +145,8 @@ def track_of(message: Any) -> Track | None:
 
 
 def sample_of(
-    truth: Any, odometry: Any, estimate: Any, command: Any, track: Track | None = None
+    truth: Any, odometry: Any, estimate: Any, command: Any, track: Track | None,
+    clearance: Clearance | None,
 ) -> dict[str, float]:
     """Monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
@@ -133,6 +158,7 @@ def sample_of(
         estimate: estimate, or None.
         command: command, or None.
         track: that its run follows; None for the runway's centreline.
+        clearance: of the run, see :func:`clearance_in`.
     """
     x_m = math.nan
     if odometry is not None:
@@ -145,6 +171,7 @@ def sample_of(
         speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
         estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
         command=command_of(command) if command is not None else _NO_COMMAND,
+        clearance_m=clearance_of(clearance, odometry),
     )
 
 

@@ -16,6 +16,7 @@ from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run.message_values import (
     HeldCommand,
     assumptions_of,
+    clearance_in,
     sample_of,
     stamp_of,
     track_of,
@@ -32,6 +33,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     Assumptions,
@@ -40,6 +42,7 @@ from taxinet_ros.core.mtl import (
     parse_spec,
     signal_names,
 )
+from taxinet_ros.core.mtl.specs import OF_OTHERS
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.run_statistics import EstimateWatch
@@ -52,7 +55,7 @@ if TYPE_CHECKING:
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
-    'unusable_share': ESTIMATE,
+    'unusable_share': ESTIMATE, 'clearance': ODOMETRY, 'collision': ODOMETRY,
 }
 """Topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 _READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
@@ -204,7 +207,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
                  run.unclear)
         for run, reader in present
     ]
-    notes = [unchecked_files(path)]
+    notes = [unchecked_files(path), found[0].note]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
         notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
@@ -316,7 +319,8 @@ class _SamplesReader:
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(self.scenario, free=self.free)
         track = track_of(self.scenario)
-        samples = [self._sample(stamp, commands, track) for stamp in stamps]
+        clearance = clearance_in(self.scenario) if self._reads_others else None
+        samples = [self._sample(stamp, commands, track, clearance) for stamp in stamps]
         if self.free:  # Missing answers are not lost: the frame was not answered.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
@@ -337,8 +341,16 @@ class _SamplesReader:
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
             unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
             trouble=trouble, there=there, timing=self.timing,
+            note=self._note(clearance),
             flaws=self._partial() | self.flaws | ({ODOMETRY: unclear} if unclear else {}),
         )
+
+    def _note(self, clearance: Clearance | None) -> str:
+        if not self._reads_others or (clearance is not None and clearance.anybody):
+            return ''
+        return 'nobody is on the ground, so nothing could violate a formula about others' if (
+            clearance is not None
+        ) else 'of a version without others on the ground: no verdict on formulas about them'
 
     def _partial(self) -> dict[str, str]:
         """One line per topic that is missing, begins late, or ends a step or more too early."""
@@ -359,13 +371,15 @@ class _SamplesReader:
         return found
 
     def _plan(self, names: Collection[str]) -> None:
+        self._reads_others = not OF_OTHERS.isdisjoint(names)
         self.steps = {
             topic: self.steps.get(topic, {}) for topic in sorted(topics_of_signals(names))
         }
         self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
     def _sample(
-        self, stamp_ns: int, commands: HeldCommand, track: Track | None
+        self, stamp_ns: int, commands: HeldCommand, track: Track | None,
+        clearance: Clearance | None,
     ) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
@@ -373,7 +387,7 @@ class _SamplesReader:
         )
         assert truth is not None
         command = commands.at(command)
-        return sample_of(truth, odometry, estimate, command, track)
+        return sample_of(truth, odometry, estimate, command, track, clearance)
 
     def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:

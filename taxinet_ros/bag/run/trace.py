@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import stamp_of, track_of
+from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of, track_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -24,8 +24,10 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.place.track import Track
-from taxinet_ros.core.trace import STEP_UNITS
+from taxinet_ros.core.scenario_fields import TRAFFIC
+from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -138,8 +140,10 @@ class _TraceColumns:
         self.track: Track | None = None
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
+        self.odometry: dict[int, Any] = {}
+        self.clearance: Clearance | None = None
         self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
-        self.names = dict.fromkeys(STEP_UNITS)
+        self.names: dict[str, None] = {}
 
     def put(self, seq: int, **values: float) -> None:
         """Set cells of one step."""
@@ -152,19 +156,25 @@ class _TraceColumns:
         if self.track is not None:
             for pose in self.poses.values():
                 pose['distance_m'] = self.track.measure(pose['x_m'], pose['y_m']).distance_m
+        if self.clearance is not None:
+            for stamp_ns, message in self.odometry.items():
+                self.poses[stamp_ns][CLEARANCE_COLUMN] = clearance_of(self.clearance, message)
         rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
         columns: dict[str, Column] = {
             'seq': np.array(steps, dtype=np.int64),
             't_ns': np.array([self.stamps[k] for k in steps], dtype=np.int64),
             'est_valid': np.array(['est_cte_m' in row for row in rows], dtype=np.bool_),
         }
-        for name in self.names:
+        others = (CLEARANCE_COLUMN,) if self.clearance else ()
+        for name in dict.fromkeys((*STEP_UNITS, *others, *self.names)):
             columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
         return columns
 
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     table.track = track_of(message)
+    if getattr(message, TRAFFIC.attribute, ''):
+        table.clearance = clearance_in(message)
 
 
 def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
@@ -180,6 +190,7 @@ def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
         'x_m': float(position.x), 'y_m': float(position.y), 'distance_m': float(position.x),
         'speed_mps': float(message.twist.twist.linear.x),
     }
+    table.odometry[stamp_ns] = message
 
 
 def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:

@@ -23,6 +23,7 @@ from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 
 
@@ -69,6 +70,15 @@ SCENES = {
     'lens-faults': _scene(
         x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day_h=7.2, lens_dirt_percent=20.0,
         lens_drops_percent=20.0, glare_ghost_percent=100.0, exposure_jump_ev=1.0,
+    ),
+    'traffic': _scene(
+        x_m=400.0, y_m=0.0, heading_deg=0.0, time_of_day_h=10.0, traffic=load_traffic([
+            {'kind': 'aircraft', 'x_m': 440, 'y_m': -20, 'heading_deg': 70},
+            {'kind': 'vehicle', 'x_m': 425, 'y_m': -30, 'heading_deg': 90,
+             'path': [{'x_m': 425, 'y_m': 30, 'speed_mps': 5}]},
+            {'kind': 'cone', 'x_m': 412, 'y_m': -4}, {'kind': 'person', 'x_m': 415, 'y_m': 3},
+            {'kind': 'closed_marking', 'x_m': 450, 'y_m': 0},
+        ]),
     ),
 }  # fmt: skip
 """Scenes by name."""

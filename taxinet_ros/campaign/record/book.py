@@ -155,6 +155,7 @@ class CampaignBook:
         self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
         self._places: set[str] = set()
+        self._traffic: set[str] = set()
 
     def check_folder(self) -> None:
         """Check that the folder is new or contains a campaign to resume; nothing is changed.
@@ -219,6 +220,7 @@ class CampaignBook:
         self.rows.update({row.index: row for row in before.rows})
         self._attempts.update(before.attempts)
         self._places.update(before.places)
+        self._traffic.update(before.traffic)
         if before.rows:
             self.warning = stack_difference(before.campaign, str(self._out))
         self._facts_due = True
@@ -248,7 +250,7 @@ class CampaignBook:
         )
         rename_broken(self._out / request.run_id)
         with self._watched():
-            self._write_place(scenario)
+            self._write_references(scenario)
             self._ledger.intent(index, request.run_id, scenario_sha256)
         return request
 
@@ -297,12 +299,16 @@ class CampaignBook:
         finally:
             self._on_row(row)
 
-    def _write_place(self, scenario: Scenario) -> None:
-        """Record the full definition of a place that is not shipped, once."""
+    def _write_references(self, scenario: Scenario) -> None:
+        """Record in full, once, what rows refer to: a place that is not shipped, and traffic."""
         place = find_place(scenario.place)
         if not place.shipped and place.reference not in self._places:
             self._ledger.place(place.document)
             self._places.add(place.reference)
+        others = scenario.others
+        if others.objects and others.reference not in self._traffic:
+            self._ledger.traffic(others.text)
+            self._traffic.add(others.reference)
 
     def _write_due_facts(self) -> None:
         if not self._facts_due:

@@ -20,6 +20,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.place.catalogue import find_place
+from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
@@ -41,7 +42,7 @@ class LedgerContent:
         finished: whether the campaign ended normally after the last line.
         lost: one line per removal of damaged lines (:mod:`.doctor`).
         incomplete: those of ``lost`` after which data is still missing.
-        places: references of the places whose definitions it contains.
+        places, traffic: references of the places and the traffic whose definitions it contains.
     """
 
     campaign: Mapping[str, Any]
@@ -54,6 +55,7 @@ class LedgerContent:
     lost: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
     places: frozenset[str] = frozenset()
+    traffic: frozenset[str] = frozenset()
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
@@ -93,6 +95,10 @@ class Ledger(JournalOwner):
     def place(self, document: str) -> None:
         """Record the full definition of a place; rows contain only its reference."""
         self._append({'event': 'place', 'place': document})
+
+    def traffic(self, text: str) -> None:
+        """Record others on the ground in full; rows contain only their reference."""
+        self._append({'event': 'traffic', 'traffic': text})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Record that run ``index`` is about to start."""
@@ -179,7 +185,7 @@ def ledger_content(
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
         added=found.added,
-        places=frozenset(found.places),
+        places=frozenset(found.places), traffic=frozenset(found.traffic),
         never_begun=tuple(
             index for index in sorted(set(rows) - set(begun))
             if rows[index].outcome is not Outcome.REJECTED
@@ -255,6 +261,7 @@ class _Events:
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
         self.places: set[str] = set()
+        self.traffic: set[str] = set()
         self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
@@ -266,6 +273,8 @@ class _Events:
             case 'place':
                 # This registers the place, so that references in rows can be resolved.
                 self.places.add(find_place(event['place']).reference)
+            case 'traffic':
+                self.traffic.add(find_traffic(event['traffic']).reference)
             case 'intent':
                 self._intent(event)
             case 'result':

@@ -43,14 +43,14 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenes.paper_names import key_of
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
-from taxinet_ros.campaign.scenes.values import plane_property, scenario_parameters
+from taxinet_ros.campaign.scenes.values import is_ground_object, plane_property, scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
     buckets_of,
     default_buckets,
     pieces_of,
     place_of,
 )
-from taxinet_ros.core.scenario_fields import PLANE_KEYS
+from taxinet_ros.core.scenario_fields import PLANE_KEYS, TRAFFIC
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
 """Choices with a known inverse distribution function, excluding subclasses.
@@ -268,9 +268,12 @@ def _entries(scenario: Any) -> dict[str, list[Any]]:
     for key in PLANE_KEYS:
         # A wrong class of ego is reported when its scene is drawn.
         entries[key] = [plane_property(scenario.egoObject, key)]
+    if others := [thing for thing in scenario.objects if is_ground_object(thing)]:
+        entries[TRAFFIC.key] = others
     judged = [value for req in scenario.userRequirements for value in req.dependencies]
-    if len(scenario.objects) > 1:  # they may collide
-        judged += scenario.objects
+    colliding = [thing for thing in scenario.objects if thing.allowCollisions is not True]
+    if len(colliding) > 1:  # Scenic refuses scenes in which they overlap
+        judged += colliding
     return {**entries, REQUIREMENTS: judged}
 
 

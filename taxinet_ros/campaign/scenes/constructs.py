@@ -1,7 +1,8 @@
 """Refuse Scenic constructs that have no effect on a run, by name and line.
 
 Scenic targets simulators that execute behaviours, move many objects and monitor requirements. Here
-a program defines only how a run *begins*: the pose of one aircraft, and the weather. Scenic
+a program defines only how a run *begins*: the pose of one aircraft, the weather, and
+others on the ground with their paths. Scenic
 compiles everything else too and silently drops it, so it is detected during compilation: statements
 (``record``, ``terminate when``, …) when executed, so that a library may contain ones that the
 program does not use; definitions in the program itself (``behavior``, …) where they are defined;
@@ -38,11 +39,16 @@ from taxinet_ros.campaign.scenes.overrides import check_value
 from taxinet_ros.campaign.scenes.paper_names import PAPER_NAMES, PaperName, key_of, paper_name
 from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.campaign.scenes.values import (
+    BEHAVIORS,
+    KIND,
     Place,
     ProgramError,
+    behavior_arguments,
     check_level,
+    is_ground_object,
     plain_value,
     scenario_parameters,
+    traffic_document,
 )
 from taxinet_ros.core.scenario_fields import (
     CLOUDS,
@@ -51,8 +57,11 @@ from taxinet_ros.core.scenario_fields import (
     PLANE_KEYS,
     RAIN,
     SHORT_FORMS,
+    TRAFFIC,
     other_form,
 )
+from taxinet_ros.core.traffic.traffic import KINDS
+from taxinet_ros.core.traffic.traffic_file import typed_traffic
 from taxinet_ros.errors import UsageError
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -73,7 +82,10 @@ _STATEMENTS = {
 """Scenic functions: the statement that calls each, and why it has no effect."""
 
 _DEFINITIONS = {
-    syntax.BehaviorDef: ('behavior', 'the controller under test steers the aircraft'),
+    syntax.BehaviorDef: (
+        'behavior', f'other objects move by {", ".join(BEHAVIORS)} of {MODEL}, and the controller '
+        'under test steers the aircraft',
+    ),
     syntax.MonitorDef: ('monitor', 'what a run has to fulfil is a formula of --spec'),
     syntax.Precondition: ('precondition', 'write "require" for what has to hold at the start'),
     syntax.Invariant: ('invariant', 'what a run has to fulfil is a formula of --spec'),
@@ -99,6 +111,11 @@ _WITHOUT_EFFECT: Mapping[str, tuple[Any, str]] = {
     'lastActions': ((), 'the controller under test steers the aircraft'),
 }
 """Built-in Scenic properties that are unused here: the only value allowed for each."""
+
+_OF_GROUND_OBJECTS = {
+    'speed': 'a behavior says how fast it moves, such as "with behavior GoStraight(5, 100)"',
+    'color': 'write "with colour" and a word, such as "with colour \'red\'"',
+}
 
 _SIZE = 'the size of the aircraft matters only where the program asks for it: in a region that ' \
         'contains it, beside another place, or in a require'
@@ -225,9 +242,16 @@ class Constructs:
                 self._check_paper_value(name, meant, value)
         for made in self._made.values():
             _check_kept(made)
-        for thing in scenario.objects:
-            if thing is not scenario.egoObject:
+        others = [thing for thing in scenario.objects if thing is not scenario.egoObject]
+        for thing in others:
+            if not is_ground_object(thing):
                 self._refuse_object(thing)
+            self._check_ground_object(scenario, thing)
+        if others and TRAFFIC.key in params:
+            raise ProgramError(
+                'param traffic has no effect here: objects are placed below; leave one out',
+                self.params.get(TRAFFIC.key),
+            )
         if scenario.egoObject is not None:
             self._check_ego(scenario, scenario.egoObject)
 
@@ -356,17 +380,49 @@ class Constructs:
         made = self._made.get(id(thing))
         kind = type(thing).__name__
         raise ProgramError(
-            f'a further {kind}: there is nothing but the ego on the runway, so it has no effect; '
-            'leave it out, or write "new OrientedPoint" for a place to refer to',
+            f'a further {kind}: it is no ground object of {MODEL} (ParkedAircraft, Vehicle, …), so '
+            'it has no effect; leave it out, or write "new OrientedPoint" for a place to refer to',
             made.place if made else None,
         )
 
+    def _check_ground_object(self, scenario: Any, thing: Any) -> None:
+        place, given = self._given(thing)
+        word = f'a {type(thing).__name__}'
+        flat = thing.kind in KINDS and not KINDS[thing.kind].solid
+        own = self._made[id(thing)].given
+        for name in (KIND, *(('height', 'behavior') if flat else ())):
+            if name in own:
+                why = 'lies on the ground' if name != KIND else 'is what its class says'
+                raise ProgramError(f'with {name}: {word} {why}; leave it out', own[name])
+        for name, where in given.items():
+            if name in _OF_GROUND_OBJECTS and name in own:
+                raise ProgramError(f'with {name}: {_OF_GROUND_OBJECTS[name]}', where)
+            if name not in ('behavior', 'width', 'length', 'height'):
+                self._check_property(scenario, thing, name, where)
+        self._check_pose(thing, place, given)
+        try:
+            if thing.behavior is not None:
+                behavior_arguments(thing.behavior)
+            if not needsSampling(thing):
+                typed_traffic(traffic_document([thing]))
+        except (ProgramError, UsageError) as error:
+            text = str(error).removeprefix('traffic: objects[0].').removeprefix('path[0].')
+            raise ProgramError(text, given.get('behavior', place)) from error
+
+    def _given(self, thing: Any) -> tuple[Place, dict[str, Place]]:
+        """Where an object is made, and where its properties are set."""
+        made = self._made.get(id(thing))
+        given = {**_of_classes(type(thing)), **(made.given if made else {})}
+        return (made.place if made else (self._program, 0)), given
+
     def _check_ego(self, scenario: Any, ego: Any) -> None:
-        made = self._made.get(id(ego))
-        place = made.place if made else None
-        given = {**_of_classes(type(ego)), **(made.given if made else {})}
+        place, given = self._given(ego)
         for name, where in given.items():
             self._check_property(scenario, ego, name, where)
+        self._check_pose(ego, place, given)
+
+    def _check_pose(self, ego: Any, place: Place, given: Mapping[str, Place]) -> None:
+        """Refuse a mutation without effect, an altitude, a tilt, and what is no number."""
         if _mutated(ego) and not needsSampling(ego):
             raise ProgramError(
                 'mutationScale: has no effect here; write "mutate ego by SCALE"',

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
+from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key, other_form
+from taxinet_ros.core.traffic.traffic import KINDS
 
 SAMPLER_PARAMETERS = (
     'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler',
@@ -73,7 +77,99 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
         if name in values:
             raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
         values[name] = value
+    if others := [one for one in scene.objects if is_ground_object(one)]:
+        values['traffic'] = traffic_document(others)
     return {name: plain_value(name, value) for name, value in values.items()}
+
+
+KIND, COLOUR = 'kind', 'colour'
+"""Properties of the world model's ground objects, besides Scenic's own."""
+
+BEHAVIORS = {
+    'FollowPath': ('path', 'speed', 'delay', 'wait'),
+    'GoStraight': ('speed', 'distance', 'delay'),
+    'CrossRunway': ('speed', 'delay'),
+}
+"""Arguments of the world model's behaviors, which Scenic has checked."""
+
+
+def is_ground_object(thing: Any) -> bool:
+    """Whether an object is one of the world model's that stand or lie on the ground."""
+    return hasattr(thing, KIND) and hasattr(thing, COLOUR)
+
+
+def traffic_document(things: Iterable[Any]) -> str:
+    """The ground objects of a scene as JSON, as the key ``traffic`` takes it.
+
+    Raises:
+        ProgramError: one is not on the ground, or moves in another way than there is.
+    """
+    return json.dumps({'objects': [_ground_object(one) for one in things]})
+
+
+def _ground_object(thing: Any) -> dict[str, Any]:
+    check_level(thing)
+    kind = plain_value(KIND, getattr(thing, KIND))
+    values: dict[str, Any] = {
+        'kind': kind, **_map_place(thing.position),
+        'heading_deg': math.degrees(thing.heading),
+        'length_m': float(thing.length), 'width_m': float(thing.width),
+    }
+    if kind in KINDS and KINDS[str(kind)].solid:
+        values['height_m'] = float(thing.height)
+    if colour := plain_value(COLOUR, getattr(thing, COLOUR)):
+        values['colour'] = colour
+    if thing.behavior is not None:
+        values |= _motion(thing, behavior_arguments(thing.behavior))
+    return values
+
+
+def behavior_arguments(behavior: Any) -> dict[str, Any]:
+    """The arguments of one of the world model's behaviors, by name.
+
+    Raises:
+        ProgramError: it is another behavior.
+    """
+    name = type(behavior).__name__
+    if name not in BEHAVIORS or type(behavior).__module__ != MODEL:
+        raise ProgramError(
+            f'behavior {name} has no effect here: objects move by {", ".join(BEHAVIORS)} of '
+            f'{MODEL}, the aircraft by its controller'
+        )
+    given = zip(BEHAVIORS[name], behavior._args, strict=False)
+    return {'delay': 0.0, 'wait': 0.0, **dict(given), **behavior._kwargs}
+
+
+def _motion(thing: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    speed = plain_value('speed', given['speed'])
+    x, y = float(thing.position.x), float(thing.position.y)
+    wait = plain_value('wait', given['wait'])
+    if 'path' in given:
+        points = [_map_place(point) for point in _points(given['path'])]
+    elif 'distance' in given:
+        far = plain_value('distance', given['distance'])
+        assert isinstance(far, float)
+        ahead = (x - far * math.sin(thing.heading), y + far * math.cos(thing.heading))
+        points = [_map_place(ahead)]
+    else:
+        points = [_map_place((0 - x, y))]
+    legs = [{**point, 'speed_mps': speed} | ({'wait_s': wait} if wait else {}) for point in points]
+    return {'wait_s': plain_value('delay', given['delay']), 'path': legs}
+
+
+def _points(path: Any) -> list[Any]:
+    if not isinstance(path, (list, tuple)) or not path:
+        raise ProgramError('path: expected a list of points, such as [(10, 500), (-10, 500)]')
+    return [getattr(point, 'position', point) for point in path]
+
+
+def _map_place(point: Any) -> dict[str, float]:
+    """A Scenic point (x to the right, y ahead) in ``map``."""
+    try:
+        right, ahead = (float(point[axis]) for axis in (0, 1))
+    except (TypeError, ValueError, IndexError, KeyError):
+        raise ProgramError(f'path: {point!r:.60} is no point (x, y)') from None
+    return {'x_m': ahead, 'y_m': 0 - right}
 
 
 def plane_property(plane: Any, key: str) -> Any:
@@ -85,24 +181,26 @@ def plane_property(plane: Any, key: str) -> Any:
 
 
 def check_level(plane: Any, place: Place | None = None) -> None:
-    """Check that an aircraft is level on the runway, as at the start of every run.
+    """Check that an aircraft, or another object, is level on the ground, as in every run.
 
     Raises:
         ProgramError: it is above or below, or tilted.
     """
+    stands = 'it stands on the ground' if is_ground_object(plane) else (
+        'the aircraft stands on its wheels'
+    )
     # "on REGION" places an object's underside there, so its centre is above.
     at_rest = (0.0, plane.contactTolerance / 2 - plane.baseOffset.z)
     if min(abs(plane.position.z - height) for height in at_rest) > _LEVEL:
         raise ProgramError(
-            f'an altitude of {plane.position.z:g} m has no effect here: the aircraft stands on its '
-            'wheels; leave it out', place,
+            f'an altitude of {plane.position.z:g} m has no effect here: {stands}; leave it out',
+            place,
         )
     for name in ('pitch', 'roll'):
         degrees = math.degrees(getattr(plane.orientation, name))
         if abs(degrees) > _LEVEL:
             raise ProgramError(
-                f'a {name} of {degrees:g} deg has no effect here: the aircraft stands on its '
-                'wheels; leave it out', place,
+                f'a {name} of {degrees:g} deg has no effect here: {stands}; leave it out', place,
             )
 
 

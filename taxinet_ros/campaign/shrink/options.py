@@ -35,10 +35,13 @@ from taxinet_ros.core.scenario_fields import (
     GUST_SEED,
     PUSHING_FIELDS,
     RAIN_CLOUDS,
+    TRAFFIC,
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
 )
+from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
+from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -58,7 +61,8 @@ least severe one is as far from no limit as any."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
     'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps',
-    *(field.key for field in FAULTS), 'shadows', 'crossing', 'date', 'aircraft',
+    *(field.key for field in FAULTS), 'traffic', 'shadows', 'crossing', 'date',
+    'aircraft',
 )
 """Parameters to move to nominal; the last four keep the run's values unless given."""
 _FOLLOWERS = {
@@ -160,6 +164,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
     pushed = {field.key: field.to_human(field.absent) for field in (*PUSHING_FIELDS, *FAULTS)}
+    pushed[TRAFFIC.key] = NOBODY
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:
         asked = {**drawn, **usual, **chosen}
@@ -202,6 +207,8 @@ def _followers(values: Mapping[str, Any]) -> dict[str, float]:
 def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     if nominal == original:
         return (nominal,)
+    if key == TRAFFIC.key:
+        return _fewer(nominal, original)
     if BY_KEY[key].words:
         return _words(BY_KEY[key].words, nominal, original)
     if key not in STEPS:
@@ -210,6 +217,13 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     # A rounding error must not add a step.
     whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
     return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
+
+
+def _fewer(nominal: str, original: str) -> tuple[str, ...]:
+    """References to the first objects of a scene, from the nominal ones to all of them."""
+    objects = typed_traffic(original).objects
+    parts = (find_traffic(Traffic(objects[:k]).text) for k in range(1, len(objects) + 1))
+    return nominal, *(part.reference for part in parts if part.reference != nominal)
 
 
 def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ...]:

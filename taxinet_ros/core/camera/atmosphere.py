@@ -74,6 +74,8 @@ def _streaks(level: int) -> NDArray[np.uint8]:
 _WATER_SHARE = 0.55
 _SPRAY_SHARE = 0.16
 """Opacity of the uniform veil in full rain: spray in the air and drops on the lens."""
+_MIRRORED = 0.92
+"""Share of the sky's light that spray sends on, as in ``native/air.cpp``."""
 _SPARSE_PX = 15
 """Spacing of the columns for which directions are computed; the interpolation error between them
 is below a tenth of a panorama column. It divides the image width."""
@@ -103,6 +105,8 @@ class Atmosphere:
             sun_yaw_rad=math.atan2(light.sun[1], light.sun[0]),
             glare_width_rad=_GLARE_HALF_WIDTH_RAD,
         )
+        self._visibility_m, self._spray = light.visibility_m, _SPRAY_SHARE * light.rain
+        self._sky_low = light.sky_low
         self._skyline = pixels.Panorama(
             sky.panorama(light),
             lowest_rad=sky.LOWEST_RAD,
@@ -110,6 +114,15 @@ class Atmosphere:
             end_tan=sky.GROUND_END_TAN,
             spacing_px=_SPARSE_PX,
         )
+
+    def veil_at(self, distance_m: float) -> tuple[float, NDArray[np.float64]]:
+        """What haze and spray make of display codes at a distance [m]: a share, and what they add.
+
+        As they do with the ground, where no water mirrors the sky.
+        """
+        clear = math.exp(-distance_m / self._visibility_m)
+        added = (1 - clear + clear * self._spray * _MIRRORED) * self._sky_low
+        return clear * (1 - self._spray), added
 
     def develop(
         self,

@@ -36,6 +36,7 @@ from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, grou
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
+from taxinet_ros.core.camera.objects import ObjectsView
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario import Scenario
@@ -46,8 +47,11 @@ Mark = Callable[[str], None]
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 
-STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe', 'lens')
-"""Rendering stages in order."""
+STAGES = (
+    'ground', 'marks', 'cloud shade', 'own shadow', 'shadows of others', 'atmosphere', 'others',
+    'rain', 'airframe', 'lens',
+)
+"""Rendering stages in order; a scene has those that it needs."""
 
 _SCREEN_FOCAL_PX = 1125.0
 _COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
@@ -213,7 +217,8 @@ class Camera:
             RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if self._light.rain > 0 else None
         )
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
-        casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        casts_any = sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        casts = scenario.shadows and casts_any
         self._shadow = (
             OwnShadow(
                 self._light.sun, self._light.sun_width_rad, self._intrinsics, IMAGE_HEIGHT,
@@ -224,6 +229,12 @@ class Camera:
         )
         size = IMAGE_HEIGHT, IMAGE_WIDTH
         self._faults = LensFaults(scenario, self._light, self._intrinsics, size)
+        self._objects = (
+            ObjectsView(
+                scenario.others, self._light, self._clouds, self._atmosphere, gain,
+                self._intrinsics, size, casts=casts_any,
+            ) if scenario.traffic else None
+        )
 
     def render(
         self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
@@ -245,16 +256,30 @@ class Camera:
         rays = to_optical.T @ self._to_ray
         colour = self._ground.render(rays, camera)
         mark('ground')
+        if self._objects is not None:
+            self._objects.paint_marks(colour, to_optical, camera)
+            mark('marks')
         if self._clouds.casts:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
+        shadow = None
         if self._shadow is not None:
             place = np.array([state.x_m, state.y_m, state.z_m])
-            self._shade(colour, self._shadow.mask(body, place, to_optical, camera), state)
+            shadow = self._shadow.mask(body, place, to_optical, camera)
+            self._shade(colour, shadow, state)
             mark('own shadow')
+        if self._objects is not None:
+            shaded = np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH), np.uint8)
+            if shadow is not None:
+                shaded[shadow[:2]] = shadow[2]
+            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded)
+            mark('shadows of others')
         picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
         self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
+        if self._objects is not None:
+            self._objects.draw_solids(picture, to_optical, camera, stamp_ns)
+            mark('others')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
             mark('rain')

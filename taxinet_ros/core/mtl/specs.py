@@ -28,6 +28,8 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'he_estimate': 'rad',
         'estimate_gap': 's',
         'unusable_share': '1',
+        'clearance': 'm',
+        'collision': '1',
     }
 )
 """Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` are ground truth relative to the track,
@@ -35,7 +37,15 @@ which by default is the runway's centreline; ``x`` is the distance along it. ``s
 command; the estimates are from the perception. Signs are defined in
 :mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive. ``estimate_gap``
 is the time since the last usable estimate, 0 if this frame has one; ``unusable_share`` is the
-number of frames so far without one divided by that of all frames of the run; it only grows."""
+number of frames so far without one divided by that of all frames of the run; it only grows.
+``clearance`` is the distance from the aircraft to others on the ground, and ``collision`` 1 where
+it is 0, else 0 (:mod:`taxinet_ros.core.clearance`)."""
+
+MOST_CLEARANCE_M = 1000.0
+"""Greatest ``clearance``; what it is where nobody else is on the ground [m]."""
+
+OF_OTHERS = frozenset({'clearance', 'collision'})
+"""Signals about others on the ground."""
 
 CENTRELINE_TOLERANCE_M = 1.5
 """Largest |cross-track error| that counts as on the centreline [m] (the paper's two formulas)."""
@@ -48,6 +58,9 @@ LONGEST_BLIND_S = 0.5
 
 MOST_UNUSABLE_SHARE = 0.05
 """Largest share of a run's frames without a usable estimate in ``usable``."""
+
+LEAST_CLEARANCE_M = 3.0
+"""Distance to others on the ground in ``keep_clear`` [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,10 +103,13 @@ ON_RUNWAY = f'always(abs(cte) <= {KMWH_HALF_WIDTH_M})'
 USABLE = (
     f'always(estimate_gap <= {LONGEST_BLIND_S} and unusable_share <= {MOST_UNUSABLE_SHARE})'
 )
+NO_COLLISION = 'always(clearance > 0)'
+KEEP_CLEAR = f'always(clearance >= {LEAST_CLEARANCE_M})'
 SHIPPED: Mapping[str, Spec] = MappingProxyType({
     name: _spec(name, parse_formula(text))
     for name, text in zip(
-        registry.SHIPPED[registry.REQUIREMENTS], (PHI_ALWAYS, PHI_EVENTUALLY, ON_RUNWAY, USABLE),
+        registry.SHIPPED[registry.REQUIREMENTS],
+        (PHI_ALWAYS, PHI_EVENTUALLY, ON_RUNWAY, USABLE, NO_COLLISION, KEEP_CLEAR),
         strict=True,
     )
 })

@@ -43,11 +43,13 @@ class Motion(NamedTuple):
 
     Attributes:
         x_m, y_m: position in ``map`` [m].
+        attitude: as x, y, z, w.
         speed_mps: ground speed along the body x axis [m/s].
     """
 
     x_m: float
     y_m: float
+    attitude: tuple[float, float, float, float]
     speed_mps: float
 
 
@@ -64,8 +66,10 @@ def _read_command(message: Any) -> StepMessage:
 
 
 def _read_motion(message: Any) -> StepMessage:
-    at = message.pose.pose.position
-    motion = Motion(at.x, at.y, message.twist.twist.linear.x)
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    motion = Motion(
+        place.x, place.y, (turn.x, turn.y, turn.z, turn.w), message.twist.twist.linear.x
+    )
     return StepMessage(stamp_of(message.header.stamp), motion)
 
 

@@ -23,6 +23,7 @@ from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import SimulatedWorld
 
@@ -61,6 +62,18 @@ def effects_on(scenario, condition):
     moment = moment_in(scenario, look)
     assert abs(moment.misled_rad) > math.radians(5)
     return moment, effects(scenario, [moment], look, GAINS)
+
+
+def test_given_a_network_fooled_only_by_a_van_then_others_on_the_ground_are_blamed():
+    van = {'kind': 'vehicle', 'x_m': 415, 'y_m': -4}
+    scene = dataclasses.replace(AFTERNOON, traffic=load_traffic([van]))
+    bare = SimulatedWorld(AFTERNOON).observe().image
+    _, found = effects_on(scene, lambda image: bool(changed_pixels(image, bare, levels=60).any()))
+    blamed = effect_to_blame(found)
+    assert blamed is not None
+    assert (blamed.factor.name, blamed.factor.words) == ('others', 'with nobody else there')
+    assert blamed.removed == pytest.approx(1)
+    assert 'others' not in {factor.name for factor in factors(AFTERNOON)}
 
 
 def test_given_a_network_fooled_only_by_the_shadow_then_the_shadow_is_blamed():

@@ -28,12 +28,13 @@ from taxinet_ros.core.scenario_fields import (
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
     TRACK,
+    TRAFFIC,
     Kind,
 )
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
-NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS)
+NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS, TRAFFIC)
 RENAMED = {
     field.attribute: field.short for field in SCENARIO_FIELDS
     if field.short and field not in NEW

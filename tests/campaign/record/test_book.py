@@ -20,6 +20,7 @@ from taxinet_ros.campaign.record.table import CSV_NAME, read_table
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.place.place_file import canonical
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import RecordError, UsageError
 
 SCENE = Scenario(duration_s=1.0)
@@ -126,6 +127,36 @@ def test_given_runs_at_a_place_of_ones_own_then_the_ledger_has_it_once_and_rows_
     )
     assert told.stdout.splitlines() == [
         f'{reference} 45.0', f'kmwh_04 {SCENE.runway.width_m}', f'{reference} 45.0'
+    ]
+
+
+def test_given_runs_with_others_on_the_ground_then_the_ledger_has_each_once_and_rows_a_reference(
+    tmp_path
+):
+    options = dataclasses.replace(OPTIONS, out=tmp_path)
+    crowds = [
+        dataclasses.replace(SCENE, traffic=load_traffic([{'kind': 'cone', 'x_m': x, 'y_m': 2}]))
+        for x in (500, 510)
+    ]
+    with CampaignBook(options, ('perception',)) as book:
+        book.begin(facts(options))
+        for index, scene in enumerate((*crowds, SCENE)):
+            run(book, index, scene=scene)
+    with CampaignBook(options, ('perception',), resume=True) as book:
+        book.begin(facts(options), read_same_campaign(tmp_path, facts(options)))
+        run(book, 3, scene=crowds[0])
+    assert events(tmp_path).count('traffic') == 2
+    first, second = (crowd.to_human()['traffic'] for crowd in crowds)
+    assert first != second
+    assert list(read_table(tmp_path)['traffic']) == [first, second, 'nobody', first]
+    read = _READ.replace('row.place', 'row.traffic').replace(
+        '.runway.width_m', '.traffic == "" or found.scenario(row)[0].others.objects[0].x_m'
+    )
+    told = subprocess.run(
+        [sys.executable, '-c', read, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert told.stdout.splitlines() == [
+        f'{first} 500.0', f'{second} 510.0', 'nobody True', f'{first} 500.0'
     ]
 
 

@@ -49,7 +49,8 @@ def ask(client: Any, tmp_path: Path) -> Ask:
 
 REFUSED = {
     'behavior': (MODEL + 'behavior Drive():\n    wait\nego = new Plane at (0, 400)\n', 2,
-                 'behavior has no effect here: the controller under test steers the aircraft'),
+                 'behavior has no effect here: other objects move by FollowPath, GoStraight, '
+                 'CrossRunway of runway_world, and the controller under test steers the aircraft'),
     'with behavior': (MODEL + 'from library import Drive\n' + AT[len(MODEL):]
                       + ',\n    with behavior Drive()\n', 4,
                       'behavior has no effect here: the controller'),
@@ -104,10 +105,10 @@ REFUSED = {
     'terminate': (PLANE + 'terminate\n', 3, 'Cannot use "Terminate"'),
     'try interrupt': (PLANE + 'try:\n    wait\ninterrupt when True:\n    wait\n', 3,
                       'Cannot use'),
-    'second plane': (PLANE + '\nsecond = new Plane at (0, 600)\n', 4, 'a further Plane: there is'),
+    'second plane': (PLANE + '\nsecond = new Plane at (0, 600)\n', 4, 'a further Plane: it is no'),
     'truck ahead': (
         PLANE + 'class Truck:\n    width: 3\nnew Truck ahead of ego by Range(5, 50)\n', 5,
-        'a further Truck: there is nothing but the ego on the runway, so it has no effect'),
+        'a further Truck: it is no ground object of runway_world (ParkedAircraft, Vehicle, …)'),
     'ego assigned twice': (PLANE + 'ego = new Plane at (0, 600)\n', 2, 'a further Plane'),
     'object of a library': (PLANE + 'from library import cone\ncone()\n', 14, 'a further Object'),
     'speed': (AT + ', with speed 5\n', 2, 'speed has no effect here: a run begins at the taxiing'),

@@ -41,6 +41,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import FAULTS
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import UsageError
 
 NAME = 'phi_eventually'
@@ -425,3 +426,17 @@ def test_given_a_run_with_faults_then_each_goes_to_none_and_the_last_takes_onset
     assert clean == dataclasses.replace(failing, lens_dirt_fraction=0.0, fault_seed=0.0)
     with pytest.raises(UsageError, match='--nominal: wind_speed_mps needs a number'):
         make_shrink_space(dataclasses.replace(WET, wind_speed_mps=3.0), ['wind_speed=strong'])
+
+
+def test_given_others_on_the_ground_then_they_are_taken_away_from_the_last_to_the_first():
+    cones = [{'kind': 'cone', 'x_m': 1100 + k, 'y_m': 5} for k in range(3)]
+    crowded = dataclasses.replace(WET, traffic=load_traffic(cones))
+    space = make_shrink_space(crowded)
+    others = next(one for one in space.moving if one.key == 'traffic')
+    assert [word.split('_')[0] for word in others.values] == ['nobody', '1', '2', '3']
+    top = [one.axis.steps for one in space.moving]
+    assert space.scenario(tuple(top)) == crowded
+    top[space.moving.index(others)] = 1
+    assert space.scenario(tuple(top)).traffic == load_traffic(cones[:1])
+    assert space.nominal.traffic == ''
+    assert 'traffic' not in {one.key for one in make_shrink_space(WET).parameters}

@@ -73,7 +73,7 @@ def torn(campaign: Path, whole: Path, tmp_path: Path) -> Path:
     data = (whole / f'{whole.name}_0.mcap').read_bytes()
     folder = tmp_path / 'torn'
     folder.mkdir()
-    (folder / 'torn_0.mcap').write_bytes(data[:len(data) // 2])
+    (folder / 'torn_0.mcap').write_bytes(data[:len(data) * 3 // 5])
     return folder
 
 

@@ -31,6 +31,7 @@ from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import AircraftState
 
 Picture = NDArray[np.uint8]
@@ -357,6 +358,7 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
     heard: list[str] = []
     scene = Scenario(
         clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0, lens_dirt_fraction=0.1,
+        traffic=load_traffic([{'kind': 'cone', 'x_m': 420, 'y_m': 0}]),
     )
     wet, state = Camera(scene), at()
     with_marks = wet.render(state, 5, heard.append)
@@ -365,7 +367,7 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
 
     heard.clear()
     Camera(Scenario(shadows=False)).render(state, 0, heard.append)
-    assert heard == [s for s in STAGES if s not in ('cloud shade', 'own shadow', 'rain', 'lens')]
+    assert heard == ['ground', 'atmosphere', 'airframe']
 
 
 def test_given_a_full_turn_when_photographed_then_the_skyline_has_no_seam() -> None:

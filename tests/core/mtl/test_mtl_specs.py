@@ -31,6 +31,8 @@ def test_given_the_shipped_names_when_asked_then_they_are_the_papers_formulas() 
         'phi_eventually': 'eventually[0:10](always(abs(cte) <= 1.5))',
         'on_runway': 'always(abs(cte) <= 15.24)',
         'usable': 'always((estimate_gap <= 0.5) and (unusable_share <= 0.05))',
+        'no_collision': 'always(clearance > 0)',
+        'keep_clear': 'always(clearance >= 3)',
     }
     for name, spec in SHIPPED.items():
         assert parse_spec(f' {name} ') is spec
@@ -57,7 +59,7 @@ def test_given_a_predicate_name_when_read_then_it_is_the_formula() -> None:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('phi_alway', 'known: phi_always, phi_eventually, on_runway, usable'),
+        ('phi_alway', 'known: phi_always, phi_eventually, on_runway, usable, no_coll'),
         ('Slow=G speed<6', 'snake_case'),
         ('cte=1', "'cte' is a signal, no name; a comparison is one of <=, <, >=, >"),
         ('until = cte<1', 'no operator'),
@@ -76,7 +78,7 @@ def test_given_a_shipped_name_with_its_own_formula_when_read_then_it_is_accepted
 
 
 def test_given_every_signal_when_used_then_it_is_known_with_a_unit() -> None:
-    assert len(SIGNALS) == 9
+    assert len(SIGNALS) == 11
     text = ' and '.join(f'{name} < 1' for name in SIGNALS)
     assert signal_names(parse_formula(text)) == tuple(sorted(SIGNALS))
     assert all(SIGNALS.values())

@@ -19,6 +19,11 @@ pytestmark = pytest.mark.ros
 
 SPECS = ('phi_eventually', 'phi_always', 'on_the_way=always(x <= 275 and abs(he) <= 0.5)')
 NAMES = ['phi_eventually', 'phi_always', 'on_the_way']
+VAN = {
+    'kind': 'vehicle', 'x_m': 730, 'y_m': -12, 'heading_deg': 90, 'wait_s': 1.0,
+    'path': [{'x_m': 730, 'y_m': 12, 'speed_mps': 4}],
+}
+PARKED = {'kind': 'aircraft', 'x_m': 722, 'y_m': -16, 'heading_deg': 70}
 SCENES = [
     scenario_from_human({
         'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
@@ -42,15 +47,23 @@ SCENES = [
         'exposure_jump': -1, 'loop_delay': 0.1, 'loop_jitter': 0.2, 'steering_bias': 2,
         'steering_rate_limit': 8, 'fault_onset': 1.5, 'fault_seed': 11, 'duration': 6,
     }),
+    scenario_from_human({
+        'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
+        'traffic': tx.load_traffic([VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}]),
+    }),
 ]
 STEPS = 61
+
+
+def specs_of(scene: tx.Scenario) -> tuple[str, ...]:
+    return (*SPECS, 'no_collision', 'keep_clear') if scene.traffic else SPECS
 
 
 def requests() -> list[RunRequest]:
     return [
         RunRequest(
             run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            judging=Judging(specs=SPECS), participants=PARTICIPANTS,
+            judging=Judging(specs=specs_of(scene)), participants=PARTICIPANTS,
         )
         for index, scene in enumerate(SCENES)
     ]
@@ -79,7 +92,8 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
     processes = run_graph(process_graph(options['many'], tmp_path / 'logs'), requests())
 
     for request in requests():
-        run = tx.run(request.scenario, perception=word, specs=SPECS)
+        specs = specs_of(request.scenario)
+        run = tx.run(request.scenario, perception=word, specs=specs)
         images = list(run.frames())
         assert len(run.trace) == STEPS
         for name, results in (('one', composed), ('many', processes)):
@@ -93,7 +107,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
                 assert there.tobytes() == here.tobytes(), (name, column)
             result = results[request.run_id]
             assert result.outcome is run.outcome
-            assert list(result.rho) == list(run.rho) == NAMES
+            assert list(result.rho) == list(run.rho) == [*NAMES, *specs[len(SPECS):]]
             assert list(result.rho.values()) == [interval.lower for interval in run.rho.values()]
             assert repr(result.statistics) == repr(run.statistics)  # equal where both are nan
             assert result.last_seq == STEPS - 1

@@ -15,7 +15,7 @@ from taxinet_msgs.msg import NodeStatus, TrackingError
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.run.messages import command_cdr, error_cdr, odometry_cdr, progress_cdr
 from taxinet_ros.core import types
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.step import (
     Motion,
@@ -58,7 +58,8 @@ def test_given_odometry_when_read_then_there_are_place_and_speed(
         speed_mps=speed_mps, yaw_rate_radps=0.1,
     )
     said = step_reader(interface.ODOMETRY)(odometry_cdr(state, stamp_ns))
-    assert said == StepMessage(stamp_ns, Motion(x_m, y_m, speed_mps))
+    turn = quaternion(0.01, -0.02, 0.2)
+    assert said == StepMessage(stamp_ns, Motion(x_m, y_m, turn, speed_mps))
 
 
 @given(WORDS, WORDS, NUMBERS, STAMPS)

@@ -1,0 +1,190 @@
+"""How far the aircraft is from others on the ground: the signals ``clearance`` and ``collision``.
+
+Distances are in plan, between parts of the aircraft and of an object at the same height above
+ground: a wing passes over a cone, but not over a fin. Roll and pitch on the wheels
+are neglected. The position is that of the odometry, so that loop, graph and bags give the same
+bits. There are no physics of an impact: the run goes on.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera.airframe import OUTLINE
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.shapes import Outline, Points, hull, outlines
+from taxinet_ros.core.traffic.traffic import GroundObject, Pose
+from taxinet_ros.core.types import AircraftState, quaternion
+
+Vectors = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]
+
+_ABOVE_GROUND = np.array([0.0, 0.0, 1.55])
+"""The reference point above ground, as the outline of the aircraft has it."""
+
+
+class Clearance:
+    """Distances from the aircraft to others on the ground in one scenario."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Take the objects that can be hit."""
+        self._objects = scenario.others.solids
+
+    @property
+    def anybody(self) -> bool:
+        """Whether there is anything to be hit."""
+        return bool(self._objects)
+
+    def of_state(self, stamp_ns: int, state: AircraftState) -> float:
+        """As :meth:`at`, of a true state."""
+        if not self._objects:  # spares the default scene the arithmetic
+            return MOST_CLEARANCE_M
+        attitude = quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad)
+        return self.at(stamp_ns, state.x_m, state.y_m, attitude)
+
+    def at(self, stamp_ns: int, x_m: float, y_m: float, attitude: Quaternion) -> float:
+        """Least distance in plan to anything that can be hit [m], 0 where one is touched.
+
+        At most :data:`~taxinet_ros.core.mtl.specs.MOST_CLEARANCE_M`, also where nobody is; NaN
+        where the position is not finite.
+
+        Args:
+            stamp_ns: simulated time [ns].
+            x_m: reference point in ``map``, along the runway [m].
+            y_m: left of it [m].
+            attitude: as x, y, z, w, as odometry has it.
+        """
+        if not self._objects:
+            return MOST_CLEARANCE_M
+        if not all(map(math.isfinite, (x_m, y_m, *attitude))):
+            return math.nan
+        x, y, z, w = attitude
+        forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
+        length = math.hypot(*forward)
+        cos, sin = forward[0] / length, forward[1] / length
+        bounds: list[tuple[float, int, GroundObject, Pose]] = []
+        for one in self._objects:
+            pose = one.pose_at(stamp_ns)
+            centre_m = math.hypot(pose.x_m - x_m, pose.y_m - y_m)
+            bounds.append((centre_m - _reach_m(one) - _own_reach_m(), len(bounds), one, pose))
+        least_m = MOST_CLEARANCE_M
+        for bound_m, _, one, pose in sorted(bounds, key=lambda found: found[:2]):
+            if bound_m >= least_m:
+                break
+            turned = _seen_from(pose, x_m, y_m, cos, sin)
+            for outline in outlines(one.kind, one.size):
+                own = _own_edges(outline.low_m, outline.high_m)
+                if own is not None:
+                    least_m = min(least_m, _gap_m(own, _placed(outline, turned)))
+        return least_m
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Edges:
+    """Edges of convex polygons in plan, counter-clockwise."""
+
+    start: Vectors
+    along: Vectors
+    firsts: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, hulls: Sequence[Points]) -> _Edges:
+        start = np.concatenate([np.array(one) for one in hulls])
+        end = np.concatenate([np.roll(np.array(one), -1, axis=0) for one in hulls])
+        firsts = np.cumsum([0, *(len(one) for one in hulls[:-1])])
+        return cls(start=start, along=end - start, firsts=firsts)
+
+
+def _gap_m(one: _Edges, other: _Edges) -> float:
+    """Least distance between two sets of convex polygons; 0 where they overlap."""
+    if _contains(one, other.start) or _contains(other, one.start) or _crosses(one, other):
+        return 0.0
+    return min(_least_m(one, other.start), _least_m(other, one.start))
+
+
+def _contains(edges: _Edges, points: Vectors) -> bool:
+    """Whether a point is within a polygon."""
+    away = points[:, None] - edges.start
+    left = edges.along[:, 0] * away[..., 1] - edges.along[:, 1] * away[..., 0] >= 0
+    return bool(np.logical_and.reduceat(left, edges.firsts, axis=1).any())
+
+
+def _crosses(one: _Edges, other: _Edges) -> bool:
+    """Whether an edge of one crosses an edge of the other."""
+
+    def sides(line: _Edges, points: Vectors) -> Vectors:
+        away = points[None] - line.start[:, None]
+        return np.asarray(
+            line.along[:, None, 0] * away[..., 1] - line.along[:, None, 1] * away[..., 0]
+        )
+
+    apart = sides(one, other.start) * sides(one, other.start + other.along)
+    across = sides(other, one.start) * sides(other, one.start + one.along)
+    return bool(((apart < 0) & (across.T < 0)).any())
+
+
+def _least_m(edges: _Edges, points: Vectors) -> float:
+    """Least distance from a point to an edge [m]."""
+    away = points[:, None] - edges.start
+    length2 = edges.along[:, 0] ** 2 + edges.along[:, 1] ** 2
+    part = (away[..., 0] * edges.along[:, 0] + away[..., 1] * edges.along[:, 1]) / length2
+    part = np.clip(part, 0, 1)
+    dx = away[..., 0] - part * edges.along[:, 0]
+    dy = away[..., 1] - part * edges.along[:, 1]
+    return math.sqrt(float((dx * dx + dy * dy).min()))
+
+
+def _seen_from(pose: Pose, x_m: float, y_m: float, cos: float, sin: float) -> Pose:
+    """A pose in the plan of the aircraft, whose reference point is at x, y."""
+    dx, dy = pose.x_m - x_m, pose.y_m - y_m
+    turn = pose.heading_rad - math.atan2(sin, cos)
+    return Pose(cos * dx + sin * dy, cos * dy - sin * dx, turn)
+
+
+def _placed(outline: Outline, pose: Pose) -> _Edges:
+    cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    placed = (
+        (pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y) for x, y in outline.hull
+    )
+    return _Edges.of([tuple(placed)])
+
+
+@lru_cache(maxsize=256)
+def _own_edges(low_m: float, high_m: float) -> _Edges | None:
+    """Plan of what the aircraft has between two heights above ground; None if it has nothing."""
+    hulls = [
+        hull(points) for part in OUTLINE
+        if len(points := _between(part + _ABOVE_GROUND, low_m, high_m)) > 2
+    ]
+    return _Edges.of([one for one in hulls if len(one) > 2]) if hulls else None
+
+
+def _between(part: Vectors, low_m: float, high_m: float) -> list[tuple[float, float]]:
+    """Points (x, y) whose hull is the plan of what a convex part has between two heights."""
+    found = [(x, y) for x, y, z in part.tolist() if low_m <= z <= high_m]
+    for (ax, ay, az), (bx, by, bz) in itertools.combinations(part.tolist(), 2):
+        for level in (low_m, high_m):
+            if min(az, bz) < level < max(az, bz):
+                share = (level - az) / (bz - az)
+                found.append((ax + share * (bx - ax), ay + share * (by - ay)))
+    return found
+
+
+@cache
+def _own_reach_m() -> float:
+    return max(float(np.hypot(part[:, 0], part[:, 1]).max()) for part in OUTLINE)
+
+
+@lru_cache(maxsize=256)
+def _reach_m(one: GroundObject) -> float:
+    return max(
+        math.hypot(*point) for outline in outlines(one.kind, one.size) for point in outline.hull
+    )

@@ -1,0 +1,1 @@
+"""Others on the ground: aircraft, vehicles, cones, people, and marks on the pavement."""

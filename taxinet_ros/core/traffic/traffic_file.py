@@ -1,0 +1,176 @@
+"""Traffic by text: from a user's YAML file, from the JSON in scenarios, and by its reference.
+
+File and JSON are one mapping with the same keys (docs/world.md). Every bad value is one line that
+names the file and the key. Tables have a short reference; what it stands for is in the campaign's
+ledger, once, and known here to whoever has read that.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.traffic.traffic import (
+    COLOURS,
+    KINDS,
+    NOBODY,
+    GroundObject,
+    Leg,
+    Size,
+    Traffic,
+)
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import Section, load_json, read_yaml
+
+MOST_OBJECTS = 32
+_MOST_LEGS = 50
+_LEAST_SIZE_M, _MOST_SIZE_M = 0.1, 100.0
+_LEAST_LEG_M = 0.01
+_SPEEDS_MPS = (0.1, 30.0)
+_LONGEST_WAIT_S = 3600.0
+_X_M, _Y_M = (-2000.0, 8000.0), (-3000.0, 3000.0)
+
+_KEYS = (
+    'kind', 'x_m', 'y_m', 'heading_deg', 'length_m', 'width_m', 'height_m', 'colour', 'wait_s',
+    'path',
+)
+_LEG_KEYS = ('x_m', 'y_m', 'speed_mps', 'wait_s')
+_REFERENCE = re.compile(r'[0-9]+_objects@[0-9a-f]{12}')
+_FROM_SCENARIO = Path('traffic')
+_known: dict[str, str] = {}
+"""Text by reference. What a reference stands for never changes, so it does not matter who told."""
+
+
+@lru_cache(maxsize=64)
+def find_traffic(text: str) -> Traffic:
+    """The objects of a scenario.
+
+    Args:
+        text: the JSON that it carries; '' for nobody.
+
+    Raises:
+        UsageError: the JSON is not as it should be.
+    """
+    if not text:
+        return Traffic()
+    try:
+        values = load_json(text)
+    except ValueError as error:
+        raise UsageError(f'traffic: no JSON of objects (Python: load_traffic): {error}') from None
+    traffic = make_traffic(values, _FROM_SCENARIO)
+    _known[traffic.reference] = traffic.text
+    return traffic
+
+
+def typed_traffic(text: str) -> Traffic:
+    """Find the objects given by a user.
+
+    Args:
+        text: a YAML file, ``nobody``, a reference out of a table, or JSON.
+
+    Raises:
+        UsageError: it is none of these, or the file is not as it should be.
+    """
+    if text.lower().endswith(('.yaml', '.yml')):
+        return find_traffic(make_traffic(read_yaml(Path(text), option='traffic'), Path(text)).text)
+    if text in ('', NOBODY):
+        return Traffic()
+    if text.startswith('{'):
+        return find_traffic(text)
+    if not _REFERENCE.fullmatch(text):
+        raise UsageError(
+            f'scenario: traffic is {text!r:.60}, neither a YAML file of objects nor {NOBODY}'
+        )
+    if text not in _known:
+        raise UsageError(
+            f'scenario: traffic {text} is known by its digest only; the whole of it is in the '
+            'ledger of its campaign, and in the bags of its runs'
+        )
+    return find_traffic(_known[text])
+
+
+def load_traffic(source: str | Path | Sequence[Mapping[str, Any]]) -> str:
+    """Others on the ground as a scenario has them.
+
+    ``Scenario(traffic=load_traffic([{'kind': 'vehicle', 'x_m': 450, 'y_m': 8}]))``
+
+    Args:
+        source: a YAML file, or the objects themselves with the keys of such a file
+            (docs/world.md).
+
+    Raises:
+        UsageError: it is neither, or a value is not as it should be.
+    """
+    if isinstance(source, str | Path):
+        return typed_traffic(str(source)).text
+    objects = list(source) if isinstance(source, tuple) else source
+    return make_traffic({'objects': objects}, _FROM_SCENARIO).text
+
+
+def is_reference(text: str) -> bool:
+    """Whether a text is what tables have of traffic."""
+    return text == NOBODY or _REFERENCE.fullmatch(text) is not None
+
+
+def make_traffic(values: object, path: Path) -> Traffic:
+    """The objects that plain values stand for.
+
+    Args:
+        values: what a file holds.
+        path: of the file, for the messages.
+
+    Raises:
+        UsageError: a value is not as it should be.
+    """
+    top = Section(path, values, ('objects',))
+    found = top.sections('objects', _KEYS)
+    if len(found) > MOST_OBJECTS:
+        raise top.wrong(f'{len(found)} of them, more than {MOST_OBJECTS}', 'objects')
+    return Traffic(tuple(_object(one) for one in found))
+
+
+def _object(section: Section) -> GroundObject:
+    kind = section.word('kind', tuple(KINDS))
+    known = KINDS[kind]
+    if not known.solid:
+        for key in ('height_m', 'path', 'wait_s'):
+            if key in section:
+                raise section.wrong(f'{kind} lies on the ground; leave it out', key)
+    if 'wait_s' in section and 'path' not in section:
+        raise section.wrong('has no effect without a path', 'wait_s')
+    size = Size(*(
+        section.number(key, _LEAST_SIZE_M if usual else 0.0, _MOST_SIZE_M, usual)
+        for key, usual in known.size._asdict().items()
+    ))
+    x_m, y_m = _place(section)
+    return GroundObject(
+        kind=kind, x_m=x_m, y_m=y_m,
+        heading_deg=section.number('heading_deg', -360, 360, 0.0),
+        size=size,
+        colour=section.word('colour', COLOURS, known.colour),
+        wait_s=section.number('wait_s', 0, _LONGEST_WAIT_S, 0.0),
+        path=tuple(_legs(section, x_m, y_m)) if 'path' in section else (),
+    )
+
+
+def _legs(section: Section, x_m: float, y_m: float) -> Iterable[Leg]:
+    legs = section.sections('path', _LEG_KEYS)
+    if len(legs) > _MOST_LEGS:
+        raise section.wrong(f'{len(legs)} points, more than {_MOST_LEGS}', 'path')
+    for one in legs:
+        before = x_m, y_m
+        x_m, y_m = _place(one)
+        if math.dist(before, (x_m, y_m)) < _LEAST_LEG_M:
+            raise one.wrong('it is there already; leave the point out')
+        yield Leg(
+            x_m=x_m, y_m=y_m, speed_mps=one.number('speed_mps', *_SPEEDS_MPS),
+            wait_s=one.number('wait_s', 0, _LONGEST_WAIT_S, 0.0),
+        )
+
+
+def _place(section: Section) -> tuple[float, float]:
+    return section.number('x_m', *_X_M), section.number('y_m', *_Y_M)
