@@ -37,7 +37,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_l
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import PLACE, by_key
+from taxinet_ros.core.scenario_fields import BY_KEY, PLACE, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -378,14 +378,14 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Split ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, a key is given twice, or a place is invalid.
+        UsageError: one is neither, a key is given twice, or a document is invalid.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
             # A file may change: what the campaign is, and whether it goes on, has its digest.
-            overrides[key] = typed_place(value).reference if key == PLACE.key else value
+            overrides[key] = BY_KEY[key].settled(value) if key in BY_KEY else value
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)

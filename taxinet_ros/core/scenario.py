@@ -13,6 +13,14 @@ from typing import Any
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.rig.aircraft_model import AircraftModel
+from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import (
+    DEFAULT_AIRCRAFT,
+    DEFAULT_CAMERA,
+    find_aircraft,
+    find_camera,
+)
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CROSS_TRACK,
@@ -27,10 +35,6 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
-
-C172P_WIND_MPS = 5.0
-"""Above, JSBSim's model of it leaves the ground: it is made for flight, and what its tables say of
-air from behind is that of the greatest angle of attack that they have."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,7 +53,8 @@ class Scenario:
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
         crossing: whether the other runway is there that crosses this one (KMWH: near 1,450 m);
             without it pavement and paint go on as elsewhere. Never, where nothing crosses.
-        aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
+        aircraft: a shipped name, or the whole aircraft as JSON, see
+            :mod:`taxinet_ros.core.rig.aircraft_model`.
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
         gust_mps: standard deviation of the turbulence in either horizontal direction [m/s], see
@@ -59,6 +64,7 @@ class Scenario:
         slope_fraction: rise of the runway by its length, uphill ahead positive.
         speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
             ``speed_mps`` is another than the usual.
+        camera: likewise, see :mod:`taxinet_ros.core.rig.camera_model`.
         duration_s: length of the run [s], a multiple of the control period.
         place: where it takes place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -76,7 +82,7 @@ class Scenario:
     date: str = '2020-03-20'
     shadows: bool = True
     crossing: bool = True
-    aircraft: str = 'caravan'
+    aircraft: str = DEFAULT_AIRCRAFT
     wind_speed_mps: float = 0.0
     wind_direction_rad: float = 0.0
     gust_mps: float = 0.0
@@ -84,6 +90,7 @@ class Scenario:
     runway_state: str = 'dry'
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
+    camera: str = DEFAULT_CAMERA
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -106,11 +113,12 @@ class Scenario:
             raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
         if self.gust_seed and not self.gust_mps:
             raise UsageError('scenario: gust_seed has no effect without gust_mps')
-        strongest_mps = self.wind_speed_mps + 3 * self.gust_mps
-        if self.aircraft == 'c172p' and strongest_mps > C172P_WIND_MPS:
+        strongest_mps, model = self.wind_speed_mps + 3 * self.gust_mps, self.aircraft_model
+        if strongest_mps > model.most_wind_mps:
             raise UsageError(
-                f'scenario: aircraft c172p: wind_speed_mps + 3 gust_mps is {strongest_mps:g}, more '
-                f'than {C172P_WIND_MPS:g}: the wind would lift the model'
+                f'scenario: aircraft {model.name}: wind_speed_mps + 3 gust_mps is '
+                f'{strongest_mps:g}, more than {model.most_wind_mps:g}: the wind would lift the '
+                'model'
             )
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
@@ -127,6 +135,16 @@ class Scenario:
     def runway(self) -> Runway:
         """The runway of its place."""
         return find_place(self.place).runway
+
+    @property
+    def aircraft_model(self) -> AircraftModel:
+        """Its aircraft."""
+        return find_aircraft(self.aircraft)
+
+    @property
+    def camera_model(self) -> CameraModel:
+        """Its camera."""
+        return find_camera(self.camera)
 
     @property
     def duration_ns(self) -> int:

@@ -22,8 +22,10 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from taxinet_ros.arguments import is_number, told
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
+from taxinet_ros.core.documents import Catalogue
+from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -32,7 +34,6 @@ CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """Cloud kinds that allow rain."""
 
-AIRCRAFT = ('caravan', 'c172p')
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
 
@@ -50,23 +51,23 @@ class Kind(Enum):
     WORD = 'word'
     DATE = 'date'
     SWITCH = 'switch'
-    PLACE = 'place'
+    DOCUMENT = 'document'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
-    Kind.PLACE: (str, 'a place'),
+    Kind.DOCUMENT: (str, 'a name or JSON'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
-    Kind.PLACE: 'string',
+    Kind.DOCUMENT: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'string',
+    Kind.DOCUMENT: 'string',
 }
 
 
@@ -90,6 +91,7 @@ class ScenarioField:
         counted: from where and in which direction, as it follows either unit.
         form: format of displayed numbers.
         words: all allowed words, in order.
+        catalogue: of a key whose values are documents, all that are known.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
         absent: its value in recordings older than the key, in SI units; None if the key has always
@@ -110,6 +112,7 @@ class ScenarioField:
     counted: str = ''
     form: str = '{:g}'
     words: tuple[str, ...] = ()
+    catalogue: Catalogue[Any] | None = None
     plane: bool = False
     absent: Any = None
 
@@ -137,8 +140,8 @@ class ScenarioField:
         """Convert a user's value to SI units.
 
         Raises:
-            UsageError: it is no number within the range, no switch or no place, where there should
-                be one.
+            UsageError: it is no number within the range, no switch or no document, where there
+                should be one.
         """
         if self.kind is Kind.NUMBER:
             number = self._number(value)
@@ -147,14 +150,22 @@ class ScenarioField:
                 unit = f'{self.unit_mark}{self.counted}'
                 raise _outside(self.key, number, low / self.si, high / self.si, unit)
             return number * self.si
-        if self.kind is Kind.PLACE:
-            return load_place(value)
+        if self.catalogue is not None:
+            return self.catalogue.typed(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
+
+    def settled(self, typed: str) -> str:
+        """A user's text as it is kept: of a document its reference, for a file may change.
+
+        Raises:
+            UsageError: there is no such document.
+        """
+        return typed if self.catalogue is None else self.catalogue.typed(typed).reference
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
-        if self.kind is Kind.PLACE:
-            return find_place(value).reference
+        if self.catalogue is not None:
+            return self.catalogue.find(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
     def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
@@ -178,7 +189,7 @@ class ScenarioField:
         low, high = limits or (self.low, self.high)
         if self.kind is Kind.NUMBER and not _within(value, low, high):
             raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
-        if self.kind is Kind.PLACE and find_place(value).text != value:
+        if self.catalogue is not None and self.catalogue.find(value).text != value:
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
         if self.words and value not in self.words:
             known = ', '.join(self.words)
@@ -284,7 +295,7 @@ CROSSING = ScenarioField(
     key='crossing', attribute='crossing', title='crossing runway', kind=Kind.SWITCH, absent=True,
 )
 AIRCRAFT_MODEL = ScenarioField(
-    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.WORD, words=AIRCRAFT,
+    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.DOCUMENT, catalogue=AIRCRAFT,
 )
 WIND_SPEED = ScenarioField(
     key='wind_speed_mps', short='wind_speed', attribute='wind_speed_mps', title='wind', unit='m/s',
@@ -316,12 +327,17 @@ SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
+CAMERA = ScenarioField(
+    key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
+    absent=CAMERAS.default,
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
 PLACE = ScenarioField(
-    key='place', attribute='place', title='place', kind=Kind.PLACE, absent=DEFAULT_PLACE,
+    key='place', attribute='place', title='place', kind=Kind.DOCUMENT, catalogue=PLACES,
+    absent=PLACES.default,
 )
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
@@ -329,13 +345,19 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION, PLACE,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, CAMERA, DURATION,
+    PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """User-facing scenario keys."""
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """Key by its short form, which input accepts and older files use."""
+
+CATALOGUES = {
+    field.key: field.catalogue for field in SCENARIO_FIELDS if field.catalogue is not None
+}
+"""By each key whose values are documents, all that are known; these attributes have its name."""
 
 BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
 """Keys whose valid values depend on the place."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
-from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
+from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.user_code import contained
@@ -34,7 +34,8 @@ class Observation:
         seq: control step, from 0.
         stamp_ns: simulated time since the start of the run [ns].
         state: true state of the aircraft.
-        image: camera frame, (200, 360, 3) uint8 RGB; None if not requested.
+        image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
+            (200, 360, 3); None if not requested.
     """
 
     seq: int
@@ -191,6 +192,7 @@ class _PluginWorld(World):
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
     ) -> None:
         self._extension, self._seq = extension, -1
+        self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
         self._world = self._call(lambda: make(scenario, pictures=pictures))
         told = self._call(lambda: self._world.last_seq)
@@ -214,7 +216,7 @@ class _PluginWorld(World):
         )
 
     def _picture(self, image: Any) -> NDArray[np.uint8] | None:
-        frame = IMAGE_HEIGHT, IMAGE_WIDTH, 3
+        frame = self._frame
         if image is None:
             return None
         if not isinstance(image, np.ndarray):

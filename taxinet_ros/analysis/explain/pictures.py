@@ -297,5 +297,8 @@ def _centreline(moment: Moment, error: TrackingError) -> Floats:
     ahead = np.geomspace(0.5, 600, 400)
     points = np.stack([state.x_m + np.concatenate([-ahead[:200][::-1], ahead]),
                        np.zeros(600), np.zeros(600)], axis=1)
-    pixels, depths = project(state, points)
-    return np.asarray(pixels[depths > 0.3], np.float64)
+    camera = moment.camera
+    pixels, depths = project(state, points, camera)
+    # Frames of every size are shown in that of the usual ones.
+    scale = np.array([IMAGE_WIDTH / camera.width_px, IMAGE_HEIGHT / camera.height_px])
+    return np.asarray((pixels[depths > 0.3] + 0.5) * scale - 0.5, np.float64)

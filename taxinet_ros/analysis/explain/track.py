@@ -21,6 +21,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -106,7 +107,8 @@ class Moment:
         seq: its control step.
         t_s: simulated time [s].
         x_m: position along the runway [m].
-        image: the frame, (200, 360, 3) uint8 RGB.
+        image: the frame, (height, width, 3) uint8 RGB.
+        camera: that has taken it.
         state: the aircraft's true state; None where the run cannot be driven again.
         truth, estimate: tracking errors.
         misled_rad: see :attr:`Track.misled_rad`.
@@ -117,6 +119,7 @@ class Moment:
     t_s: float
     x_m: float
     image: Frame
+    camera: CameraModel
     state: AircraftState | None
     truth: TrackingError
     estimate: TrackingError
@@ -238,7 +241,7 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
             image = camera.render(state, seq * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]), image=image,
-            state=state, truth=track.truth(row), estimate=track.estimate(row),
+            camera=camera.model, state=state, truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]),
         )
 

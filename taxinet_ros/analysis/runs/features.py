@@ -13,7 +13,6 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES
 from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
@@ -89,7 +88,12 @@ class Feature:
         return both.format(self.value_words(low), self.value_words(high))
 
 
-_KINDS = {Kind.SWITCH: ('off', 'on'), Kind.PLACE: SHIPPED_PLACES}
+
+
+def _kinds(field: ScenarioField) -> tuple[str, ...]:
+    if field.catalogue is not None:
+        return field.catalogue.shipped
+    return ('off', 'on') if field.kind is Kind.SWITCH else field.words
 
 
 def _feature(
@@ -100,7 +104,7 @@ def _feature(
     return Feature(
         name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
         form=form, step=step, words=words, source=field.key, widths=widths,
-        kinds=_KINDS.get(field.kind, field.words),
+        kinds=_kinds(field),
     )
 
 
@@ -175,7 +179,7 @@ PUSHING_FEATURES = (
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
-    for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE)
+    for one in (fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six, as they stand in the table."""

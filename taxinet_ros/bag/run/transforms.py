@@ -16,7 +16,8 @@ from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core import topics
-from taxinet_ros.core.camera import camera
+from taxinet_ros.core.camera.camera import WING
+from taxinet_ros.core.rig.camera_model import CameraModel
 
 _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
 
@@ -50,14 +51,14 @@ class OdometryTransforms:
         )
 
 
-@functools.cache
-def camera_transform() -> bytes:
+@functools.lru_cache(16)
+def camera_transform(camera: CameraModel = WING) -> bytes:
     """The serialised ``TFMessage`` that says where ``camera_optical`` is in ``base_link``.
 
     The optical frame is REP-103's: z ahead along the optical axis, x right and y down in the
     picture.
     """
-    pose = *camera.WING_MOUNT.offset_m, *camera.WING_MOUNT.attitude
+    pose = *camera.offset_m, *camera.attitude
     return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
 
 

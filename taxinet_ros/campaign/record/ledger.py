@@ -19,7 +19,7 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_prese
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.catalogue import find_place
+from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
@@ -41,7 +41,7 @@ class LedgerContent:
         finished: whether the campaign ended normally after the last line.
         lost: one line per removal of damaged lines (:mod:`.doctor`).
         incomplete: those of them after which data is still missing.
-        places: references of the places whose definitions it has.
+        documents: scenario key and reference of each document that it has in full.
     """
 
     campaign: Mapping[str, Any]
@@ -53,7 +53,7 @@ class LedgerContent:
     finished: bool = False
     lost: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
-    places: frozenset[str] = frozenset()
+    documents: frozenset[tuple[str, str]] = frozenset()
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
@@ -90,9 +90,9 @@ class Ledger(JournalOwner):
         """Record what the campaign is: program, digest, seed, overrides, perception."""
         self._append({'event': 'campaign', 'campaign': dict(values)})
 
-    def place(self, document: str) -> None:
-        """Record the full definition of a place; rows contain only its reference."""
-        self._append({'event': 'place', 'place': document})
+    def document(self, key: str, document: str) -> None:
+        """Record the whole of a place, an aircraft or a camera; rows have its reference only."""
+        self._append({'event': key, key: document})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Record that run ``index`` is about to begin."""
@@ -179,7 +179,7 @@ def ledger_content(
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
         added=found.added,
-        places=frozenset(found.places),
+        documents=frozenset(found.documents),
         never_begun=tuple(
             index for index in sorted(set(rows) - set(begun))
             if rows[index].outcome is not Outcome.REJECTED
@@ -254,7 +254,7 @@ class _Events:
         self.rows: dict[int, RunRow] = {}
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
-        self.places: set[str] = set()
+        self.documents: set[tuple[str, str]] = set()
         self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
@@ -263,9 +263,9 @@ class _Events:
         match event['event']:
             case 'campaign':
                 self._campaign(event['campaign'])
-            case 'place':
-                # This registers the place, so that references in rows can be resolved.
-                self.places.add(find_place(event['place']).reference)
+            case key if key in CATALOGUES:
+                # Finding it makes it known, so that references in rows can be resolved.
+                self.documents.add((key, CATALOGUES[key].find(event[key]).reference))
             case 'intent':
                 self._intent(event)
             case 'result':

@@ -14,8 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.place.catalogue import is_reference
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
+from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -44,7 +43,7 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, duration_s, place: the scenario, see
+            runway_state, slope_percent, speed_mps, camera, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is exact unless
@@ -98,6 +97,7 @@ class RunRow:
     runway_state: str = ''
     slope_percent: float | None = None
     speed_mps: float | None = None
+    camera: str = ''
     duration_s: float | None = None
     place: str = ''
     kind: str = ''
@@ -162,8 +162,10 @@ class RunRow:
                 raise ValueError(
                     f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
                 )
-        if self.place and not is_reference(self.place):
-            raise ValueError(f'place is {self.place!r:.80}, no reference of one')
+        for key, catalogue in CATALOGUES.items():
+            value = getattr(self, key)
+            if value and not catalogue.is_reference(value):
+                raise ValueError(f'{key} is {value!r:.80}, no reference of one')
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: one of them is not."""

@@ -38,7 +38,7 @@ _BOUND = (
     (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
 )
 """Groups of interdependent keys."""
-_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
+_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01}
 """Values that are compatible with every value of the other keys."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.rig.camera_model import LEAST_SIDE_PX, MOST_SIDE_PX
 
 FATAL = 4
 """onnxruntime's least talkative level; every error comes back as an exception."""
@@ -48,7 +49,7 @@ def open_session(data: bytes) -> Any:
 
 
 IMAGE_SHAPE = (200, 360, 3)
-"""Height, width and channels of a camera frame (RGB, uint8)."""
+"""Height, width and channels of the frames that networks take (RGB, uint8)."""
 INPUT_SHAPE = (64, 192)
 """Height and width of the network's grey picture."""
 _FAR_ROWS = 40
@@ -105,19 +106,33 @@ DEFAULT_ARCHITECTURE = 'cnn5-64x192'
 
 
 def is_frame(image: object) -> bool:
-    """Whether ``image`` is a camera frame: an array (200, 360, 3) of uint8."""
-    if not isinstance(image, np.ndarray):
+    """Whether ``image`` is a camera's frame: an array (height, width, 3) of uint8."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
         return False
-    return bool(image.shape == IMAGE_SHAPE and image.dtype == np.uint8)
+    height, width, channels = image.shape
+    return channels == 3 and all(LEAST_SIDE_PX <= side <= MOST_SIDE_PX for side in (height, width))
+
+
+def usual_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A frame (height, width, 3) of any camera as networks take it, (200, 360, 3).
+
+    Of another size it is averaged over areas, and does not keep its aspect.
+    """
+    if image.shape == IMAGE_SHAPE:
+        return image
+    import cv2
+
+    size = IMAGE_SHAPE[1], IMAGE_SHAPE[0]
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reduce a camera frame, (200, 360, 3) uint8 RGB, to the grey picture (64, 192) uint8.
+    """Reduce a camera frame, (height, width, 3) uint8 RGB, to the grey picture (64, 192) uint8.
 
     Far ahead a metre is a pixel or two, at the wheels hundreds; so the top of the frame keeps its
     rows, and the rest is pressed into the remaining ones.
     """
-    return _REDUCTION.reduce(np.ascontiguousarray(image))
+    return _REDUCTION.reduce(np.ascontiguousarray(usual_frame(image)))
 
 
 def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:

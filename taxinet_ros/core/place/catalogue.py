@@ -1,9 +1,4 @@
-"""Places by name: those that are shipped, those of files, and those that this process has seen.
-
-A scenario says where it takes place by a shipped name, or carries the whole place as JSON, so that
-messages, bags and other processes need no file. Tables have the short reference ``NAME@DIGEST``;
-what it stands for is in the campaign's ledger, once, and known here to whoever has read that.
-"""
+"""Places by name: those that are shipped, those of files, and those that this process has seen."""
 
 from __future__ import annotations
 
@@ -11,65 +6,41 @@ import re
 from functools import lru_cache
 from pathlib import Path
 
+from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.place_file import place_from_document, read_place
+from taxinet_ros.core.place.place_file import make_place, read_place
 from taxinet_ros.core.place.runway import Runway
-from taxinet_ros.errors import UsageError
 
-DEFAULT_PLACE = 'kmwh_04'
-SHIPPED_PLACES = ('kmwh_04', 'bikf_10', 'nzqn_05')
-"""Grant County (the paper's), Keflavík and Queenstown."""
-
-_FOLDER = Path(__file__).parent / 'shipped'
-_REFERENCE = re.compile(r'[a-z][a-z0-9_]*@[0-9a-f]{12}')
-_SUFFIXES = ('.yaml', '.yml')
 _OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
 """``FILE:ICAO/RUNWAY``, and the time zone where it is told."""
-_known: dict[str, Place] = {}
-"""By reference. What a reference stands for never changes, so it does not matter who told."""
 
 
-@lru_cache(maxsize=64)
-def find_place(text: str) -> Place:
-    """The place of a scenario: of a shipped name, or of the JSON that it carries.
+class Places(Catalogue[Place]):
+    """Shipped places, YAML files, and airports of an apt.dat."""
 
-    Raises:
-        UsageError: there is none of that name, or the JSON is not as it should be.
-    """
-    if text.startswith('{'):
-        place = place_from_document(text)
-        _known[place.reference] = place
-        return place
-    if text in SHIPPED_PLACES:
-        return read_place(_FOLDER / f'{text}.yaml', shipped=True)
-    raise UsageError(
-        f'scenario: place is {text!r:.60}, not one of {", ".join(SHIPPED_PLACES)}, '
-        'nor a YAML file of a place (in Python: load_place)'
-    )
+    def typed(self, text: str) -> Place:
+        """Find the place given by a user.
 
+        Args:
+            text: as for every catalogue; or ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
+                zone).
 
-def typed_place(text: str) -> Place:
-    """Find the place given by a user.
+        Raises:
+            UsageError: it is none of these, or the file is not as it should be.
+        """
+        if airport := _OF_AIRPORT.fullmatch(text):
+            return _place_of_airport(*airport.groups(default=''))
+        return super().typed(text)
 
-    Args:
-        text: a shipped name, a YAML file, ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
-            zone), or a reference out of a table.
-
-    Raises:
-        UsageError: it is none of these, or the file is not as it should be.
-    """
-    if airport := _OF_AIRPORT.fullmatch(text):
-        return _place_of_airport(*airport.groups(default=''))
-    if text.lower().endswith(_SUFFIXES):
-        return find_place(read_place(Path(text)).text)
-    if _REFERENCE.fullmatch(text):
-        if text not in _known:
-            raise UsageError(
-                f'scenario: place {text} is known by its digest only; the whole of it is in the '
-                'ledger of its campaign, and in the bags of its runs'
-            )
-        return _known[text]
-    return find_place(text)
+PLACES = Places(
+    'place', shipped=('kmwh_04', 'bikf_10', 'nzqn_05'), read=read_place, make=make_place,
+    folder=Path(__file__).parent / 'shipped',
+)
+"""Grant County (the paper's), Keflavík and Queenstown, and the user's."""
+SHIPPED_PLACES = PLACES.shipped
+DEFAULT_PLACE = PLACES.default
+find_place = PLACES.find
+typed_place = PLACES.typed
 
 
 def load_place(word: str) -> str:
@@ -90,11 +61,6 @@ def _place_of_airport(path: str, icao: str, runway: str, zone: str) -> Place:
     from taxinet_ros.core.place.apt_dat import read_airport_place
 
     return find_place(read_airport_place(Path(path), icao, runway, zone).text)
-
-
-def is_reference(text: str) -> bool:
-    """Whether a text is what tables have of a place."""
-    return text in SHIPPED_PLACES or _REFERENCE.fullmatch(text) is not None
 
 
 def default_runway() -> Runway:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from functools import cached_property
 
+from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.place.markings import Polygon
 from taxinet_ros.core.place.runway import Runway
-
-_DIGEST_SIGNS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,40 +55,17 @@ class TaxiRoute:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Place(NamedDocument):
     """Where runs take place.
 
     Attributes:
-        name: lower-case identifier, used on the command line and in tables.
-        title: display name.
         icao: of the airport, or ''.
         runway: that is taxied along.
         pavements, lines, routes: what else is known of the airport's ground.
-        document: all of this as canonical JSON, from which it can be made again.
-        shipped: whether it came with the program, so that its name says it all.
     """
 
-    name: str
-    title: str
     icao: str
     runway: Runway
     pavements: tuple[Pavement, ...] = ()
     lines: tuple[PaintedLine, ...] = ()
     routes: tuple[TaxiRoute, ...] = ()
-    document: str
-    shipped: bool = False
-
-    @property
-    def text(self) -> str:
-        """What a scenario has of it, enough to find it anywhere: a shipped name, or everything."""
-        return self.name if self.shipped else self.document
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the document."""
-        return hashlib.sha256(self.document.encode()).hexdigest()
-
-    @property
-    def reference(self) -> str:
-        """What tables have of it: a shipped name, or ``NAME@DIGEST`` with 12 digits of it."""
-        return self.name if self.shipped else f'{self.name}@{self.digest[:_DIGEST_SIGNS]}'

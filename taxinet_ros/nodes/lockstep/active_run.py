@@ -121,6 +121,7 @@ class ActiveRun:
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario.duration_s, runway=scenario.runway)
         self.world = make_world(scenario)
+        self.camera = scenario.camera_model
         self.first = rolling_on(scenario.speed_mps)
         self.commands = LateCommands(timing, message.seed, message.index, self.first)
         may_stop = judging.stop_on is not StopOn.NEVER

@@ -9,7 +9,7 @@ import pytest
 from taxinet_ros.analysis.explain.counterfactual import effect_to_blame, effects, factors
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad
-from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.camera import WING, Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.scenario import Scenario
@@ -27,8 +27,8 @@ def moment_in(scenario, look):
     truth = now.state.tracking_error
     estimate = look(now.image)
     return Moment(
-        row=0, seq=0, t_s=0.0, x_m=now.state.x_m, image=now.image, state=now.state, truth=truth,
-        estimate=estimate, misled_rad=misled_rad(estimate, truth, GAINS),
+        camera=WING, row=0, seq=0, t_s=0.0, x_m=now.state.x_m, image=now.image, state=now.state,
+        truth=truth, estimate=estimate, misled_rad=misled_rad(estimate, truth, GAINS),
     )
 
 

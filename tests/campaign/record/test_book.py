@@ -17,8 +17,8 @@ from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
+from taxinet_ros.core.documents import canonical
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.place_file import canonical
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import RecordError, UsageError
 

@@ -231,7 +231,7 @@ def test_given_ground_that_the_aircraft_covers_when_left_out_then_the_picture_is
     left_out = [shot(state, **weather) for state in states]
     assert hidden_columns().sum() > 5000
     monkeypatch.setattr(
-        'taxinet_ros.core.camera.camera.hidden_columns', lambda: np.zeros(IMAGE_HEIGHT, np.int32)
+        'taxinet_ros.core.camera.airframe.hidden_columns', lambda: np.zeros(IMAGE_HEIGHT, np.int32)
     )
     for state, picture in zip(states, left_out, strict=True):
         np.testing.assert_array_equal(shot(state, **weather), picture)
@@ -358,12 +358,17 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
     scene = Scenario(clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0)
     wet, state = Camera(scene), at()
     with_marks = wet.render(state, 5, heard.append)
-    assert tuple(heard) == STAGES
+    assert (*heard, 'lens and sensor') == STAGES, 'a pinhole without noise has no more'
     np.testing.assert_array_equal(with_marks, wet.render(state, 5))
 
     heard.clear()
     Camera(Scenario(shadows=False)).render(state, 0, heard.append)
-    assert heard == [s for s in STAGES if s not in ('cloud shade', 'own shadow', 'rain')]
+    missing = 'cloud shade', 'own shadow', 'rain', 'lens and sensor'
+    assert heard == [s for s in STAGES if s not in missing]
+
+    heard.clear()
+    Camera(Scenario(camera='nose')).render(state, 0, heard.append)
+    assert heard[-1] == STAGES[-1]
 
 
 def test_given_a_full_turn_when_photographed_then_the_skyline_has_no_seam() -> None:
