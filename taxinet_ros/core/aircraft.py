@@ -211,6 +211,7 @@ class Aircraft:
     """Aircraft of one run, rolling at the scenario's speed from its start pose.
 
     Attributes:
+        model: of it, with all that was measured.
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
     """
 
@@ -237,9 +238,9 @@ class Aircraft:
         self._period_s = period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)
-        self._model = model = model or scenario.aircraft_model
+        self.model = model = model or scenario.aircraft_model
         if model.settled is None or model.speed_gains is None:
-            self._model = model = measured_model(model)
+            self.model = model = measured_model(model)
         assert model.settled is not None
         assert model.speed_gains is not None
         self._settled, self._gains = model.settled, model.speed_gains
@@ -289,9 +290,9 @@ class Aircraft:
         with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
-            folder = self._model.folder
-            if self._model.files:
-                folder = write_model_files(Path(scratch, 'given'), name, self._model.files)
+            folder = self.model.folder
+            if self.model.files:
+                folder = write_model_files(Path(scratch, 'given'), name, self.model.files)
             windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
             if windy or sloping:
                 models = folder or Path(fdm.get_aircraft_path())
@@ -439,6 +440,18 @@ _BRAKING_MPS2 = 3.5
 """Deceleration of full brakes on dry pavement, a common value."""
 _LOOSEST_MPS = 0.5
 _LEAST_TURN_RAD = math.radians(0.5)
+
+
+def checked_aircraft(model: AircraftModel) -> AircraftModel:
+    """A complete model, as a run has it, once it has been loaded.
+
+    Raises:
+        UsageError: JSBSim cannot load it, or it cannot taxi.
+    """
+    try:
+        return Aircraft(Scenario(), model=model).model
+    except InfraError as error:
+        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
 
 
 @lru_cache(maxsize=16)
