@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
+from taxinet_ros.core.aircraft import checked_aircraft
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
@@ -36,8 +37,9 @@ from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.catalogue import typed_place
+from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY, PLACE, by_key
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, PLACE, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -374,6 +376,12 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
         raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
 
 
+def _check_taxiing(reference: str) -> None:
+    aircraft = AIRCRAFT.typed(reference)
+    if not aircraft.shipped:
+        checked_aircraft(aircraft)
+
+
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
     """Split ``key=value`` of the scenario from ``steering.<gain>=value``.
 
@@ -386,6 +394,8 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
         if not key.startswith(_GAIN_PREFIX):
             # A file may change: what the campaign is, and whether it goes on, has its digest.
             overrides[key] = BY_KEY[key].settled(value) if key in BY_KEY else value
+            if key == AIRCRAFT_MODEL.key:
+                _check_taxiing(overrides[key])
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)

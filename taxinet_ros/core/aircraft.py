@@ -20,7 +20,12 @@ import jsbsim
 from taxinet_ros.core.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
-from taxinet_ros.core.rig.aircraft_model import AircraftModel, Attitude, SpeedGains
+from taxinet_ros.core.rig.aircraft_model import (
+    USUAL_SPEED_MPS,
+    AircraftModel,
+    Attitude,
+    SpeedGains,
+)
 from taxinet_ros.core.rig.model_files import write_model_files
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
@@ -99,7 +104,7 @@ class SpeedHold:
 CONTROL_PERIOD_NS = 100_000_000
 """Time between two control steps [ns]: the paper's 10 Hz."""
 PHYSICS_HZ = 120
-TAXI_SPEED_MPS = 5.0
+TAXI_SPEED_MPS = USUAL_SPEED_MPS
 """Default ground speed of a scenario [m/s]."""
 FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 """Tyre friction, lateral and in braking, relative to dry pavement.
@@ -150,8 +155,14 @@ def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bo
         for part in force:
             for letter in 'xyz':
                 ET.SubElement(part, letter).text = '0'
-    (scratch / name).mkdir()
-    tree.write(scratch / name / f'{name}.xml')
+    folder = scratch / name
+    folder.mkdir(exist_ok=True)
+    for beside in (models / name).iterdir():  # engines and systems of its own, if it has any
+        if not (folder / beside.name).exists():
+            (folder / beside.name).symlink_to(beside)
+    main = folder / f'{name}.xml'
+    main.unlink()
+    tree.write(main)
     return scratch
 
 
@@ -292,7 +303,7 @@ class Aircraft:
             fdm.set_debug_level(0)
             folder = self.model.folder
             if self.model.files:
-                folder = write_model_files(Path(scratch, 'given'), name, self.model.files)
+                folder = write_model_files(Path(scratch), name, self.model.files)
             windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
             if windy or sloping:
                 models = folder or Path(fdm.get_aircraft_path())

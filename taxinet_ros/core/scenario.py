@@ -11,10 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
-from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.camera_model import LEAST_HEIGHT_M, CameraModel, rotation
 from taxinet_ros.core.rig.catalogue import (
     DEFAULT_AIRCRAFT,
     DEFAULT_CAMERA,
@@ -113,6 +115,11 @@ class Scenario:
             raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
         if self.gust_seed and not self.gust_mps:
             raise UsageError('scenario: gust_seed has no effect without gust_mps')
+        self._check_aircraft()
+        if self.gust_seed % 1:
+            raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
+
+    def _check_aircraft(self) -> None:
         strongest_mps, model = self.wind_speed_mps + 3 * self.gust_mps, self.aircraft_model
         if strongest_mps > model.most_wind_mps:
             raise UsageError(
@@ -120,8 +127,21 @@ class Scenario:
                 f'{strongest_mps:g}, more than {model.most_wind_mps:g}: the wind would lift the '
                 'model'
             )
-        if self.gust_seed % 1:
-            raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
+        low_mps, high_mps = model.taxi_speed_mps
+        if not low_mps <= self.speed_mps <= high_mps:
+            raise UsageError(
+                f'scenario: aircraft {model.name}: speed_mps is {self.speed_mps:g}, it taxis at '
+                f'{low_mps:g} to {high_mps:g}'
+            )
+        camera, settled = self.camera_model, model.settled
+        if settled is not None:
+            turn = rotation(settled.roll_rad, settled.pitch_rad, 0.0)
+            height_m = settled.z_m + float(turn[2] @ np.array(camera.offset_m))
+            if height_m < LEAST_HEIGHT_M:
+                raise UsageError(
+                    f'scenario: camera {camera.name} on aircraft {model.name} is {height_m:.2f} m '
+                    f'above the ground, expected {LEAST_HEIGHT_M:g} or more'
+                )
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         try:

@@ -22,6 +22,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     RAIN_CLOUDS,
     SKY,
+    SPEED,
     TIME_OF_DAY,
     WIND_DIRECTION,
     WIND_SPEED,
@@ -35,7 +36,7 @@ WEATHER = (SKY.key, RAIN.key)
 
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
-    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
+    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
 )
 """Groups of interdependent keys."""
 _ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01}

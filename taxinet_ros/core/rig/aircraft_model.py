@@ -18,9 +18,11 @@ from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
 _OWN_MODELS = Path(__file__).parent.parent / 'aircraft_models'
 _KEYS = (
-    'name', 'title', 'model', 'max_steering_deg', 'most_wind_mps', 'settled', 'speed_hold',
-    'outline',
+    'name', 'title', 'model', 'max_steering_deg', 'taxi_speed_mps', 'most_wind_mps', 'settled',
+    'speed_hold', 'outline',
 )
+USUAL_SPEED_MPS, _SPEEDS_MPS = 5.0, (1.0, 10.0)
+"""Default taxi speed of a scenario, and what scenarios may have."""
 _SETTLED_KEYS = ('height_m', 'pitch_deg', 'roll_deg')
 _HOLD_KEYS = ('lever_per_mps', 'lever_per_m', 'brake_per_lever', 'rolling_lever')
 _MODEL_KEYS = ('name', 'files')
@@ -69,6 +71,7 @@ class AircraftModel(NamedDocument):
         folder: folder of model folders, None for JSBSim's own models.
         files: path and text of each file of the user's model; empty for the others.
         max_steering_rad: largest nose-wheel angle [rad]; None: the model's.
+        taxi_speed_mps: lowest and highest speed that it taxis at [m/s].
         most_wind_mps: limit of the wind and three standard deviations of the gusts [m/s].
         settled: attitude; None: to be measured.
         speed_gains: of the speed hold; None: to be measured.
@@ -79,6 +82,7 @@ class AircraftModel(NamedDocument):
     folder: Path | None
     files: tuple[tuple[str, str], ...]
     max_steering_rad: float | None
+    taxi_speed_mps: tuple[float, float]
     most_wind_mps: float
     settled: Attitude | None
     speed_gains: SpeedGains | None
@@ -127,6 +131,7 @@ def make_aircraft(values: object, path: Path, *, shipped: bool = False) -> Aircr
             math.radians(top.number('max_steering_deg', 1.0, 80.0))
             if 'max_steering_deg' in top else None
         ),
+        taxi_speed_mps=_speeds(top),
         most_wind_mps=(
             top.number('most_wind_mps', 0.1, 60.0) if 'most_wind_mps' in top else math.inf
         ),
@@ -149,6 +154,18 @@ def _model(top: Section) -> tuple[str, dict[str, str]]:
     if not isinstance(value, str) or not value.replace('-', '_').isidentifier():
         raise top.wrong(expected(kind, value), 'model')
     return value, {}
+
+
+def _speeds(top: Section) -> tuple[float, float]:
+    if 'taxi_speed_mps' not in top:
+        return _SPEEDS_MPS
+    low, high = top.numbers('taxi_speed_mps', 2, *_SPEEDS_MPS)
+    if not low <= USUAL_SPEED_MPS <= high:
+        raise top.wrong(
+            f'expected the lowest and the highest, with the usual {USUAL_SPEED_MPS:g} between '
+            f'them, got {low:g} and {high:g}', 'taxi_speed_mps',
+        )
+    return low, high
 
 
 def _settled(section: Section) -> Attitude:

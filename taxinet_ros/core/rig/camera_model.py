@@ -22,6 +22,8 @@ from taxinet_ros.files.plain_values import Section, read_yaml
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 8, 2048
 """Of the pictures; a network takes none that is larger, and of smaller ones sees nothing."""
+LEAST_HEIGHT_M = 0.1
+"""Above the ground, where the aircraft stands on its wheels."""
 _MOST_ASIDE = math.tan(math.radians(75.0))
 """How far from the optical axis a picture may look, as a tangent."""
 _MOST_INNER_PX = 6144
