@@ -223,7 +223,7 @@ def test_given_the_sun_from_behind_when_photographed_then_each_aircraft_has_its_
     """The shade on the ground is where the outline throws it."""
     shades = []
     for name in AIRCRAFT.shipped:
-        scene = Scenario(aircraft=name, camera='nose', time_of_day_s=15 * 3600.0)
+        scene = Scenario(aircraft=name, camera='strut', time_of_day_s=16 * 3600.0)
         state = Aircraft(scene).state
         lit, shaded = (
             Camera(dataclasses.replace(scene, shadows=on)).render(state, 0).astype(int)
