@@ -454,13 +454,15 @@ _LEAST_TURN_RAD = math.radians(0.5)
 
 
 def checked_aircraft(model: AircraftModel) -> AircraftModel:
-    """A complete model, as a run has it, once it has been loaded.
+    """A complete model, as a run has it, once it has been tried.
 
     Raises:
-        UsageError: JSBSim cannot load it, or it cannot taxi.
+        UsageError: JSBSim cannot load it, it cannot taxi, or gives other numbers every time.
     """
     try:
-        return Aircraft(Scenario(), model=model).model
+        complete = Aircraft(Scenario(), model=model).model
+        _check_turn(complete)
+        return complete
     except InfraError as error:
         raise UsageError(f'aircraft {model.name}: {error.detail}') from None
 
@@ -556,13 +558,18 @@ def _response(model: AircraftModel) -> SpeedGains:
 
 
 def _check_turn(model: AircraftModel) -> None:
-    aircraft = Aircraft(Scenario(), model=model)
+    """Refuse a model that the wheel does not turn, or that does not do the same twice."""
+    aircraft, again = (Aircraft(Scenario(), model=model) for _ in range(2))
     command = TaxiCommand(
         steering_rad=min(aircraft.max_steering_rad / 2, math.radians(10.0)),
         speed_mps=TAXI_SPEED_MPS,
     )
     for _ in range(_TURN_S * NS_PER_S // CONTROL_PERIOD_NS):
-        aircraft.advance(command)
+        if aircraft.advance(command) != again.advance(command):
+            raise UsageError(
+                f'aircraft {model.name}: JSBSim gives other numbers every time with the model '
+                f'{model.model}; runs could not be repeated'
+            )
     turned_rad = aircraft.state.yaw_rad
     if turned_rad < _LEAST_TURN_RAD:
         raise UsageError(

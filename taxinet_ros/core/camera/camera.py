@@ -173,7 +173,10 @@ class Camera:
             if casts and shading
             else None
         )
-        self._maps = [table.astype(np.float32) for table in taken_from] if model.distorts else []
+        if model.distorts:
+            across, down = (table.astype(np.float32) for table in taken_from)
+            # Whole numbers: interpolation gives the same bytes in every process.
+            self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
         self._noise = _Noise(scenario, model)
 
     def render(

@@ -1,22 +1,26 @@
 """An aircraft as a value: its flight-dynamics model, limits and outline. YAML and scenarios.
 
-The model is one of JSBSim's, by name, or the user's, by a path. Of the user's, a scenario carries
-all XML files, so that messages, bags and other machines need none.
+The model is one of JSBSim's, by name, or the user's, by a path. A scenario carries all its XML
+files, so that messages, bags and other machines need none.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.core.documents import NamedDocument, canonical, document_name
-from taxinet_ros.core.rig.model_files import check_model_files, collect_model_files
+from taxinet_ros.core.rig.model_files import MODEL_NAME, check_model_files, collect_model_files
 from taxinet_ros.core.rig.outline import Part, read_outline
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
 _OWN_MODELS = Path(__file__).parent.parent / 'aircraft_models'
+_BARE_MODELS = ('caravan', 'c172p')
+"""Ours, and the one of JSBSim's that is used as it is; of the others scenarios carry the files,
+without what they write to and hear from."""
 _KEYS = (
     'name', 'title', 'model', 'max_steering_deg', 'taxi_speed_mps', 'most_wind_mps', 'settled',
     'speed_hold', 'outline',
@@ -68,8 +72,8 @@ class AircraftModel(NamedDocument):
 
     Attributes:
         model: name of the model's folder and of the file in it.
-        folder: folder of model folders, None for JSBSim's own models.
-        files: path and text of each file of the user's model; empty for the others.
+        folder: folder of model folders, None for JSBSim's own.
+        files: path and text of each file of the model; empty for the two shipped ones.
         max_steering_rad: largest nose-wheel angle [rad]; None: the model's.
         taxi_speed_mps: lowest and highest speed that it taxis at [m/s].
         most_wind_mps: limit of the wind and three standard deviations of the gusts [m/s].
@@ -99,8 +103,8 @@ def read_aircraft(path: Path, shipped: bool = False) -> AircraftModel:
     if isinstance(values, dict) and isinstance(values.get('model'), str):
         top = Section(path, values, _KEYS)
         word = values['model']
-        if word.lower().endswith('.xml') or '/' in word:
-            name, files = collect_model_files(top, path.parent / Path(word).expanduser())
+        if word not in _BARE_MODELS:
+            name, files = collect_model_files(top, _model_path(top, word, path.parent))
             values = {**values, 'model': {'name': name, 'files': files}}
     return make_aircraft(values, path, shipped=shipped)
 
@@ -143,6 +147,22 @@ def make_aircraft(values: object, path: Path, *, shipped: bool = False) -> Aircr
     )
 
 
+def _model_path(top: Section, word: str, beside: Path) -> Path:
+    if word.lower().endswith('.xml') or '/' in word:
+        return beside / Path(word).expanduser()
+    # Without importing it, which would slow down whoever only looks up an aircraft.
+    found = importlib.util.find_spec('jsbsim')
+    assert found is not None
+    assert found.origin is not None
+    folder = Path(found.origin).parent / 'aircraft' / word
+    if not MODEL_NAME.fullmatch(word) or not (folder / f'{word}.xml').is_file():
+        raise top.wrong(
+            f"{word!r:.60} is none of JSBSim's models; for one of your own write its path, as "
+            './mine.xml', 'model',
+        )
+    return folder
+
+
 def _model(top: Section) -> tuple[str, dict[str, str]]:
     kind = "the name of one of JSBSim's models, or the path of a model's XML file"
     value = top.take('model', kind)
@@ -151,9 +171,9 @@ def _model(top: Section) -> tuple[str, dict[str, str]]:
         files = section.section('files')
         texts = {name: files.text(name, kind='XML') for name in files}
         return check_model_files(section, section.text('name'), texts)
-    if not isinstance(value, str) or not value.replace('-', '_').isidentifier():
+    if value not in _BARE_MODELS:
         raise top.wrong(expected(kind, value), 'model')
-    return value, {}
+    return str(value), {}
 
 
 def _speeds(top: Section) -> tuple[float, float]:

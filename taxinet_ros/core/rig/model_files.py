@@ -23,7 +23,7 @@ _FOLDERS = ('', 'Engines', 'Engine', 'engines', 'Systems', 'systems')
 _MODEL_TAG, _REACHING_OUT = 'fdm_config', ('output', 'input')
 """Elements of a model itself that open files and sockets; within a control they are signals."""
 _NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_. +-]*')
-_MODEL = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,63}')
+MODEL_NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,63}')
 
 
 def collect_model_files(top: Section, path: Path) -> tuple[str, dict[str, str]]:
@@ -52,7 +52,7 @@ def collect_model_files(top: Section, path: Path) -> tuple[str, dict[str, str]]:
                 waiting.append(found)
         if len(texts) > _MOST_FILES:
             raise top.wrong(f'{main} includes more than {_MOST_FILES} files', 'model')
-    if len(main.stem) and main.name in texts and not _MODEL.fullmatch(name):
+    if len(main.stem) and main.name in texts and not MODEL_NAME.fullmatch(name):
         raise top.wrong(f'{main}: {name!r} is no name of a model', 'model')
     return name, texts
 
@@ -65,7 +65,7 @@ def check_model_files(
     Raises:
         UsageError: a text is no XML, reaches out of the model, or there are too many.
     """
-    if not _MODEL.fullmatch(name):
+    if not MODEL_NAME.fullmatch(name):
         raise section.wrong(f'{name!r:.60} is no name of a model', 'name')
     if f'{name}{_SUFFIX}' not in texts:
         raise section.wrong(f'{name}{_SUFFIX} is missing', 'files')

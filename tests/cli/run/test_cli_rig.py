@@ -1,4 +1,4 @@
-"""``taxinet aircraft`` and ``camera list|show``; ``--aircraft`` and ``--camera`` on the command line."""
+"""``taxinet aircraft`` and ``camera list|show``; ``--aircraft`` and ``--camera``."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def test_given_no_more_words_when_listed_then_every_shipped_one_has_a_line(words
 
 
 def test_given_a_model_when_shown_then_what_its_file_leaves_out_is_measured(tmp_path):
-    shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'DHC6', tmp_path / 'DHC6')
-    (tmp_path / 'own.yaml').write_text('name: own\nmodel: ./DHC6\n')
+    shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'J3Cub', tmp_path / 'J3Cub')
+    (tmp_path / 'own.yaml').write_text('name: own\nmodel: ./J3Cub\n')
     done = taxinet('aircraft', 'show', tmp_path / 'own.yaml')
     assert done.returncode == 0, done.stderr
-    assert 'model       DHC6 (JSBSim), 7 files carried by scenarios' in done.stdout
-    assert 'settled     {height_m: 2.54' in done.stdout
+    assert 'model       J3Cub (JSBSim), 4 files carried by scenarios' in done.stdout
+    assert 'settled     {height_m: 1.16' in done.stdout
     assert done.stdout.count('(measured)') == 2
     assert 'outline     none: it casts no shadow' in done.stdout
 

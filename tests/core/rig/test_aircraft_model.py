@@ -31,11 +31,12 @@ from taxinet_ros.errors import UsageError
 
 MODELS = Path(jsbsim.__file__).parent / 'aircraft'
 OWN = {
-    'name': 'twin', 'title': 'Twin Otter', 'model': './DHC6', 'taxi_speed_mps': [2, 8],
+    'name': 'cub', 'title': 'Piper Cub', 'model': './J3Cub', 'taxi_speed_mps': [2, 8],
     'outline': [
-        {'part': 'body', 'sections': [[7, 0, 0, 0.6, 0.7], [0, 0, 0, 0.8, 0.9],
-                                      [-8, 0, 0.6, 0.2, 0.3]]},
-        {'part': 'wing', 'sections': [[1, 0, 1.2, 2, 0.3], [1, 9.9, 1.3, 2, 0.3]], 'mirror': True},
+        {'part': 'body', 'sections': [[2, 0, 0, 0.4, 0.4], [0, 0, 0, 0.4, 0.6],
+                                      [-4.5, 0, 0, 0.1, 0.1]]},
+        {'part': 'wing', 'mirror': True,
+         'sections': [[0.7, 0, 0.8, 1.6, 0.2], [0.7, 5.3, 0.9, 1.6, 0.2]]},
     ],
 }
 CORNERS = tuple(product((-8.0, 8.0), (-20.0, 20.0)))
@@ -48,10 +49,10 @@ def written(folder: Path, values: dict) -> Path:
 
 
 @pytest.fixture(scope='module')
-def twin(tmp_path_factory) -> str:
+def cub(tmp_path_factory) -> str:
     """An aircraft with a model of one's own: one of JSBSim's collection, copied away from there."""
-    folder = tmp_path_factory.mktemp('twin')
-    shutil.copytree(MODELS / 'DHC6', folder / 'DHC6')
+    folder = tmp_path_factory.mktemp('cub')
+    shutil.copytree(MODELS / 'J3Cub', folder / 'J3Cub')
     text = load_aircraft(written(folder, OWN))
     shutil.rmtree(folder)
     return text
@@ -66,19 +67,19 @@ def test_given_a_shipped_aircraft_when_its_document_is_read_then_it_is_the_same_
     assert full_steering_rad(aircraft) == aircraft.max_steering_rad
 
 
-def test_given_a_model_of_ones_own_when_a_scenario_has_it_then_no_file_is_needed(twin):
-    document = json.loads(twin)
-    assert set(document['model']['files']) > {'DHC6.xml', 'Engines/PT6A-27.xml'}
+def test_given_a_model_of_ones_own_when_a_scenario_has_it_then_no_file_is_needed(cub):
+    document = json.loads(cub)
+    assert set(document['model']['files']) > {'J3Cub.xml', 'Engines/Continental A-65-8.xml'}
     assert not any('<!--' in text for text in document['model']['files'].values())
-    assert find_aircraft(twin).reference.startswith('twin@')
-    assert scenario_from_human({'aircraft': twin}).aircraft == twin
+    assert find_aircraft(cub).reference.startswith('cub@')
+    assert scenario_from_human({'aircraft': cub}).aircraft == cub
 
 
-def test_given_a_model_of_ones_own_when_measured_then_it_stands_still_in_its_attitude(twin):
-    aircraft = checked_aircraft(find_aircraft(twin))
-    assert aircraft.settled.z_m == pytest.approx(2.54, abs=0.05)
-    assert aircraft == checked_aircraft(find_aircraft(twin)), 'the same numbers every time'
-    moving = Aircraft(Scenario(aircraft=twin))
+def test_given_a_model_of_ones_own_when_measured_then_it_stands_still_in_its_attitude(cub):
+    aircraft = checked_aircraft(find_aircraft(cub))
+    assert aircraft.settled.z_m == pytest.approx(1.16, abs=0.05)
+    assert aircraft == checked_aircraft(find_aircraft(cub)), 'the same numbers every time'
+    moving = Aircraft(Scenario(aircraft=cub))
     for _ in range(100):
         state = moving.advance(TaxiCommand(steering_rad=-moving.state.yaw_rad, speed_mps=5.0))
         assert state.z_m == pytest.approx(aircraft.settled.z_m, abs=0.02)
@@ -87,10 +88,10 @@ def test_given_a_model_of_ones_own_when_measured_then_it_stands_still_in_its_att
 
 @pytest.mark.parametrize(('cross_track_m', 'heading_deg'), CORNERS)
 def test_given_the_truth_when_steered_by_the_shipped_law_then_a_model_of_ones_own_is_mastered(
-    twin, cross_track_m, heading_deg
+    cub, cross_track_m, heading_deg
 ):
     scene = Scenario(
-        aircraft=twin, cross_track_m=cross_track_m, heading_rad=math.radians(heading_deg)
+        aircraft=cub, cross_track_m=cross_track_m, heading_rad=math.radians(heading_deg)
     )
     judgement = run_closed_loop(
         scene, make_perception('truth'), specs=[SHIPPED['phi_eventually']]
@@ -100,9 +101,9 @@ def test_given_the_truth_when_steered_by_the_shipped_law_then_a_model_of_ones_ow
     assert not judgement.statistics.left_runway
 
 
-def test_given_a_model_of_ones_own_then_it_follows_wind_and_slope_too(twin):
+def test_given_a_model_of_ones_own_then_it_follows_wind_and_slope_too(cub):
     def after(**values: float) -> float:
-        moving = Aircraft(Scenario(aircraft=twin, **values))
+        moving = Aircraft(Scenario(aircraft=cub, **values))
         for _ in range(40):
             moving.advance(TaxiCommand(steering_rad=0.0, speed_mps=5.0))
         return moving.state.x_m
@@ -124,7 +125,8 @@ def test_given_a_limit_of_the_wheel_when_steered_then_it_turns_no_further():
 @pytest.mark.parametrize(('changes', 'words'), [
     ({'model': None}, "the key 'model' is missing; expected the name of one of JSBSim's models"),
     ({'model': './nothing.xml'}, 'model: {folder}/nothing.xml: cannot be read: No such file'),
-    ({'model': 'c 172'}, "model: expected the name of one of JSBSim's models, or the path of"),
+    ({'model': 'c 172'}, "model: 'c 172' is none of JSBSim's models; for one of your own write"),
+    ({'model': 172}, "model: expected the name of one of JSBSim's models, or the path of"),
     ({'max_steering_deg': 'far'}, 'max_steering_deg: expected a number, 1 to 80, got'),
     ({'taxi_speed_mps': [6, 8]}, 'taxi_speed_mps: expected the lowest and the highest, with'),
     ({'settled': {'pitch_deg': 1}}, "settled: the key 'height_m' is missing"),
@@ -171,20 +173,23 @@ def test_given_a_document_that_reaches_out_when_found_then_refused(files, words)
 
 @pytest.mark.parametrize(('values', 'words'), [
     ({'model': 'F450'}, 'aircraft own: no wheel of the model F450 steers'),
-    ({'model': 'nosuchmodel'}, 'aircraft own: JSBSim, loading nosuchmodel: '),
+    ({'model': 'DHC6'}, 'aircraft own: JSBSim gives other numbers every time with the model DHC6'),
     ({'model': 'c172p', 'max_steering_deg': 30}, 'but the wheel of the model turns to 10 deg at'),
     ({'model': 'c182'}, 'aircraft own: its engine does not move it, or does not run at idle'),
     ({'model': 'pa28'}, 'aircraft own: with the wheel [78] deg left it turned -'),
 ])
-def test_given_an_aircraft_that_cannot_taxi_when_checked_then_one_line_says_why(values, words):
+def test_given_an_aircraft_that_cannot_taxi_when_checked_then_one_line_says_why(
+    tmp_path, values, words
+):
+    aircraft = read_aircraft(written(tmp_path, {'name': 'own', **values}))
     with pytest.raises(UsageError, match=words) as caught:
-        checked_aircraft(make_aircraft({'name': 'own', **values}, Path('own.yaml')))
+        checked_aircraft(aircraft)
     assert '\n' not in str(caught.value)
 
 
-def test_given_its_taxi_speeds_when_a_scenario_has_another_then_refused(twin):
-    with pytest.raises(UsageError, match='aircraft twin: speed_mps is 9, it taxis at 2 to 8'):
-        Scenario(aircraft=twin, speed_mps=9.0)
+def test_given_its_taxi_speeds_when_a_scenario_has_another_then_refused(cub):
+    with pytest.raises(UsageError, match='aircraft cub: speed_mps is 9, it taxis at 2 to 8'):
+        Scenario(aircraft=cub, speed_mps=9.0)
 
 
 def test_given_a_box_when_its_faces_are_found_then_six_squares_look_outwards():

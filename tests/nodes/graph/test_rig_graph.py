@@ -36,8 +36,8 @@ LENS = {
 @pytest.fixture
 def scene(tmp_path) -> Scenario:
     folder = tmp_path / 'rig'
-    shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'DHC6', folder / 'DHC6')
-    (folder / 'a.yaml').write_text(yaml.safe_dump({'name': 'twin', 'model': './DHC6'}))
+    shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'J3Cub', folder / 'J3Cub')
+    (folder / 'a.yaml').write_text(yaml.safe_dump({'name': 'cub', 'model': './J3Cub'}))
     (folder / 'c.yaml').write_text(yaml.safe_dump(LENS))
     found = Scenario(
         aircraft=load_aircraft(folder / 'a.yaml'), camera=load_camera(folder / 'c.yaml'),
@@ -89,5 +89,5 @@ def test_given_ones_own_aircraft_and_camera_when_a_graph_runs_then_its_bag_has_a
     for now in recording.observations():
         np.testing.assert_array_equal(now.image, pictures[now.seq])
     human = json.loads(json.dumps(scene.to_human()))
-    assert human['aircraft'].startswith('twin@')
+    assert human['aircraft'].startswith('cub@')
     assert human['camera'].startswith('lens@')
