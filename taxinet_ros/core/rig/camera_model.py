@@ -33,6 +33,8 @@ _KEYS = (
 )
 _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _NEWTON_STEPS = 30
+_BESIDE = 1.05
+"""How far beyond a picture its lens is known, as a share of the farthest pixel's tangent."""
 _ROUND_TRIP_PX = 0.02
 """How exactly distortion has to be undone everywhere in the picture."""
 
@@ -116,10 +118,16 @@ class CameraModel(NamedDocument):
         return np.asarray(to_body.T)
 
     def pixels(self, points: Vectors) -> Vectors:
-        """Pixels (N, 2) of points (N, 3) in the optical frame [m]; valid only before the camera."""
+        """Pixels (N, 2) of points (N, 3) in the optical frame [m]; valid only before the camera.
+
+        Far outside the picture of a lens that distorts its polynomial means nothing: NaN there.
+        """
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             if self.distorts:
-                x, y = self._distorted(points[:, 0] / points[:, 2], points[:, 1] / points[:, 2])
+                x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+                beyond = ~(np.hypot(x, y) <= self._reach)
+                x, y = self._distorted(x, y)
+                x[beyond] = y[beyond] = np.nan
                 points = np.stack([x, y, np.ones_like(x)], axis=1)
             found: Vectors = (points @ self.intrinsics.T)[:, :2] / points[:, 2:]
         return found
@@ -140,6 +148,13 @@ class CameraModel(NamedDocument):
                 back_x, back_y = dyy * off_x - dxy * off_y, dxx * off_y - dxy * off_x
                 x, y = x - back_x / area, y - back_y / area
         return x, y
+
+    @cached_property
+    def _reach(self) -> float:
+        """How far aside of its axis the lens is known, a little beyond the picture; a tangent."""
+        _, _, u, v = self.inner_view
+        (fx, fy), (cx, cy) = self.focal_px, self.inner_intrinsics[:2, 2]
+        return _BESIDE * float(np.hypot((u - cx) / fx, (v - cy) / fy).max())
 
     def _distorted(self, x: Vectors, y: Vectors) -> tuple[Vectors, Vectors]:
         k1, k2, p1, p2, k3 = self.distortion

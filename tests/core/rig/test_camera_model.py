@@ -75,6 +75,8 @@ def test_given_points_when_projected_then_their_pixels_look_at_them(distortion):
             points, np.zeros(3), np.zeros(3), camera.intrinsics, np.array(distortion)
         )
         np.testing.assert_allclose(camera.pixels(points), theirs[:, 0], atol=1e-9)
+        # Far aside the polynomial would fold back into the picture.
+        assert np.isnan(camera.pixels(np.array([[40.0, 1.0, 1.0]]))).all()
 
 
 @pytest.mark.parametrize('changes', [
