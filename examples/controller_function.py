@@ -1,10 +1,10 @@
-"""A controller of one's own, as a function, and the shipped one with other gains."""
+"""Run a controller written as a function, and the shipped one with other gains."""
 
 import taxinet_ros as tx
 
 
 def proportional(estimate):
-    """Nose-wheel angle [rad, left positive] and speed [m/s] for an estimate."""
+    """Return nose-wheel angle [rad, left positive] and speed [m/s] for an estimate."""
     if not estimate.usable:
         return 0.0, 0.0
     return max(-0.26, min(0.26, -0.05 * estimate.cte_m - 1.2 * estimate.he_rad)), 5.0

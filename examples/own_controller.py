@@ -1,7 +1,7 @@
-"""A controller node of one's own, with nothing but rclpy and the message package.
+"""Controller node that needs only rclpy and the message package.
 
-Start it in every graph: ``taxinet run s_falsif --controller-cmd 'python3 own_controller.py'``; see
-whether it does all that it has to: ``taxinet check-node 'python3 own_controller.py'``.
+Start it in every graph: ``taxinet run s_falsif --controller-cmd 'python3 own_controller.py'``. Test
+it against the contract: ``taxinet check-node 'python3 own_controller.py'``.
 """
 
 import contextlib
@@ -28,12 +28,12 @@ class OwnController(Node):
         self.create_timer(0.02, self.get_ready)
 
     def begin(self, scenario):
-        """A run begins: a controller with a memory forgets the one before."""
+        """Begin a run; a controller with state resets it here."""
         if self.get_name() in scenario.participants:
             self.scenario = scenario
 
     def get_ready(self):
-        """Say READY once for a run, when all ends have found each other."""
+        """Report READY once per run, when all connections are established."""
         if (run := self.scenario) is None:
             return
         listeners = {'simulator', 'mtl_monitor', 'recorder'} & {'simulator', *run.participants}
@@ -46,7 +46,7 @@ class OwnController(Node):
             ))
 
     def steer(self, estimate):
-        """One estimate in, one command out, with the estimate's stamp, run and step."""
+        """Publish one command per estimate, with the estimate's stamp, run and step."""
         command = TaxiCommand(header=estimate.header, run_id=estimate.run_id, seq=estimate.seq)
         command.header.frame_id = 'base_link'
         angle = -0.05 * estimate.cross_track_error - 1.2 * estimate.heading_error

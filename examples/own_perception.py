@@ -1,9 +1,9 @@
-"""A perception node of one's own, with nothing but rclpy, NumPy and the message package.
+"""Perception node that needs only rclpy, NumPy and the message package.
 
 Start it in every graph: ``taxinet run s_falsif --perception-cmd 'python3 own_perception.py'``, or
-into one that waits for it: ``taxinet up --perception external``; see whether it does all that it
-has to: ``taxinet check-node 'python3 own_perception.py'``. This one looks for the centre of the
-bright paint in the lower half of the frame, and calls that the centreline: a bad estimate.
+in a graph that waits for it: ``taxinet up --perception external``. Test it against the contract:
+``taxinet check-node 'python3 own_perception.py'``. It takes the mean position of the bright paint
+in the lower half of the frame as the centreline, which is a poor estimate.
 """
 
 import contextlib
@@ -33,17 +33,17 @@ class OwnPerception(Node):
         self.create_timer(0.02, self.get_ready)
 
     def begin(self, scenario):
-        """A run begins: a perception with a memory forgets the one before."""
+        """Begin a run; a perception with state resets it here."""
         if self.get_name() in scenario.participants:
             self.scenario = scenario
 
     def get_ready(self):
-        """Say READY once for a run, when all ends have found each other."""
+        """Report READY once per run, when all connections are established."""
         if (run := self.scenario) is None:
             return
         listeners = {'steering_controller', 'mtl_monitor', 'recorder'} & set(run.participants)
         if self.estimates.get_subscription_count() > len(listeners) \
-                and self.count_publishers('camera/image_raw'):  # > : the simulator listens too
+                and self.count_publishers('camera/image_raw'):  # > : and the simulator
             self.scenario, self.run_id = None, run.run_id
             self.status.publish(NodeStatus(
                 run_id=run.run_id, node=self.get_name(), state=NodeStatus.READY,
@@ -51,7 +51,7 @@ class OwnPerception(Node):
             ))
 
     def see(self, image):
-        """One frame in, one estimate out; the frame's stamp says which control step it is."""
+        """Publish one estimate per frame; the control step follows from the frame's stamp."""
         stamp = image.header.stamp
         answer = TrackingError(header=image.header, run_id=self.run_id)
         answer.header.frame_id = 'map'

@@ -1,10 +1,10 @@
-"""A perception of one's own, as a function: the middle of the bright paint is the centreline."""
+"""Run a perception written as a function: the middle of the bright paint is the centreline."""
 
 import taxinet_ros as tx
 
 
 def bright_paint(image):
-    """Cross-track and heading error in a frame, (200, 360, 3) uint8 RGB; None where unknown."""
+    """Return cross-track and heading error for a frame, (200, 360, 3) uint8 RGB, or None."""
     columns = (image[100:].min(axis=2) > 200).nonzero()[1]
     if not columns.size:
         return None

@@ -1,4 +1,4 @@
-"""How the shipped network steers at each shipped place, seen in its training or not: a table."""
+"""Print a table of the shipped network's results at each shipped place."""
 
 import math
 import random
@@ -13,7 +13,7 @@ print('| --- | --- | --- |')
 for place in ('kmwh_04', 'bikf_10', 'nzqn_05'):
     passed = off = 0
     for number in range(RUNS):
-        draw = random.Random(number)  # the same starts at every place
+        draw = random.Random(number)  # same start poses at every place
         run = tx.run(tx.Scenario(
             place=place, cross_track_m=draw.uniform(-8, 8), distance_m=draw.uniform(0, 1350),
             heading_rad=math.radians(draw.uniform(-20, 20)),

@@ -1,4 +1,4 @@
-"""A search of one's own: draw scenes, run them, keep the worst."""
+"""Custom search: draw scenes, run them, keep the worst."""
 
 import numpy as np
 

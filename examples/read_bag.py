@@ -1,4 +1,4 @@
-"""What a run's bag tells: what was run, how it went, and what another requirement says of it."""
+"""Read a run's bag: print scenario and trace, and judge it by another requirement."""
 
 import sys
 

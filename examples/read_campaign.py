@@ -1,4 +1,4 @@
-"""What a campaign found: how often its program fails, and its worst run once more."""
+"""Read a campaign: print its rows and failure rates, and repeat its worst run."""
 
 import sys
 

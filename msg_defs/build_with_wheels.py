@@ -1,10 +1,10 @@
 """Build messages into a virtual environment whose ROS 2 came as wheels (no ROS installation).
 
-They are taxinet_msgs, and of geometry2's tf2_msgs, which is not among the wheels, what a graph
-says. Run it with the environment's own Python, ``.venv/bin/python msg_defs/build_with_wheels.py``.
-It does nothing when the installed messages stem from the present sources already, and leaves a
-tf2_msgs alone that somebody else has installed. Where a ROS 2 installation is sourced, use
-``colcon build`` instead; that finds the genuine tf2_msgs.
+Builds taxinet_msgs, and the messages used here of geometry2's tf2_msgs, for which there is no
+wheel. Run it with the environment's own Python, ``.venv/bin/python msg_defs/build_with_wheels.py``.
+It does nothing if the installed messages match the current sources, and keeps a tf2_msgs that was
+installed by other means. If a ROS 2 installation is sourced, use ``colcon build`` instead; it finds
+the original tf2_msgs.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ LOG_TAIL_LINES = 30
 
 @dataclass(frozen=True)
 class Package:
-    """One interface package: its name, and the folder of its sources."""
+    """An interface package: its name and source folder."""
 
     name: str
     source: Path
 
     @property
     def build(self) -> Path:
-        """Where CMake works."""
+        """CMake's build folder."""
         return PREFIX / 'build' / self.name
 
     @property
     def log(self) -> Path:
-        """What CMake and the compiler say."""
+        """Log of CMake and the compiler."""
         return self.build / 'build.log'
 
     @property
     def share(self) -> Path:
-        """Where its definitions are laid down."""
+        """Folder of the installed definitions."""
         return PREFIX / 'share' / self.name
 
     @property
     def stamp(self) -> Path:
-        """Tells which sources the installed messages stem from."""
+        """File with the digest of the sources of the installed messages."""
         return self.share / 'sources.sha256'
 
     @property
     def foreign(self) -> bool:
-        """Whether somebody else has installed a package of this name."""
+        """Whether a package of this name was installed by other means."""
         manifest = self.share / 'package.xml'
-        own = self.stamp, self.source / 'package.xml'  # A build that was cut short leaves no stamp.
+        own = self.stamp, self.source / 'package.xml'  # An interrupted build leaves no stamp.
         return manifest.exists() and not (
             own[0].exists() or manifest.read_bytes() == own[1].read_bytes()
         )
@@ -66,11 +66,11 @@ PACKAGES = (Package('taxinet_msgs', SOURCE), Package('tf2_msgs', SOURCE / 'tf2_m
 
 
 class BuildError(Exception):
-    """The build cannot go on; the message is what to tell the user."""
+    """The build failed; the message is for the user."""
 
 
 def sources_digest(package: Package) -> str:
-    """SHA-256 over everything that decides what gets installed, the Python version included."""
+    """SHA-256 of everything that affects the installed files, including the Python version."""
     digest = hashlib.sha256(sys.version.encode())
     kinds = ('*.txt', '*.xml', 'msg/*.msg', 'srv/*.srv', 'action/*.action')
     found = {path for kind in kinds for path in package.source.glob(kind)}
@@ -91,8 +91,8 @@ def numpy_include() -> Path:
 def mend_include_paths() -> None:
     """Point the wheels' exported CMake files at this environment's headers.
 
-    The wheels carry two include folders of the machine that built them, which exist nowhere else;
-    CMake refuses to configure against a missing include folder.
+    The wheels contain two include paths of their build machine, and CMake rejects include folders
+    that do not exist.
     """
     foreign = r'/opt/python/cp\d+-cp\d+'
     mends = (
@@ -102,14 +102,14 @@ def mend_include_paths() -> None:
     for path in PREFIX.glob('share/*/cmake/*.cmake'):
         before = after = path.read_text(encoding='utf-8')
         for pattern, mend in mends:
-            # Backslashes in a path are no group references.
+            # Backslashes in a path are not group references.
             after = re.sub(pattern, mend.replace('\\', r'\\'), after)
         if after != before:
             path.write_text(after, encoding='utf-8')
 
 
 def build_environment() -> dict[str, str]:
-    """Environment for CMake: this prefix only, whatever other ROS the shell has sourced."""
+    """Environment for CMake with this prefix only, ignoring any sourced ROS installation."""
     sourced = ('PYTHONPATH', 'AMENT_PREFIX_PATH', 'CMAKE_PREFIX_PATH', 'COLCON_PREFIX_PATH')
     environment = {key: value for key, value in os.environ.items() if key not in sourced}
     environment['PATH'] = os.pathsep.join([str(PREFIX / 'bin'), environment.get('PATH', '')])
@@ -118,7 +118,7 @@ def build_environment() -> dict[str, str]:
 
 
 def run_logged(package: Package, command: list[str]) -> None:
-    """Run one build step with its output in the log; on failure show the log's tail."""
+    """Run one build step with its output in the log; on failure, show the end of the log."""
     with package.log.open('a', encoding='utf-8') as log:
         log.write(f'$ {" ".join(command)}\n')
         log.flush()
@@ -132,7 +132,7 @@ def run_logged(package: Package, command: list[str]) -> None:
 
 
 def installed_files(package: Package) -> set[Path]:
-    """Files that the last build installed, after CMake's own list."""
+    """Files that the last build installed, from CMake's install manifest."""
     manifest = package.build / 'install_manifest.txt'
     if not manifest.exists():
         return set()
@@ -140,7 +140,7 @@ def installed_files(package: Package) -> set[Path]:
 
 
 def build(package: Package) -> None:
-    """Configure, compile and install into this environment; drop files of deleted messages."""
+    """Configure, compile and install into this environment; remove files of deleted messages."""
     package.build.mkdir(parents=True, exist_ok=True)
     package.log.write_text('', encoding='utf-8')
     before = installed_files(package)
@@ -160,7 +160,7 @@ def build(package: Package) -> None:
 
 
 def bring_up_to_date(package: Package) -> None:
-    """Build a package unless it is there already, and say which."""
+    """Build a package unless it is up to date, and print the result."""
     digest = sources_digest(package)
     if package.foreign:
         print(f'{package.name}: another one is installed in {PREFIX}, and is used')
@@ -168,7 +168,7 @@ def bring_up_to_date(package: Package) -> None:
         print(f'{package.name}: up to date in {PREFIX}')
     else:
         started = time.monotonic()
-        package.stamp.unlink(missing_ok=True)  # What is cut short from here on is built anew.
+        package.stamp.unlink(missing_ok=True)  # An interrupted build is repeated.
         mend_include_paths()
         build(package)
         package.stamp.write_text(digest, encoding='utf-8')
@@ -176,7 +176,7 @@ def bring_up_to_date(package: Package) -> None:
 
 
 def main() -> int:
-    """Build what is not up to date; 0 on success, 1 when a build step failed."""
+    """Build packages that are not up to date; return 0, or 1 if a build step failed."""
     if sys.prefix == sys.base_prefix:
         print(f'messages: {sys.executable} is not in a virtual environment', file=sys.stderr)
         return 1

@@ -1,7 +1,9 @@
 """World model of every program here: the aircraft on the runway, and the weather's vocabulary.
 
 Scenic's axes: x to the RIGHT of the centreline and y past the threshold, in metres; a heading of 0
-looks along the runway and grows counter-clockwise, that is with the nose to the left.
+looks along the runway and grows counter-clockwise, that is with the nose to the left. With another
+`track` these are coordinates of that track: x to the right of it, y along it from its first point,
+and a heading of 0 looks along it, also in a curve.
 taxinet_ros has cross-track error positive to the LEFT, so `cross_track_m` is minus x. Distance and
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
@@ -10,8 +12,9 @@ rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), air
 (shipped ones by name, such as 'c172p' and 'nose', or the path of a YAML file),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
-positive], speed_mps [m/s], duration_s [s], place (a shipped one by its name, such as
-'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
+positive], speed_mps [m/s], track (the line to follow: 'runway', or the name of a taxiway's
+centreline at the place, such as 'exit_left'), duration_s [s], place (a shipped one by its name,
+such as 'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain, duration)
 mean the same.
 
 A search varies every random choice of a program. To let it vary some only, write these with

@@ -1,6 +1,6 @@
 """Closed-loop testing of vision-based aircraft taxiing, on ROS 2 and without it.
 
-The front door for Python; ``docs/python.md`` shows each name at work::
+The public Python API; ``docs/python.md`` has examples of each name::
 
     import taxinet_ros as tx
 

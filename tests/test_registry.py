@@ -181,6 +181,20 @@ def test_given_a_world_that_breaks_its_contract_then_the_run_fails_and_the_proce
         tx.run(tx.Scenario(duration_s=0.5), world='elsewhere')
 
 
+def test_given_a_world_that_knows_no_tracks_when_one_is_asked_for_then_it_is_refused(
+    site: Path,
+) -> None:
+    lay_down_world(
+        site, 'away = dataclasses.replace(now.state, x_m=400.0, y_m=0.0)\n'
+        '        return dataclasses.replace(now, state=away)',
+    )
+    tx.run(tx.Scenario(duration_s=0.5), specs='phi_always', world='elsewhere')
+    with pytest.raises(InfraError, match=r'begins \d+.\d m from its start on the track exit_left'):
+        tx.run(
+            tx.Scenario(duration_s=0.5, track='exit_left'), specs='phi_always', world='elsewhere',
+        )
+
+
 def test_given_a_world_that_paints_over_its_picture_then_each_frame_of_a_run_stays_its_own(
     site: Path,
 ) -> None:

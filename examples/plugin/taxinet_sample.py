@@ -1,8 +1,8 @@
-"""One of everything that a package can add to taxinet_ros; see docs/extending.md.
+"""Sample package with one extension of each kind; see docs/extending.md.
 
-Install it beside taxinet_ros (``pip install examples/plugin``), and the names in pyproject.toml
-work wherever the shipped ones do: ``taxinet run nominal --perception bright-paint --controller
-damped --spec gentle``, ``taxinet falsify s_falsif --sampler corners``.
+After installation (``pip install examples/plugin``), the names in pyproject.toml can be used like
+the shipped ones: ``taxinet run nominal --perception bright-paint --controller damped --spec
+gentle``, ``taxinet falsify s_falsif --sampler corners``.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ WHEELBASE_M = 3.5
 
 
 def bright_paint(image):
-    """A frame in, (cte_m, he_rad) out, or None: the columns where the paint is, near and far."""
+    """Return (cte_m, he_rad) from the columns of near and far paint in a frame, or None."""
     columns = []
     for rows in (slice(60, 90), slice(120, 180)):
         paint = image[rows, :, :].min(axis=(0, 2)) > 150
@@ -34,13 +34,13 @@ def bright_paint(image):
 
 
 class Damped:
-    """A controller with a memory: it is made anew for each run, so no run depends on another."""
+    """A controller with state: it is created anew for each run, so runs are independent."""
 
     def __init__(self):
         self.before_m = None
 
     def __call__(self, estimate):
-        """An estimate in, (steering_rad, speed_mps) out."""
+        """Return (steering_rad, speed_mps) for an estimate."""
         if not estimate.usable:
             return 0.0, 0.0
         rate_mps = 0.0 if self.before_m is None else (estimate.cte_m - self.before_m) / STEP_S
@@ -50,7 +50,7 @@ class Damped:
 
 
 class Corners:
-    """Proposes points near the ends of all dimensions, of some at random."""
+    """Proposes points near random ends of all dimensions."""
 
     def __init__(self, space, seed, width):
         self.space, self.width = space, width
@@ -63,7 +63,7 @@ class Corners:
     again = ask
 
     def tell(self, index, rho):
-        """It learns nothing."""
+        """Ignore the result; this sampler does not learn."""
 
     def weight(self, index):
         return None
@@ -83,17 +83,20 @@ GENTLE = 'always(abs(steering) <= 12 deg)'
 
 
 class Bicycle:
-    """A world without flight dynamics: a bicycle on the shipped runway, seen by the shipped camera.
+    """A world without flight dynamics: a bicycle model with the shipped runway and camera.
 
-    The nose wheel follows at once, and so does the speed.
+    Nose wheel and speed follow commands immediately.
     """
 
     def __init__(self, scenario, *, pictures=True):
         self.last_seq, self.seq = last_step(scenario), 0
         self.camera = Camera(scenario) if pictures else None
+        x_m, y_m, yaw_rad = scenario.line.pose(
+            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
+        )
         self.state = AircraftState(
-            x_m=scenario.distance_m, y_m=scenario.cross_track_m, z_m=1.55, roll_rad=0.0,
-            pitch_rad=0.0, yaw_rad=scenario.heading_rad, speed_mps=5.0, yaw_rate_radps=0.0,
+            x_m=x_m, y_m=y_m, z_m=1.55, roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw_rad,
+            speed_mps=5.0, yaw_rate_radps=0.0,
         )
 
     def observe(self, *, picture=True):

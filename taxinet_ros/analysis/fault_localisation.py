@@ -1,8 +1,8 @@
 """Fault localisation: find whether network or controller causes failures.
 
-The paper's (section "Error analysis and debugging"): counterexamples are rerun with the truth in
-place of the network's estimates. This module has the verdicts, and the report on them: sentences, a
-table of counts, a figure, JSON.
+The paper's method (section "Error analysis and debugging"): counterexamples are rerun with the
+truth instead of the network's estimates. This module contains the verdicts and the report on them:
+sentences, a table of counts, a figure, JSON.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class Blame(enum.StrEnum):
     """The cause to which a failure is attributed."""
 
     PERCEPTION = 'perception'
-    """With a perfect estimate the run passes."""
+    """The run passes with a perfect estimate."""
     CONTROLLER = 'controller'
-    """It fails with a perfect estimate too: steering law, dynamics or the formula itself."""
+    """The run fails with a perfect estimate too: steering law, dynamics or the formula itself."""
     NOT_REPRODUCED = 'not reproduced'
     """The unchanged rerun differs from the recording (other version or machine). Not counted."""
     UNKNOWN = 'unknown'
@@ -68,7 +68,7 @@ class Case:
 
     Attributes:
         row: the recorded run.
-        trials: by word of the substitution, those that were made.
+        trials: the trials made, by word of the substitution.
         blame: the attributed cause.
         suffices: which perfect estimate alone makes it pass.
     """
@@ -96,10 +96,10 @@ class Localisation:
 
     Attributes:
         spec: name of the headline formula.
-        specs: number of formulas; to pass is to satisfy all.
+        specs: number of formulas; a run passes if it satisfies all.
         perception: word or file of the network.
-        failed, runs: failed and judged runs of the campaign.
-        chosen_by: sampler of its scenes, '' if they were drawn.
+        failed, runs: number of failed and of judged runs of the campaign.
+        chosen_by: sampler of its scenes, '' if the program drew them.
         words: requested substitutions, the control first.
         cases: the analysed counterexamples.
     """
@@ -129,7 +129,7 @@ class Localisation:
         return sum(not case.trials[AS_RECORDED].exact for case in self.counted)
 
     def passing(self, word: str) -> tuple[int, int, Rate]:
-        """Cases that pass with a substitution, those that were judged, and the share.
+        """Number of cases that pass with a substitution, number judged, and the share.
 
         The share has its 95 % Clopper-Pearson interval.
         """
@@ -153,7 +153,7 @@ class Localisation:
 def reproduced(row: RunRow, control: Trial) -> bool:
     """Whether a rerun reproduced the recording.
 
-    Bit-exact if the scene is; else it must fail again.
+    It must be bit-exact if the scene is; otherwise it must fail again.
     """
     if control.passed is not False:
         return False
@@ -221,7 +221,7 @@ _MEANINGS = {
 
 
 def localisation_report(found: Localisation) -> Report:
-    """The whole, as a page of its own would show it."""
+    """Report on a localisation."""
     sentences = tuple(localisation_sentences(found))
     return Report(
         title=f'Fault localisation: {len(found.cases)} counterexamples of {found.perception}',
@@ -270,7 +270,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
 
 
 def cases_frame(found: Localisation) -> pd.DataFrame:
-    """One line for each counterexample, by index."""
+    """Table with one row per counterexample, by index."""
     cases = sorted(found.cases, key=lambda case: case.row.index)
     return pd.DataFrame([_case_values(case, found.words) for case in cases]).convert_dtypes()
 

@@ -1,8 +1,8 @@
 """Release gate: check acceptance thresholds on a campaign's runs; verdicts and JUnit XML.
 
-A share of runs is only known within an interval, so there are three verdicts. PASS: the bound of
-the relevant bound of the interval clears the threshold. FAIL: the whole interval is beyond it.
-INCONCLUSIVE: the threshold lies within it, and more runs would decide; or the runs give no rate.
+A share of runs is only known within an interval, so there are three verdicts. PASS: the relevant
+bound of the interval clears the threshold. FAIL: the whole interval is beyond it. INCONCLUSIVE: the
+threshold lies within it, and more runs would decide; or the runs give no rate.
 Both bounds are one-sided, each at the stated confidence: a system exactly at the threshold passes,
 or fails, with a probability of at most 1 - confidence each. With several criteria, that holds for
 each; the gate passes if all do and fails if any does.
@@ -10,11 +10,11 @@ each; the gate passes if all do and fails if any does.
 That probability covers all looks at a campaign together, so it may be monitored while running, and
 an inconclusive one may be extended. Half of it is spent on the look at the number of runs planned
 before the first one, with exact binomial bounds; the other half on all other looks, with bounds
-valid at any number of runs. Both are in :mod:`taxinet_ros.campaign.rates`, with which runs count.
+valid at any number of runs. :mod:`taxinet_ros.campaign.rates` defines both, and which runs count.
 
-The JUnit vocabulary is that of Ant's reports as Jenkins, GitLab and others read it: a
-``testsuite`` with ``properties`` and ``testcase`` elements, of which those with ``failure``,
-``error`` or ``skipped`` in them are not passed.
+The JUnit format is that of Ant's reports as read by Jenkins, GitLab and others: a ``testsuite``
+with ``properties`` and ``testcase`` elements; a test case with a ``failure``, ``error`` or
+``skipped`` child has not passed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MOST_RUNS = 10**7
 
 
 class Bounds(NamedTuple):
-    """A share of runs with its one-sided bounds, as fractions; NaN, 0 and 1 without a run."""
+    """A share of runs with its one-sided bounds, as fractions; NaN, 0 and 1 without runs."""
 
     share: float
     low: float
@@ -188,7 +188,7 @@ def further_runs(found: ProgramRate, threshold: float, confidence: float) -> int
         None if the share equals the threshold, or more than :data:`MOST_RUNS` would be needed.
     """
     share = found.drawn_hits / found.drawn if found.drawn else 1.0
-    # A campaign that has not begun can plan them; else they are added to those planned.
+    # A campaign that has not started can plan them; otherwise they add to the planned runs.
     ends = anytime_bounds if found.runs else share_bounds
 
     def decided(number: float) -> bool:
@@ -317,7 +317,7 @@ def junit_xml(
         rows: the campaign's runs.
         answer: result of the gate.
         folder: the campaign's folder, for rerun commands.
-        facts: of the campaign.
+        facts: facts of the campaign.
         inconclusive_passes: an undecided criterion is skipped, not a failure.
     """
     suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})

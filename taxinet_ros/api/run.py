@@ -57,7 +57,7 @@ from taxinet_ros.core.controller import (
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
-from taxinet_ros.core.mtl import offline, signal_names
+from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
@@ -171,15 +171,20 @@ class Run:
         """Deviation, settling time and estimation errors."""
         return self.judgement.statistics
 
-    @cached_property
+    @property
     def trace(self) -> pd.DataFrame:
         """A row for each control step (10 Hz); units are in ``trace.attrs['units']``.
 
         Columns: ``t_s``, ``seq``, ``t_ns``, ``est_valid``, ``x_m``, ``y_m``, ``speed_mps``, true
         ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad`` (NaN where there is
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
-        and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
+        and ``rho_upper.<name>``; cross-track, heading and steering are left positive. Each access
+        gives a copy of its own.
         """
+        return self._trace.copy()
+
+    @cached_property
+    def _trace(self) -> pd.DataFrame:
         return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
     @takes(seq=WHOLE)
@@ -334,13 +339,14 @@ def run(
     """
     eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
     judging = Judging(
-        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=_texts(bounds),
-        rates=_texts(rates),
+        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=text_list(bounds),
+        rates=text_list(rates),
     )
-    timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
+    timing, assumptions = parse_latency(text_list(latency)), judging.assumptions
     asked = judging.parsed_specs
+    check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
-    for line in check_specs(asked, scenario.duration_s, gains).warnings:
+    for line in check_specs(asked, scenario, gains).warnings:
         warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 
@@ -400,7 +406,8 @@ def _node_words(
     return tuple(nodes)
 
 
-def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
+def text_list(words: str | Sequence[str]) -> tuple[str, ...]:
+    """One text, or several, as a tuple."""
     return (words,) if isinstance(words, str) else tuple(words)
 
 
@@ -414,8 +421,9 @@ def render(
     Args:
         scenario: light, weather and runway; also the start pose if ``pose`` is None, which gives
             the first frame of its run.
-        pose: ``(x_m, cte_m, he_rad)``: metres past the threshold, metres left of the centreline,
-            heading error in radians, left positive, with the attitude of a run's start; or a full
+        pose: ``(x_m, cte_m, he_rad)``: metres along the scenario's track (past the threshold),
+            metres left of it, heading error in radians, left positive, with the attitude of a run's
+            start; or a full
             :class:`AircraftState`.
         t_s: simulated time [s], which moves clouds and rain.
 
@@ -468,10 +476,17 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if trace[name].dtype.kind in 'biuf'
     }
     signals = trace_signals(stamps_ns, numbers)
-    signals |= {
+    own = {
         name: column for name, column in numbers.items()
         if name.isidentifier() and name not in RESERVED
     }
+    for name in signals.keys() & own.keys():
+        if name in SIGNAL_COLUMNS and not np.array_equal(signals[name], own[name], equal_nan=True):
+            raise UsageError(
+                f'trace: columns {name} and {SIGNAL_COLUMNS[name]} both give signal {name} and '
+                'differ; leave one out'
+            )
+    signals |= own
     _check_read(spec, trace, signals)
     asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
     return offline.robustness(asked.formula, stamps_ns, signals)
@@ -548,6 +563,7 @@ def _perception(given: str | Perception | Look) -> Perception:
     if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
         return given
     _check_answering('perception', given, 'estimate', 2)
+    _check_starting('perception', given, 0)
     return _FunctionPerception(given)
 
 
@@ -557,6 +573,7 @@ def _controller(given: str | Controller | Steer) -> Controller:
     if isinstance(given, SteeringLaw | UserController):
         return given
     _check_answering('controller', given, 'command', 1)
+    _check_starting('controller', given, 1)
     return _FunctionController(given)
 
 
@@ -568,12 +585,31 @@ def _check_answering(name: str, given: Any, method: str, arguments: int) -> None
     if isinstance(given, type) or not callable(answer):
         told_words = given if isinstance(given, int | float) else told(given)
         raise UsageError(f'{name}: {told_words} is neither a word, a {name} nor a function')
+    if why := _misfit(answer, count):
+        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {why}')
+
+
+def _check_starting(name: str, given: Any, most: int) -> None:
+    """Check that ``begin``, with at most ``most`` arguments, and ``reset`` can be called."""
+    for method in ('begin', 'reset'):
+        start = getattr(given, method, None)
+        if start is None:
+            continue
+        misfits = [_misfit(start, count) for count in range(most + 1 if method == 'begin' else 1)]
+        if not callable(start) or all(misfits):
+            what = 'the scenario or nothing' if len(misfits) > 1 else 'no argument'
+            raise UsageError(f'{name}: {method} of {told(given)} cannot be called with {what}')
+
+
+def _misfit(function: Any, count: int) -> str:
+    """Why a function cannot be called with ``count`` arguments; '' if it can."""
     try:
-        inspect.signature(answer).bind(*range(count))
+        inspect.signature(function).bind(*range(count))
     except TypeError as error:
-        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {error}') from None
+        return str(error)
     except ValueError:  # compiled functions may have no signature
         pass
+    return ''
 
 
 class _Function:
@@ -585,12 +621,14 @@ class _Function:
         self._given = given
 
     def begin(self, scenario: Scenario | None = None) -> None:
-        """Reset it before a run, if it has a ``begin()`` or ``reset()``."""
-        for name in ('begin', 'reset'):
-            forget = getattr(self._given, name, None)
-            if forget is not None:
-                forget()
-                return
+        """Call its ``begin``, with the scenario if it takes one, or its ``reset``."""
+        begin = getattr(self._given, 'begin', None)
+        if begin is None:
+            getattr(self._given, 'reset', lambda: None)()
+        elif scenario is None or _misfit(begin, 1):
+            begin()
+        else:
+            begin(scenario)
 
 
 class _FunctionPerception(_Function, Perception):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.api.campaign import Campaign, open_campaign
-from taxinet_ros.api.run import CALLER, spec_texts
+from taxinet_ros.api.run import CALLER, spec_texts, text_list
 from taxinet_ros.arguments import (
     FLAG,
     FROM_0,
@@ -18,6 +18,7 @@ from taxinet_ros.arguments import (
     MAPPING,
     NONE,
     PATH,
+    TEXTS,
     WORD,
     python_words,
     says_parameters,
@@ -33,19 +34,23 @@ from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.registry import KMWH
 
 
 @takes(
     program=PATH, runs=FROM_1, seed=FROM_0, sampler=NONE | WORD, sampler_options=NONE | MAPPING,
-    perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, until=NONE | WORD,
-    workers=FROM_1, out=NONE | PATH, resume=FLAG,
+    perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, bounds=TEXTS,
+    rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1, out=NONE | PATH,
+    resume=FLAG,
 )
 @says_parameters
 def falsify(
     program: str | os.PathLike[str], *, runs: int = 100, seed: int = 0, sampler: str | None = None,
     sampler_options: Mapping[str, object] | None = None, perception: str = 'taxinet',
     controller: str = STEERING, specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS,
-    settings: Mapping[str, object] | None = None, stop_on: str = 'never', until: str | None = None,
+    settings: Mapping[str, object] | None = None, stop_on: str = 'never',
+    bounds: str | Sequence[str] = (), rates: str | Sequence[str] = (),
+    latency: str | Sequence[str] = (), world: str = KMWH, until: str | None = None,
     workers: int = 1, out: str | os.PathLike[str] | None = None, resume: bool = False,
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
@@ -66,6 +71,10 @@ def falsify(
         settings: scenario values that override drawn ones, in the units of Scenic programs, or
             ``steering.<gain>``.
         stop_on: as for ``tx.run``.
+        bounds: as for ``tx.run``.
+        rates: as for ``tx.run``.
+        latency: as for ``tx.run``.
+        world: as for ``tx.run``.
         until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
         workers: number of processes; results do not depend on it.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
@@ -83,7 +92,8 @@ def falsify(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
         settings=_texts(settings), specs=spec_texts(specs),
         out=None if out is None else Path(out), processes=False, images='none', resume=resume,
-        stop_on=stop_on, controller=controller,
+        stop_on=stop_on, controller=controller, bounds=text_list(bounds), rates=text_list(rates),
+        latency=text_list(latency), world=world,
     )
     search = Search(
         make_search_options(

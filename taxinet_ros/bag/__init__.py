@@ -1,6 +1,6 @@
-"""Run bags: writing, reading, checking, mending and decoding them, without ROS.
+"""Run bags: write, read, check, repair and decode them, without ROS.
 
-The traces of a run as a table, on any machine with Python::
+Traces of a run as a table, on any machine with Python::
 
     from taxinet_ros.bag import open_recording
 
@@ -59,7 +59,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """The names above, each imported when it is first asked for: a writer needs no pandas."""
+    """Import the names above lazily: a writer needs no pandas."""
     if name not in _HOME:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(importlib.import_module(f'{__name__}.{_HOME[name]}'), name)

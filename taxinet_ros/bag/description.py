@@ -1,7 +1,7 @@
-"""The description of a bag that rosbag2 keeps beside and within it, version 9 (Jazzy).
+"""rosbag2's bag metadata, stored in ``metadata.yaml`` and in the storage file; version 9 (Jazzy).
 
 Fields and their order are those of rosbag2_storage's ``BagMetadata``; ``ros2 bag info`` needs
-all. When ``metadata.yaml`` is read, nothing in it is taken on trust.
+all of them. The content of ``metadata.yaml`` is treated as untrusted.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
 VERSION = 9
 ROS_DISTRO = 'jazzy'
 NOT_STARTED_NS = 2**63 - 1
-"""Start that rosbag2 notes in a bag without messages."""
+"""Start time that rosbag2 writes for a bag without messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagContent:
-    """What was recorded, as far as the description tells.
+    """Content of a bag, as far as its metadata describes it.
 
     Attributes:
         file: name of the storage file.
         start_ns: stamp of the first message [ns of simulated time].
         duration_ns: last stamp minus first stamp [ns].
         topics: every topic with its number of messages.
-        custom: words of the run: scenario, seed, version and the like.
+        custom: metadata of the run, such as scenario, seed and version.
     """
 
     file: str
@@ -45,8 +45,8 @@ class BagContent:
 
 
 def record_text(content: BagContent) -> str:
-    """YAML for the ``serialized_metadata`` record within the storage file."""
-    # Topics are most of it, and the same in every bag of a campaign: dumping takes milliseconds.
+    """YAML for the ``serialized_metadata`` record in the storage file."""
+    # Topics are most of it and equal in all bags of a campaign; dumping takes ms, so it is cached.
     topics = [f'{_topic_text(topic)}  message_count: {count}\n' for topic, count in content.topics]
     listed = '\n' + ''.join(topics) if topics else ' []\n'
     before, after = dump_yaml(_before(content)), dump_yaml(_after(content))
@@ -99,13 +99,13 @@ def _total(content: BagContent) -> int:
 
 @lru_cache(maxsize=64)
 def _topic_text(topic: TopicInfo) -> str:
-    """An item of the list of topics, without its last line."""
+    """YAML list item of a topic, without its last line."""
     return dump_yaml([{
         'topic_metadata': {
             'name': topic.name,
             'type': topic.type,
             'serialization_format': 'cdr',
-            # The very text of the channel: readers join the two on equal profiles.
+            # Same text as in the channel: readers match the two by equal profiles.
             'offered_qos_profiles': list(qos_profiles(topic.qos)),
             'type_description_hash': topic.type_hash,
         },
@@ -116,11 +116,11 @@ _ROOT = 'rosbag2_bagfile_information'
 
 
 def words_beside(path: Path, words: Mapping[str, str]) -> dict[str, str]:
-    """What ``metadata.yaml`` says of a run besides the words within the bag, such as the commit.
+    """Metadata of a run that is only in ``metadata.yaml``, such as the commit.
 
     Args:
-        path: a run folder; of an ``.mcap`` file nothing is beside it.
-        words: those within the bag.
+        path: a run folder; empty for an ``.mcap`` file.
+        words: metadata in the storage file.
     """
     try:
         custom = read_description(path).get('custom_data') if path.is_dir() else None
@@ -130,11 +130,11 @@ def words_beside(path: Path, words: Mapping[str, str]) -> dict[str, str]:
 
 
 def read_description(folder: Path) -> Mapping[str, Any]:
-    """The values of ``metadata.yaml`` in ``folder``, ``message_count`` among them.
+    """Read ``metadata.yaml`` in ``folder``; the values include ``message_count``.
 
     Raises:
-        BagTruncated: there is none, so the recording was not finished.
-        BagCorrupt: it is no bag description.
+        BagTruncated: no such file, so the recording was not finished.
+        BagCorrupt: invalid bag metadata.
     """
     file = folder / METADATA_FILE
     if not file.is_file():

@@ -1,4 +1,4 @@
-"""Errors of bags. Every failure of this package is one of these, with a one-line message."""
+"""Errors of bags, with one-line messages; every failure of this package is one of these."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ class BagError(Exception):
     """A bag cannot be written or read.
 
     Attributes:
-        path: the file or folder concerned, or None where only bytes were at hand.
-        recovered: messages that were read soundly before the trouble.
-        offset: byte of the file at which the damage lies, or -1 where it has no place.
+        path: the file or folder concerned, or None if unknown.
+        recovered: number of intact messages read before the error.
+        offset: byte offset of the damage in the file, or -1 if it has none.
     """
 
     def __init__(
@@ -26,7 +26,7 @@ class BagError(Exception):
 
 
 class BagWriteError(BagError):
-    """The operating system refused to store more; the bag holds what was written before.
+    """The operating system failed to write; the bag contains what was written before.
 
     Attributes:
         errno: the system's error number, e.g. ``errno.ENOSPC``.
@@ -38,23 +38,23 @@ class BagWriteError(BagError):
 
 
 class BagTruncated(BagError):  # noqa: N818 - the state of the bag
-    """The file stops before its end mark: its writer was killed, or the copy is incomplete."""
+    """The file ends before its end mark: the writer was killed, or the copy is incomplete."""
 
 
 class BagCorrupt(BagError):  # noqa: N818 - the state of the bag
-    """The bytes contradict their checksums or one another."""
+    """The data do not match their checksums or each other."""
 
 
 class BagEmpty(BagError):  # noqa: N818 - the state of the bag
-    """There is nothing in it to read."""
+    """The bag contains nothing to read."""
 
 
 class BagForeign(BagError):  # noqa: N818 - the state of the bag
-    """It is no bag, or one of a kind that this package does not read."""
+    """Not a bag, or one of an unsupported kind."""
 
 
 def several_runs(path: Path, one: str, other: str) -> BagForeign:
-    """The error of who reads one run, and finds two in a bag."""
+    """Error for a bag that contains two runs where one is expected."""
     return BagForeign(
         f'{path}: holds several runs, {one} and {other}; split it with: taxinet bag split {path} '
         '--out DIR', path=path,

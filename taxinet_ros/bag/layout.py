@@ -1,7 +1,7 @@
 """File layout: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
 
 This is the layout of rosbag2 (package rosbag2_cpp, ``SequentialWriter``), so ``ros2 bag`` accepts
-the folder. As there, ``metadata.yaml`` is written last: a folder without it was not finished.
+the folder. As in rosbag2, ``metadata.yaml`` is written last: a folder without it is unfinished.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ _RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}')
 
 
 def is_run_name(run_id: str) -> bool:
-    """Whether a run's name can become that of its folder, which leads nowhere else."""
+    """Whether a run's name is safe as a folder name."""
     return _RUN_ID.fullmatch(run_id) is not None
 
 
 def run_folder(out: Path, run_id: str) -> Path:
-    """The folder of a run within that of its campaign.
+    """Folder of a run within the campaign's folder.
 
     Raises:
-        UsageError: the name could lead elsewhere.
+        UsageError: the name is not safe as a folder name.
     """
     if not is_run_name(run_id):
         text = 'use letters, digits, _, - and . only, and neither - nor . first'
@@ -36,19 +36,19 @@ def run_folder(out: Path, run_id: str) -> Path:
 
 
 def mcap_path(folder: Path) -> Path:
-    """The one storage file of the run in ``folder``, named as ``ros2 bag reindex`` needs it."""
+    """Path of the storage file of the run in ``folder``, named as ``ros2 bag reindex`` requires."""
     return folder / f'{folder.name}_0.{STORAGE_ID}'
 
 
 def storage_files(path: Path) -> tuple[Path, ...]:
-    """The storage files of a bag, oldest first; ``path`` is a run folder or one ``.mcap`` file.
+    """Storage files of a bag, oldest first; ``path`` is a run folder or one ``.mcap`` file.
 
-    The list of files within ``metadata.yaml`` is not believed: it could point anywhere.
+    The list of files in ``metadata.yaml`` is not used, because it could point anywhere.
 
     Raises:
-        UsageError: there is nothing at ``path``.
-        BagEmpty: the folder holds no storage file.
-        BagForeign: the folder holds a bag of another storage.
+        UsageError: ``path`` does not exist.
+        BagEmpty: the folder contains no storage file.
+        BagForeign: the folder contains a bag of another storage.
     """
     if path.is_file():
         if path.name.endswith(f'.{STORAGE_ID}.zstd'):
@@ -58,7 +58,7 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         return (path,)
     if not path.is_dir():
         raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
-    # A recorder that was killed has compressed all files but its last.
+    # A killed recorder has compressed all files except the last.
     if any(not file.with_suffix('').exists() for file in path.glob(f'*.{STORAGE_ID}.zstd')):
         raise BagForeign(compressed(path, 'file'), path=path)
     files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
@@ -74,8 +74,8 @@ def _sqlite3(path: Path) -> BagForeign:
 
 
 def compressed(path: Path, mode: str) -> str:
-    """What to say of a bag that ``ros2 bag record --compression-mode`` has made."""
-    # Of a file alone ros2 bag does not know that it is compressed: that is in the description.
+    """Message about a bag recorded with ``ros2 bag record --compression-mode``."""
+    # ros2 bag needs metadata.yaml to detect the compression.
     folder = path if path.is_dir() else path.parent
     convert = (
         f'ros2 bag convert -i {folder} -o OPTIONS.yaml '

@@ -1,8 +1,8 @@
 """Limits of time and memory for reading a bag, as protection against malicious files.
 
-The limits of :mod:`.parse` hold for what is in chunks. What its definitions make of a message, a
-million objects out of a megabyte, no count of records foresees; so the processor's clock decides,
-and the size of this process.
+The limits of :mod:`.storage.records` apply to the content of chunks. They cannot bound the decoding
+of messages, where a definition may turn a megabyte into a million objects; so CPU time and memory
+of this process are limited too.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.errors import UsageError
 
 FREE_S = 20.0
-"""Processor time for a bag of any size."""
+"""CPU time allowed for a bag of any size [s]."""
 
 S_PER_MIB = 10.0
-"""And for each MiB of it; some hundred times what recordings need."""
+"""Additional CPU time per MiB [s]; about a hundred times what recordings need."""
 
 FREE_BYTES = 2 << 30
-"""Address space for a bag of any size, beyond what this process has when it begins."""
+"""Additional address space allowed for a bag of any size."""
 
 BYTES_PER_BYTE = 64
-"""And for each byte of it."""
+"""Additional address space per byte of the bag."""
 
 _AGAIN_S = 0.5
 
 
 class _TookTooLongError(BaseException):
-    """No ``except Exception`` on the way may swallow it."""
+    """Derived from BaseException, so that no ``except Exception`` catches it."""
 
 
 @contextlib.contextmanager
 def limited_reading(
     *bags: Path, error: Callable[[str], Exception] = BagCorrupt
 ) -> Iterator[None]:
-    """Context in which reading is aborted when it exceeds the limits for its size.
+    """Context in which reading is aborted when it exceeds the limits for the bags' size.
 
-    Only the main thread is watched. Within another ``with`` of its kind that one decides.
+    Only the main thread is limited. In nested contexts the outermost one applies.
 
     Raises:
-        error: it took more processor time, or memory.
+        error: CPU time or memory exceeded the limit.
     """
     alone = signal.getitimer(signal.ITIMER_VIRTUAL)[0] == 0.0
     if not alone or threading.current_thread() is not threading.main_thread():
@@ -77,13 +77,13 @@ def limited_reading(
 
 
 def read_within_limits(*bags: Path) -> contextlib.AbstractContextManager[None]:
-    """:func:`limited_reading` for a command: the bag is the user's to mend."""
+    """Return :func:`limited_reading` for a command; exceeding the limits is a usage error."""
     return limited_reading(*bags, error=UsageError)
 
 
 @contextlib.contextmanager
 def _memory(more_bytes: int) -> Iterator[None]:
-    """Let this process grow by so much and no further."""
+    """Limit the growth of this process's address space."""
     before, hard = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path('/proc/self/statm').read_text().split()[0])
     limit = pages * resource.getpagesize() + more_bytes
@@ -91,7 +91,7 @@ def _memory(more_bytes: int) -> Iterator[None]:
     hook = sys.unraisablehook
 
     def quiet(unraisable: sys.UnraisableHookArgs) -> None:
-        # Generators are closed on the way out, where there is no memory for that yet.
+        # Generators are closed while unwinding, when memory is still exhausted.
         if unraisable.exc_type is not MemoryError:
             hook(unraisable)
 

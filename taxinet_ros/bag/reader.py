@@ -1,8 +1,8 @@
 """Read messages and the table of contents of a bag from any ROS 2 recorder.
 
-:func:`read_contents` reads a bag in one pass: its table of contents, and the messages that are
-wanted. A sound file is read a few times as fast as a scan does it, and every checksum and count is
-held against the data all the same; where one fails, the scan tells which, and what can be saved.
+:func:`read_contents` reads a bag in one pass: its table of contents and selected messages. An
+intact file is read a few times faster than by a scan, still with all checksums and counts verified;
+if one fails, a scan locates the damage and recovers the rest.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
-"""How a message begins that rosbag2 has compressed; one of CDR begins with a zero."""
+"""Start of a message compressed by rosbag2; a CDR message starts with a zero."""
 _TROUBLES_TOLD = 3
-"""Places that one line names; a damaged disk may have made hundreds."""
+"""Maximum number of damaged places in one line; a damaged disk may cause hundreds."""
 Wanted = Callable[[str], bool]
-"""Whether the topic of this name is to be read."""
+"""Whether to read the topic of a name."""
 KeptBytes = Callable[[str], int]
-"""How much of each message on the topic of this name is to be kept [bytes]."""
+"""Number of bytes to keep of each message on the topic of a name."""
 _MOST_AT_ONCE_BYTES = 1 << 28
-"""A larger file is scanned piece by piece, not read into memory."""
+"""Larger files are scanned piece by piece, not read into memory."""
 _IN_SOUND_FILES = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
     Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
@@ -61,7 +61,7 @@ class RawMessage(NamedTuple):
 
 
 class StoredMessage(NamedTuple):
-    """One message with all that is known of its topic; stamp is the log time [ns]."""
+    """One message with its topic's description; the stamp is the log time [ns]."""
 
     topic: TopicInfo
     stamp_ns: int
@@ -74,15 +74,15 @@ class BagInfo:
 
     Attributes:
         path: as given.
-        topics: in the order of the file.
-        counts: sound messages by topic name, zeros included.
-        start_ns, end_ns: least and greatest stamp [ns]; 0 without messages.
-        metadata: metadata records by name; of several by one name, the last.
-        attachments: their names, in the order of the file.
+        topics: topics in the order of the file.
+        counts: number of intact messages by topic name, including zeros.
+        start_ns, end_ns: minimum and maximum stamp [ns]; 0 without messages.
+        metadata: metadata records by name; the last one if a name is repeated.
+        attachments: names in the order of the file.
         complete: the recording was finished and nothing is damaged.
-        trouble: one line on what is wrong, or empty.
-        back_ns: by how much the stamps go back at most from one message to the next [ns].
-        unchecked: one line on messages that no checksum covers, or empty.
+        trouble: one line describing the damage, or empty.
+        back_ns: maximum decrease of the stamp from one message to the next [ns].
+        unchecked: one line about messages not covered by a checksum, or empty.
     """
 
     path: Path
@@ -104,17 +104,17 @@ class BagInfo:
 
 
 def read_messages(path: Path, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-    """Yield the messages of a bag in the order in which they were recorded.
+    """Yield the messages of a bag in the order of recording.
 
     Args:
         path: a run folder or an ``.mcap`` file.
         topics: names to keep; default all.
 
     Raises:
-        BagTruncated, BagCorrupt: only after everything sound before the damage was yielded; the
-            error's ``recovered`` counts it.
-        BagEmpty, BagForeign: there is nothing to read, or nothing that can be.
-        UsageError: there is nothing at ``path``.
+        BagTruncated, BagCorrupt: raised after all intact messages before the damage were yielded;
+            ``recovered`` is their number.
+        BagEmpty, BagForeign: nothing to read, or an unsupported bag.
+        UsageError: ``path`` does not exist.
     """
     wanted = None if topics is None else frozenset(topics).__contains__
     for topic, stamp_ns, cdr in stored_messages(path, wanted):
@@ -124,7 +124,7 @@ def read_messages(path: Path, topics: Collection[str] | None = None) -> Iterator
 def stored_messages(
     path: Path, wanted: Wanted | None = None, on_damage: OnDamage | None = None
 ) -> Iterator[StoredMessage]:
-    """Like :func:`read_messages`, with definitions; damage may be handed over, see ``scan``."""
+    """Like :func:`read_messages`, with definitions and an optional damage callback (``scan``)."""
     count = 0
     try:
         for file in storage_files(path):
@@ -151,7 +151,7 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
 
     Args:
         path: a run folder or an ``.mcap`` file.
-        on_damage: called with each damaged place of the storage files.
+        on_damage: called for each damaged place in the storage files.
 
     Raises:
         BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
@@ -164,16 +164,16 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
 
 
 def unchecked_files(path: Path) -> str:
-    """One line on messages of a bag that no checksum covers, or ''; see ``scan.unchecked``."""
+    """One line about messages not covered by a checksum, or ''; see ``scan.unchecked``."""
     return '; '.join(filter(None, map(unchecked, storage_files(path))))
 
 
 def read_attachment(path: Path, name: str) -> bytes:
-    """The file that was put into the bag as ``name``; the last one, if several.
+    """Read the attachment ``name``; the last one if there are several.
 
     Raises:
-        UsageError: there is none by that name.
-        BagError: as :func:`read_messages`, if the bag is damaged and it was not found before that.
+        UsageError: no such attachment.
+        BagError: as :func:`read_messages`, if the bag is damaged and the attachment not found.
     """
     found: bytes | None = None
     names: list[str] = []
@@ -191,7 +191,7 @@ def read_attachment(path: Path, name: str) -> bytes:
 
 
 class _Topics:
-    """The topics of one file, as they turn up."""
+    """Topics of one file, collected from its records."""
 
     def __init__(self) -> None:
         self.by_channel: dict[int, TopicInfo] = {}
@@ -199,7 +199,7 @@ class _Topics:
         self._encodings: dict[int, str] = {}
 
     def note(self, record: object) -> None:
-        """Take in a record."""
+        """Process a record."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -207,7 +207,7 @@ class _Topics:
             self._encodings[record.id] = record.message_encoding
 
     def check(self, message: Message, file: Path, *, wanted: bool) -> None:
-        """Raise :class:`BagForeign` if a message is compressed, or is wanted and not CDR."""
+        """Raise :class:`BagForeign` for a compressed message, or a wanted one that is not CDR."""
         encoding = self._encodings[message.channel_id]
         if message.data.startswith(_ZSTD) and (wanted or encoding == 'cdr'):
             raise BagForeign(compressed(file, 'message'), path=file)
@@ -229,17 +229,17 @@ class _Topics:
 
 @dataclass
 class Contents:
-    """What one pass over a bag has found.
+    """Result of one pass over a bag.
 
     Attributes:
         path: as given.
-        topics: by name, in the order of the file.
-        counts: sound messages by topic name, zeros included.
-        metadata: metadata records by name; of several by one name, the last.
-        attachments: names of the files that were put into the bag.
-        messages: those that were wanted, in the order of the recording.
-        damage: what could not be read, each behind how many of ``messages``.
-        checked: it is one file, and every byte of it stands under a checksum that holds.
+        topics: topics by name, in the order of the file.
+        counts: number of intact messages by topic name, including zeros.
+        metadata: metadata records by name; the last one if a name is repeated.
+        attachments: names of the attachments.
+        messages: the selected messages, in the order of recording.
+        damage: damaged places, each with the number of ``messages`` before it.
+        checked: the bag is one file, completely covered by valid checksums.
     """
 
     path: Path
@@ -258,7 +258,7 @@ class Contents:
 
     @cached_property
     def info(self) -> BagInfo:
-        """The table of contents, held against ``metadata.yaml`` where it is a folder."""
+        """Table of contents, compared with ``metadata.yaml`` if the bag is a folder."""
         trouble = [str(error) for _, error in self.damage]
         trouble += _folder_trouble(self.path, sum(self.counts.values()))
         return BagInfo(
@@ -276,7 +276,7 @@ class Contents:
         )
 
     def note(self, record: object, kept_bytes: KeptBytes) -> None:
-        """Take in a topic, a message, a metadata record or an attachment."""
+        """Process a topic, message, metadata record or attachment."""
         if isinstance(record, StoredMessage):
             topic, stamp_ns, cdr = record
             self.counts[topic.name] += 1
@@ -308,7 +308,7 @@ def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
 
     Args:
         path: a bag's folder or an ``.mcap`` file.
-        kept_bytes: how much of each message of a topic to keep [bytes]; of 0, none of them.
+        kept_bytes: number of bytes to keep of each message of a topic; 0 drops its messages.
 
     Raises:
         BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
@@ -320,7 +320,7 @@ def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
             for record in _SoundFile(files[0].read_bytes()).records():
                 contents.note(record, kept_bytes)
         except (OSError, BagError, struct.error, LookupError, UnicodeDecodeError):
-            pass  # The scan tells what is wrong, and reads on behind it.
+            pass  # The scan below locates the damage and reads on after it.
         else:
             return contents
     contents = Contents(path)
@@ -337,7 +337,7 @@ def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
 def _scanned(
     file: Path, kept_bytes: KeptBytes, on_damage: OnDamage | None
 ) -> Iterator[TopicInfo | StoredMessage | Metadata | Attachment]:
-    """What a scan finds in a file, messages with their topics."""
+    """Records of a scan, messages with their topics."""
     infos = _Topics()
     for record in scan(file, on_damage):
         infos.note(record)
@@ -356,7 +356,7 @@ def _more(count: int) -> str:
 
 
 def _folder_trouble(path: Path, messages: int) -> list[str]:
-    """What ``metadata.yaml`` says against the bag in the folder ``path``."""
+    """Contradictions between ``metadata.yaml`` and the bag in the folder ``path``."""
     if path.is_file():
         return []
     try:
@@ -370,10 +370,10 @@ def _folder_trouble(path: Path, messages: int) -> list[str]:
 
 
 def decode_of(path: Path, stored: StoredMessage, count: int) -> Any:
-    """A message of the bag at ``path``, decoded; ``count`` sound ones were read before it.
+    """Decode a message of the bag at ``path``; ``count`` intact ones were read before it.
 
     Raises:
-        BagCorrupt, BagForeign: it is not what its topic says.
+        BagCorrupt, BagForeign: the message does not match its topic's definition.
     """
     try:
         return decode(stored.topic, stored.cdr)
@@ -386,9 +386,9 @@ _MESSAGE = struct.Struct('<HIQQ')
 
 
 class _SoundFile:
-    """One pass over a file in memory; whatever is unusual raises.
+    """One pass over a file in memory; anything unusual raises an error.
 
-    Only once all records have come are they known to be sound.
+    Records are verified only after all have been read.
     """
 
     def __init__(self, data: bytes) -> None:

@@ -1,10 +1,10 @@
-"""What a bag says of each topic: its type, quality of service, definition and type hash.
+"""Topic descriptions in a bag: type, quality of service, definition and type hash.
 
-Definitions and hashes come from the installed interface packages, read as files; nothing is
-imported. A package's ``share/<package>/msg/`` holds the ``.msg`` text and, from Iron on, the
-``.json`` type description with the REP-2016 hashes. Where no ROS is installed, our own definitions
-are those that came with this package, ROS's those that rosbags knows (without their comments), and
-hashes are computed: types, hashes and messages are the same.
+Definitions and hashes are read from the files of the installed interface packages; nothing is
+imported. ``share/<package>/msg/`` contains the ``.msg`` text and, from Iron on, the ``.json`` type
+description with the REP-2016 hashes. Without ROS, taxinet_msgs definitions come from this package
+and those of ROS from rosbags (without comments), and hashes are computed; types, hashes and
+messages are the same.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*')
 _HASH = re.compile(r'RIHS01_[0-9a-f]{64}')
 _OURS = Path(__file__).parent
-"""Prefix of the definitions that come with this package: ``share/taxinet_msgs/msg``."""
+"""Prefix of the definitions shipped with this package: ``share/taxinet_msgs/msg``."""
 _INFINITE = {'sec': 9223372036, 'nsec': 854775807}
-"""How rosbag2 spells a duration without bound (RMW_DURATION_INFINITE)."""
+"""rosbag2's representation of an infinite duration (RMW_DURATION_INFINITE)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +41,9 @@ class TopicInfo:
     Attributes:
         name: absolute name, e.g. ``/camera/image_raw``.
         type: ROS name of its type, e.g. ``sensor_msgs/msg/Image``.
-        qos: YAML text of the offered QoS profiles as rosbag2's metadata version 9 writes it, see
+        qos: YAML text of the offered QoS profiles as in rosbag2's metadata version 9, see
             :func:`offered_qos`.
-        definition: message definition with all that it refers to, in MCAP's ``ros2msg`` form.
+        definition: message definition including nested types, in MCAP's ``ros2msg`` format.
         type_hash: REP-2016 hash, ``RIHS01_…``.
     """
 
@@ -55,10 +55,10 @@ class TopicInfo:
 
 
 def offered_qos(*, history: str, depth: int, reliability: str, durability: str) -> str:
-    """YAML text of one offered QoS profile, policies by their lower-case names.
+    """YAML text of one offered QoS profile; policies have lower-case names.
 
     Example: ``offered_qos(history='keep_last', depth=16, reliability='reliable',
-    durability='volatile')``. Deadline, lifespan and lease are without bound, liveliness automatic.
+    durability='volatile')``. Deadline, lifespan and lease are infinite, liveliness is automatic.
     """
     profile: dict[str, Any] = {
         'history': history,
@@ -76,10 +76,10 @@ def offered_qos(*, history: str, depth: int, reliability: str, durability: str) 
 
 @lru_cache(maxsize=64)
 def qos_profiles(text: str) -> tuple[dict[str, Any], ...]:
-    """The profiles that such a text stands for; to be read only, for they are shared.
+    """Parse the text of QoS profiles; the result is cached, do not modify it.
 
     Raises:
-        ValueError: it is not a YAML list of mappings.
+        ValueError: not a YAML list of mappings.
     """
     profiles = load_yaml(text, aliases=False)
     if not isinstance(profiles, list) or not all(isinstance(p, dict) for p in profiles):
@@ -93,10 +93,10 @@ def is_type_name(name: str) -> bool:
 
 
 def check_topics(topics: Sequence[TopicInfo]) -> None:
-    """Refuse topics that a bag cannot hold.
+    """Check that topics can be stored in a bag.
 
     Raises:
-        UsageError: a name is not absolute or occurs twice, or a field is malformed.
+        UsageError: a name is not absolute or repeated, or a field is malformed.
     """
     if not topics:
         raise UsageError('bag: no topics given; name at least one to record')
@@ -133,7 +133,7 @@ _SEPARATOR = '\n' + '=' * 80 + '\nMSG: '
 
 
 def describe_topic(*, name: str, type_name: str, qos: str) -> TopicInfo:
-    """A topic with the definition and hash that are installed for its type."""
+    """Describe a topic with the installed definition and hash of its type."""
     return TopicInfo(
         name=name, type=type_name, qos=qos,
         definition=message_definition(type_name), type_hash=type_hash(type_name),
@@ -141,23 +141,23 @@ def describe_topic(*, name: str, type_name: str, qos: str) -> TopicInfo:
 
 
 def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
-    """The definition of ``type_name`` and of all types within it, as MCAP's ``ros2msg`` wants it.
+    """Definition of ``type_name`` and all nested types, in MCAP's ``ros2msg`` format.
 
-    The order is that of rosbag2: depth first, the types within one definition by name.
+    The order is that of rosbag2: depth first, nested types of one definition by name.
 
     Args:
         type_name: e.g. ``sensor_msgs/msg/Image``.
         prefixes: install prefixes to search; default ``AMENT_PREFIX_PATH``, ``sys.prefix``, and
-            then what works without ROS.
+            then the sources without ROS.
 
     Raises:
-        UsageError: the type, or one within it, is not known there.
+        UsageError: the type or a nested one is not found.
     """
     return _definition(type_name, _search_path(prefixes))
 
 
 def type_hash(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
-    """The REP-2016 hash of ``type_name``, ``RIHS01_…``; arguments and errors as above."""
+    """REP-2016 hash of ``type_name``, ``RIHS01_…``; see :func:`message_definition`."""
     return _hash(type_name, _search_path(prefixes))
 
 
@@ -203,7 +203,7 @@ def _hash(type_name: str, prefixes: tuple[Path, ...]) -> str:
 
 
 def _inner_types(text: str, package: str) -> set[str]:
-    """Types that a definition refers to, each as ``package/Name``."""
+    """Types used in a definition, each as ``package/Name``."""
     inner: set[str] = set()
     for line in text.splitlines():
         match = _FIELD.match(line.partition('#')[0])
@@ -239,7 +239,7 @@ def _found(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> Path | No
 
 @lru_cache(maxsize=1)
 def _ros_types() -> Typestore:
-    # Only here: generating these takes a tenth of a second, and graphs have ROS's own.
+    # Imported lazily: generating the types takes 0.1 s, and ROS graphs do not need them.
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)

@@ -1,6 +1,6 @@
-"""Recording one run: a folder in rosbag2's layout that holds one MCAP file.
+"""Record one run: a folder in rosbag2's layout with one MCAP file.
 
-No clock and no chance enter here: the same messages in the same order give the same bytes.
+Deterministic: the same messages in the same order give the same bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LIBRARY = f'taxinet_ros {__version__}'
 MANIFEST = 'manifest.json'
 RUN_METADATA = 'taxinet'
 FREE_RUN_METADATA = 'taxinet_free_run'
-"""Name of the metadata record with the words of the run."""
+"""Name of the metadata record of a free run's timing."""
 
 _MEDIA_TYPES = {
     '.json': 'application/json',
@@ -39,14 +39,14 @@ _MEDIA_TYPES = {
 
 @dataclass(frozen=True, kw_only=True)
 class BagSummary:
-    """A bag that is whole.
+    """Summary of a bag.
 
     Attributes:
         folder: the run folder.
-        mcap: the storage file within it.
-        message_counts: messages by topic name, zeros included.
+        mcap: the storage file in it.
+        message_counts: number of messages by topic name, including zeros.
         size_bytes: size of the storage file.
-        start_ns, end_ns: least and greatest stamp [ns of simulated time]; 0 without messages.
+        start_ns, end_ns: minimum and maximum stamp [ns of simulated time]; 0 without messages.
     """
 
     folder: Path
@@ -58,12 +58,12 @@ class BagSummary:
 
 
 class BagWriter:
-    """Writes a run's messages as they come.
+    """Writes a run's messages.
 
     The storage file has its final name from the start, and everything before the last
-    :meth:`flush` can be read from it even if this process is killed; only :meth:`close` adds
-    ``metadata.yaml``, which says that the bag is whole. Used as a context manager it closes on
-    success and abandons on an exception.
+    :meth:`flush` is readable even if this process is killed; :meth:`close` adds ``metadata.yaml``,
+    which marks the bag as complete. As a context manager it closes on success and abandons on an
+    exception.
 
     Attributes:
         folder: the run folder.
@@ -77,19 +77,20 @@ class BagWriter:
         """Start a bag.
 
         Args:
-            folder: the run folder, named as the run; it must not exist.
-            topics: every topic that may be written.
-            metadata: words of the run: scenario, seed, versions, perception; kept as custom data.
-            attachments: files to put in, by name; ``manifest.json`` is added unless it is given.
-            min_free_bytes: free space to ask of the disk at the start [bytes]; a tenth of it is
-                kept free while recording.
-            beside: words that stand in ``metadata.yaml`` alone: those in which bags of equal runs
-                may differ, such as the commit.
-            make_parents: whether the folder's parents need not exist.
+            folder: the run folder, named like the run; it must not exist.
+            topics: all topics that may be written.
+            metadata: metadata of the run (scenario, seed, versions, perception), stored as custom
+                data.
+            attachments: files to attach, by name; ``manifest.json`` is added if not given.
+            min_free_bytes: required free disk space at the start [bytes]; a tenth of it is kept
+                free while recording.
+            beside: metadata for ``metadata.yaml`` only, which may differ between bags of equal
+                runs, such as the commit.
+            make_parents: whether to create the folder's parents.
 
         Raises:
             UsageError: the folder exists, there is too little space, or a topic is malformed.
-            BagWriteError: the operating system refuses.
+            BagWriteError: an error of the operating system.
         """
         check_topics(topics)
         _check_words('metadata', {**metadata, **(beside or {})})
@@ -113,8 +114,8 @@ class BagWriter:
 
         Args:
             topic: name of one of the bag's topics.
-            cdr: the message with its four bytes of encapsulation.
-            stamp_ns: simulated time [ns], not negative; log time and publish time at once.
+            cdr: the message with its encapsulation of four bytes.
+            stamp_ns: simulated time [ns], not negative; used as log time and publish time.
         """
         if topic not in self._storage.counts:
             raise UsageError(f'topic {topic!r} is not in bag {self.folder}; give it at its start')
@@ -123,25 +124,25 @@ class BagWriter:
         self._storage.add_message(topic, cdr, stamp_ns)
 
     def flush(self) -> None:
-        """Make everything so far survive the death of this process (not a loss of power)."""
+        """Flush to the operating system: data survive the end of this process, not a power loss."""
         self._storage.finish_chunk()
 
     def attach(self, name: str, data: bytes) -> None:
-        """Put a file into the bag."""
+        """Add an attachment."""
         media_type = _MEDIA_TYPES.get(Path(name).suffix, 'application/octet-stream')
         self._storage.add_attachment(name, data, media_type=media_type)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a metadata record into the bag."""
+        """Add a metadata record."""
         _check_words(name, values)
         self._storage.add_metadata(name, values)
 
     def close(self) -> BagSummary:
-        """Complete the bag, check it on the disk, and only then declare it whole.
+        """Complete the bag, verify it on disk, and then mark it as complete.
 
         Raises:
-            BagWriteError: now or earlier something could not be written.
-            BagCorrupt: the file on the disk tells other numbers than were written.
+            BagWriteError: a write failed, now or earlier.
+            BagCorrupt: the message counts on disk differ from those written.
         """
         self.add_metadata('rosbag2', {'serialized_metadata': record_text(self._content())})
         self._storage.finish()
@@ -157,7 +158,7 @@ class BagWriter:
         return self.summary
 
     def abandon(self) -> None:
-        """Give up: keep what was written, without declaring it whole. Never raises."""
+        """Stop without marking the bag as complete; keeps what was written. Never raises."""
         with suppress(BagError):
             self._storage.finish_chunk()
         with suppress(BagError):
@@ -171,7 +172,7 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close after success, abandon after an exception; nothing if that was done already."""
+        """Close after success, abandon after an exception; nothing if already closed."""
         if kind is not None:
             self.abandon()
         elif self._storage.output.open:
@@ -201,7 +202,7 @@ class BagWriter:
 
     @property
     def summary(self) -> BagSummary:
-        """Where the bag is, and what is in it so far."""
+        """Location and content of the bag so far."""
         return BagSummary(
             folder=self.folder,
             mcap=self._storage.output.path,

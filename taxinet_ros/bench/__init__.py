@@ -1,1 +1,1 @@
-"""How long everything takes: subjects measured side by side, on one machine, in one run. No ROS."""
+"""Benchmarks: subjects measured side by side on one machine, in one run. No ROS."""

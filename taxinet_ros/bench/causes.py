@@ -1,10 +1,10 @@
-"""How well causes are found: ``python -m taxinet_ros.bench.causes``, on tables with known causes.
+"""Accuracy of finding causes: ``python -m taxinet_ros.bench.causes``, on tables with known causes.
 
-Scenes are drawn, or chosen by one of our samplers, as a program like S_falsif has them; whether one
-fails is a toss of a coin that the scene weighs. So it is known what a cause is and how often it
-fails, and the table that is printed says how often causes are named where there are none, how often
-one is found where there is, and how often the intervals printed hold the truth. The same seed gives
-the same table.
+Scenes are drawn or chosen by one of our samplers from a space like that of S_falsif. Each fails at
+random with a probability that depends on the scene, so the causes and their failure rates are
+known. The printed table says how often causes are named where there are none, how often one is
+found where there is one, and how often the printed intervals contain the true value. The same seed
+gives the same table.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ SPACE = (
 DAY, NIGHT = (6.0, 18.0), (0.0, 24.0)
 
 _WEIGHTY = 20_000
-"""Scenes by which the true rate of a region is known."""
+"""Number of scenes from which the true rate of a region is computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Landscape:
-    """How probable failing is in each scene.
+    """Failure probability of each scene.
 
     Attributes:
-        rate: of a table of scenes.
-        hours: between which the time of day varies.
+        rate: failure probability of each scene in a table.
+        hours: range of the time of day.
     """
 
     rate: Callable[[pd.DataFrame], Floats]
@@ -74,7 +74,7 @@ LANDSCAPES: Mapping[str, Landscape] = {
         rate=lambda t: _either(
             0.1, 0.5, (t['time_of_day_h'] > 21.5) | (t['time_of_day_h'] < 3)), hours=NIGHT),
 }
-"""By name; those with 'no cause' have none."""
+"""Landscapes by name; those with 'no cause' in it have none."""
 
 
 def scenes(points: Floats, hours: tuple[float, float] = DAY) -> pd.DataFrame:
@@ -91,7 +91,7 @@ def scenes(points: Floats, hours: tuple[float, float] = DAY) -> pd.DataFrame:
 
 
 def searched(sampler: str, runs: int, seed: int, landscape: Landscape) -> CampaignRuns:
-    """The runs of a search of a landscape, as an analysis reads them."""
+    """Runs of a search of a landscape, in the form that an analysis reads."""
     rng = np.random.default_rng([7, seed])
     search = make_sampler(sampler, SPACE, seed, runs)
     points = np.zeros((runs, len(SPACE)))
@@ -118,14 +118,14 @@ def searched(sampler: str, runs: int, seed: int, landscape: Landscape) -> Campai
 
 @dataclass
 class Score:
-    """What came of many tables of one kind.
+    """Results over many tables of one kind.
 
     Attributes:
-        tables, named: how many, and in how many a cause was found.
-        holds: whether the interval of the first cause, of the runs elsewhere, and of the share
-            that goes with it held the truth, for each table with a cause.
-        excess: rate of the first cause less the true one, for each table with a cause.
-        width: of the interval of its rate.
+        tables, named: number of tables, and of those in which a cause was found.
+        holds: for each table with a cause, whether the intervals of the first cause's rate, of the
+            rate elsewhere and of the attributable share contain the true value.
+        excess: rate of the first cause minus the true one, for each table with a cause.
+        width: width of the interval of its rate.
     """
 
     tables: int = 0
@@ -135,7 +135,7 @@ class Score:
     width: list[float] = field(default_factory=list)
 
     def cells(self) -> list[str]:
-        """Of the printed table."""
+        """Cells of the printed table."""
         share = f'{100 * self.named / self.tables:.1f} % of {self.tables}'
         if not self.holds:
             return [share, *[''] * 5]
@@ -145,14 +145,14 @@ class Score:
 
 
 def measure(name: str, sampler: str, runs: int, tables: int, seed: int = 0) -> Score:
-    """Look for causes in many tables of one kind.
+    """Search for causes in many tables of one kind.
 
     Args:
-        name: of :data:`LANDSCAPES`.
-        sampler: that chooses the scenes.
-        runs: of each table.
-        tables: how many.
-        seed: of the first of them.
+        name: key of :data:`LANDSCAPES`.
+        sampler: sampler that chooses the scenes.
+        runs: number of runs in each table.
+        tables: number of tables.
+        seed: seed of the first table.
     """
     landscape, score = LANDSCAPES[name], Score()
     rng = np.random.default_rng(99)
@@ -186,7 +186,7 @@ def measure(name: str, sampler: str, runs: int, tables: int, seed: int = 0) -> S
 def lines(
     landscapes: Sequence[str], samplers: Sequence[str], runs: Sequence[int], tables: int
 ) -> Iterator[str]:
-    """A Markdown table, line by line as it comes."""
+    """Yield the lines of a Markdown table as they are computed."""
     yield ('| landscape | sampler | runs | a cause is named | its rate is in its interval | '
            'elsewhere | what goes with it | its rate is off by [points] | width [points] |')
     yield '| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |'

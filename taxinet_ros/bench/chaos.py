@@ -1,9 +1,9 @@
-"""Chaos: everything is done to small campaigns that may happen to one, and what is left is checked.
+"""Chaos test: inject faults into small campaigns and check what is left.
 
-Each trial begins a campaign, does something to it at a moment drawn from the seed (kills, stops,
-fills, moves, damages), resumes it, up to three times, and lets it end. Its rows have to be those of
-a campaign that nobody disturbed. On the way no row may be lost, doubled or changed, no command may
-hang, leave a process behind, end in a traceback or with another exit code than its end asks for.
+Each trial starts a campaign, injects a fault at a moment drawn from the seed (kill, stop, full
+disk, moved folder, damaged file), resumes it, up to three times, and lets it end. Its rows must
+equal those of an undisturbed campaign. Meanwhile no row may be lost, duplicated or changed, and no
+command may hang, leave a process behind, end in a traceback or return an unexpected exit code.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import ChildProcess
 
 HANG_S = 900.0
-"""A command that takes so long hangs, on however busy a machine: most take some seconds."""
+"""Time after which a command counts as hung [s], even on a busy machine: most take seconds."""
 
 _LEAVE_S = 60.0
-"""What a command has started may take so long to be gone after its end."""
+"""Time that child processes may take to end after their command [s]."""
 
 _SITTINGS = 3
-"""Most disturbed sittings of a trial; the one after them is left alone."""
+"""Maximum number of disturbed sittings in a trial; the one after them is undisturbed."""
 
 _MARK = 'TAXINET_CHAOS'
 _HISTORY = ('retries', 'stack', *WALL_CLOCK_COLUMNS)
-"""Columns that honestly tell of a disturbed campaign what happened to it, and on what machine."""
+"""Columns that legitimately differ in a disturbed campaign: its history and its machine."""
 
 _EXPERIMENT = """\
 program: nominal
@@ -64,9 +64,9 @@ class Subject:
 
     Attributes:
         words: the command, without ``--out``.
-        runs: of each of its folders.
-        folders: where its ledgers are, below the folder that it is told.
-        resumable: whether it takes ``--resume``.
+        runs: number of runs in each of its folders.
+        folders: folders of its ledgers, relative to its output folder.
+        resumable: whether it accepts ``--resume``.
     """
 
     words: tuple[str, ...]
@@ -95,14 +95,15 @@ SUBJECTS: Mapping[str, Subject] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Something that happens to a campaign that is under way.
+    """A fault injected into a running campaign.
 
     Attributes:
-        act: does it, to the processes and the folder.
+        act: injects it into the processes and the folder.
         codes: exit codes that the campaign may end with because of it; it may always end as if
-            nothing had been.
-        afterwards: mends what a person would, once the campaign has ended.
-        too_early: with exit code 2 and one of these words it came before the campaign looked.
+            undisturbed.
+        afterwards: repairs what a user would repair, once the campaign has ended.
+        too_early: messages which, with exit code 2, mean that the fault came before the campaign
+            had opened its folder.
     """
 
     act: Callable[[_Sitting], None]
@@ -113,13 +114,13 @@ class Fault:
 
 @dataclass
 class Found:
-    """What all the trials together have shown.
+    """Results of all trials.
 
     Attributes:
-        trials, sittings: how many there were.
-        rows: rows that were compared with those of undisturbed campaigns.
-        ends: how often each fault was done, by the exit code that came of it.
-        broken: what should not have been: trial, kind and words.
+        trials, sittings: their numbers.
+        rows: number of rows compared with those of undisturbed campaigns.
+        ends: how often each fault led to each exit code.
+        broken: violations: trial, kind and description.
     """
 
     seed: int
@@ -143,15 +144,15 @@ class Found:
 
 
 class Chaos:
-    """Trials in a folder of their own, which is kept where something broke."""
+    """Trials, each in its own folder, which is kept on a violation."""
 
     def __init__(self, folder: Path, command: Sequence[str], seed: int) -> None:
-        """Nothing is started yet.
+        """Prepare the trials; nothing is started yet.
 
         Args:
-            folder: an empty one.
-            command: what starts ``taxinet``.
-            seed: of all that is drawn.
+            folder: an empty folder.
+            command: command that starts ``taxinet``.
+            seed: seed of all random draws.
         """
         self.found = Found(seed=seed)
         self._folder = folder
@@ -160,10 +161,10 @@ class Chaos:
         (folder / 'experiment.yaml').write_text(_EXPERIMENT)
 
     def trial(self, number: int) -> None:
-        """Do one; what it draws depends on the seed and its number only.
+        """Run one trial; its draws depend only on the seed and its number.
 
         Raises:
-            InfraError: a campaign that nobody disturbs does not end as it should.
+            InfraError: an undisturbed campaign does not end as it should.
         """
         draw = random.Random(f'{self.found.seed} {number}')
         name = draw.choice(list(SUBJECTS))
@@ -182,7 +183,7 @@ class Chaos:
         return _Sitting([*self._command, *words], place)
 
     def _whole(self, name: str) -> tuple[int, Rows]:
-        """Exit code and rows of a campaign that nobody disturbed."""
+        """Exit code and rows of an undisturbed campaign."""
         if name not in self._undisturbed:
             place = self._folder / f'whole-{len(self._undisturbed)}'
             place.mkdir()
@@ -203,7 +204,7 @@ Rows = dict[tuple[str, int], RunRow]
 
 
 class _Sitting:
-    """A command under way, and all that it has started; a context manager that leaves nothing."""
+    """A running command and its descendants; a context manager that ends all of them."""
 
     def __init__(self, command: Sequence[str], place: Path) -> None:
         self.place, self.out = place, place / 'c'
@@ -226,16 +227,16 @@ class _Sitting:
 
     @property
     def printed(self) -> str:
-        """What it has printed."""
+        """Its output so far."""
         return self._printed.read_bytes()[self.began:].decode(errors='replace')
 
     @property
     def last_line(self) -> str:
-        """The last line of that."""
+        """The last line of its output."""
         return next(iter(reversed(self.printed.strip().splitlines())), '')
 
     def left(self, *words: str) -> list[psutil.Process]:
-        """The processes that there are now, of those with one of some words in their command."""
+        """Its processes that still run, limited to commands that contain one of ``words``."""
         found = []
         for process in psutil.process_iter():
             try:
@@ -249,18 +250,18 @@ class _Sitting:
         return found
 
     def ended(self) -> int | None:
-        """Its exit code; None where it hangs."""
+        """Its exit code; None if it hangs."""
         return self._child.wait(HANG_S)
 
     def orphans(self) -> list[str]:
-        """What is left of it, some time after its end."""
+        """Processes still running some time after its end."""
         deadline = time.monotonic() + _LEAVE_S
         while (left := self.left()) and time.monotonic() < deadline:
             time.sleep(0.1)
         return [str(process) for process in left]
 
     def await_results(self, number: int) -> bool:
-        """Wait for so many; False where it ended before."""
+        """Wait for ``number`` results; False if it ended before."""
         deadline = time.monotonic() + HANG_S
         while self.process.poll() is None and time.monotonic() < deadline:
             told = sum(_events(path) for path in self.out.glob(f'**/{LEDGER_NAME}'))
@@ -285,7 +286,7 @@ class _Trial:
         self._kept: dict[Path, bytes] = {}
 
     def go(self) -> None:
-        """Disturb it, and let it end."""
+        """Disturb the campaign and let it end."""
         faults = RESUMED if self._subject.resumable else NOT_RESUMED
         sittings = self._draw.randint(1, _SITTINGS) if self._subject.resumable else 1
         for _ in range(sittings):
@@ -302,7 +303,7 @@ class _Trial:
         return [*self._subject.words, '--out', 'c', *(['--resume'] if begun else [])]
 
     def _disturbed(self, name: str, fault: Fault) -> int | None:
-        """One sitting with a fault; its exit code, None where it hangs."""
+        """Run one sitting with a fault and return its exit code, None if it hangs."""
         before = self._told()
         moment = before + self._draw.randrange(max(len(self._whole) - before, 1))
         delay_s = self._draw.uniform(0, 0.4)
@@ -317,11 +318,11 @@ class _Trial:
             self._check(name, sitting, code, {*fault.codes, self._code, 0, 1, *([2] * early)})
         fault.afterwards(sitting)
         self._note(name, 'too early' if early else str(code) if in_time else 'too late')
-        if code == ExitCode.USAGE and self._kept and not early:  # a damage that was refused by name
+        if code == ExitCode.USAGE and self._kept and not early:  # refused: names the damage
             return self._mended(name, sitting)
         if self._kept and code not in VERDICTS and self._told() == before:
-            return code  # it may have ended before it read what is damaged: the next one will
-        self._kept.clear()  # a damage that was not refused has to leave the rows as they are
+            return code  # may have ended before reading the damaged file: the next sitting reads it
+        self._kept.clear()  # damage that was not refused must leave the rows unchanged
         self._check_rows(name, code)
         return code
 
@@ -349,7 +350,7 @@ class _Trial:
         self._found.broken.append((self._number, kind, words))
 
     def _check(self, name: str, sitting: _Sitting, code: int | None, allowed: set[int]) -> None:
-        """What holds for every command, however it ends."""
+        """Check the conditions that hold for every command, however it ends."""
         if code is None:
             self._broke('hang', f'{name}: still there after {HANG_S:g} s')
             return
@@ -364,7 +365,7 @@ class _Trial:
                 self._broke('traceback', f'{name}: {sitting.last_line}')
 
     def _check_rows(self, name: str, code: int | None) -> None:
-        """No row that was judged is gone, another, or there twice; with a verdict all are there."""
+        """Check that no judged row is lost, changed or duplicated; all exist after a verdict."""
         rows = self._rows(name)
         for key, row in self._judged.items():
             if key not in rows or not rows[key].outcome.judged:
@@ -383,7 +384,7 @@ class _Trial:
             self._check_verdict(name, code, rows)
 
     def _rows(self, name: str) -> Rows:
-        """The rows as they are now; none where a ledger cannot be read, which is told."""
+        """Current rows; none if a ledger cannot be read, which is recorded as a violation."""
         try:
             return _rows(self._subject, self._out)
         except UsageError as error:
@@ -391,14 +392,14 @@ class _Trial:
             return {}
 
     def _check_verdict(self, name: str, code: int, rows: Rows) -> None:
-        """The exit code of a verdict stands for all the runs."""
+        """Check that the exit code agrees with the verdicts of all runs."""
         if len(rows) < len(self._whole):
             self._broke('rows lost', f'{name}: {len(rows)} rows with exit code {code}')
         if any(row.outcome is Outcome.INFRA_ERROR for row in rows.values()):
             self._broke('exit code', f'{name}: {code} with a broken run')
 
     def _compare(self) -> None:
-        """The end: ledger and table are those of the undisturbed campaign."""
+        """Check that the final ledger and table equal those of the undisturbed campaign."""
         rows = self._rows('the end')
         self._found.rows += len(rows)
         if rows.keys() != self._whole.keys():
@@ -417,7 +418,7 @@ class _Trial:
     # Damage ------------------------------------------------------------------------------------
 
     def _damage(self) -> None:
-        """Between two sittings: what lies there is damaged, which shall not go unnoticed."""
+        """Damage a file between two sittings, which must not go unnoticed."""
         name = self._draw.choice(list(DAMAGES))
         files = sorted(path for pattern in DAMAGES[name] for path in self._out.glob(pattern))
         files = [path for path in files if path.stat().st_size]
@@ -428,7 +429,7 @@ class _Trial:
         self._kept.setdefault(path, bytes(data))
         if name == 'ledger cut':
             del data[self._draw.randrange(data.rfind(b'\n', 0, -1) + 1, len(data)):]
-            self._judged.clear()  # its last row may be gone, and is made again
+            self._judged.clear()  # its last row may be lost and is made again
         else:
             data[self._draw.randrange(len(data))] ^= 1 << self._draw.randrange(8)
         path.write_bytes(bytes(data))
@@ -438,7 +439,7 @@ class _Trial:
         self._note(name, noticed or 'done')
 
     def _doctor(self, path: Path) -> str:
-        """What ``taxinet bag doctor`` makes of a damaged bag."""
+        """Run ``taxinet bag doctor`` on a damaged bag."""
         with self._chaos.sit(['bag', 'doctor', str(path)], self._place) as sitting:
             code = sitting.ended()
             self._check('bag doctor', sitting, code, {ExitCode.USAGE, ExitCode.INCOMPLETE})
@@ -448,7 +449,7 @@ class _Trial:
         return f'doctor {code}'
 
     def _mended(self, name: str, sitting: _Sitting) -> int:
-        """A refusal has to name the file; then it is put back."""
+        """Check that the refusal names the damaged file, then restore the file."""
         if not any(path.name in sitting.last_line for path in self._kept):
             self._broke('exit code', f'{name}: 2: {sitting.last_line}')
         for path, data in self._kept.items():
@@ -466,7 +467,7 @@ def _events(ledger: Path) -> int:
 
 
 def _rows(subject: Subject, out: Path) -> Rows:
-    """All rows, by the ledgers."""
+    """All rows in the ledgers."""
     return {
         (folder, row.index): row for folder in subject.folders
         if (out / folder / LEDGER_NAME).exists()
@@ -475,7 +476,7 @@ def _rows(subject: Subject, out: Path) -> Rows:
 
 
 def _changed(before: RunRow, after: RunRow) -> str:
-    """In which columns two rows differ that have to be the same, with both values."""
+    """Columns in which two rows differ although they must be equal, with both values."""
     one, other = before.to_json(), after.to_json()
     return ', '.join(
         f'{key} {one[key]} is {other[key]}'
@@ -509,7 +510,7 @@ def _tell(process: psutil.Process, number: int) -> None:
 
 
 def _signal(*numbers: int, pause_s: float = 0.1) -> Callable[[_Sitting], None]:
-    """Send them to the campaign itself, one after the other."""
+    """Send signals to the campaign's main process, one after the other."""
     def act(sitting: _Sitting) -> None:
         for number in numbers:
             if sitting.process.poll() is None:
@@ -531,7 +532,7 @@ def _to_one(word: str, *numbers: int, pause_s: float = 0.0) -> Callable[[_Sittin
 
 
 def _no_room(sitting: _Sitting) -> None:
-    """Have no file grow any more, as on a full disk."""
+    """Keep all files from growing, as on a full disk."""
     for process in sitting.left():
         try:
             process.rlimit(resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
@@ -558,7 +559,7 @@ def _move_back(sitting: _Sitting) -> None:
 
 
 def _copy_over(sitting: _Sitting) -> None:
-    """Put another file with the same bytes in the place of a ledger."""
+    """Replace a ledger by another file with the same bytes."""
     for ledger in sorted(sitting.out.glob(f'**/{LEDGER_NAME}'))[-1:]:
         shutil.copy(ledger, sitting.place / 'ledger')
         (sitting.place / 'ledger').rename(ledger)
@@ -605,7 +606,7 @@ DAMAGES: Mapping[str, tuple[str, ...]] = {
 
 
 def numbers(trials: int | None, minutes: float | None, only: int | None) -> Iterator[int]:
-    """Numbers of the trials to do: one, so many, or as many as begin within some minutes."""
+    """Numbers of the trials to run: ``only``, ``trials``, or all that start within ``minutes``."""
     if only is not None:
         yield only
         return

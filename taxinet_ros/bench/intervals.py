@@ -1,7 +1,7 @@
-"""Whether intervals hold what they promise: searches of landscapes whose failure rate is known.
+"""Coverage of confidence intervals, in searches of landscapes whose failure rate is known.
 
-The samplers are the real ones; in place of a simulator stands a formula for ρ. Each repetition is
-one search, whose first 100, 400 and 1,000 runs are rated, by the functions that rate a campaign.
+The samplers are the real ones; a formula for ρ replaces the simulator. Each repetition is one
+search, whose first 100, 400 and 1,000 runs are rated by the functions that rate a campaign.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from taxinet_ros.processes.pool import process_pool
 RUNS = (100, 400, 1000)
 RATES = (0.5, 0.1, 0.01, 0.001)
 LOOK = 20
-"""Runs between two looks of somebody who watches a search."""
+"""Runs between two looks of an observer who watches a search."""
 
 _SPACE = (
     Dimension(name='x'), Dimension(name='y'), Dimension(name='z'),
@@ -35,24 +35,25 @@ _SPACE = (
 )
 _CONFIDENCE = 0.95
 _USUAL = ('random', 'ce', 'ce-verifai', 'mab')
-"""What is measured where no sampler is named: those that are fast enough."""
+"""Samplers measured by default: those that are fast enough."""
 
 Rho = Callable[[Point], float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Held:
-    """How the intervals of one sampler did at one failure rate; shares are of the repetitions.
+    """Coverage of one sampler's intervals at one failure rate; shares are of the repetitions.
 
     Attributes:
-        sampler, rate: which.
-        repeats: searches, the landscapes in turn.
-        drawn: runs that the program itself drew, per number of runs, in the mean.
-        covers: the 95 % interval holds the rate, per number of runs.
+        sampler, rate: sampler and failure rate.
+        repeats: number of searches, the landscapes in turn.
+        drawn: mean number of runs drawn by the program itself, per number of runs.
+        covers: share in which the 95 % interval contains the rate, per number of runs.
         width: median width of that interval, per number of runs.
-        passes: the gate, asked for the very rate of satisfied runs, says PASS, per number of runs.
-        watched_covers: the interval of somebody who may stop at any look holds the rate at all.
-        watched_passes: the gate says PASS at any look, where 100 runs were planned.
+        passes: share in which the gate says PASS at a threshold equal to the true rate of
+            satisfied runs, per number of runs.
+        watched_covers: share in which the anytime interval contains the rate at all looks.
+        watched_passes: share in which the gate says PASS at any look, with 100 runs planned.
     """
 
     sampler: str
@@ -100,18 +101,18 @@ def measure_intervals(
     samplers: Sequence[str], repeats: int, progress: Callable[[int, int], object],
     *, runs: Sequence[int] = RUNS, rates: Sequence[float] = RATES, workers: int | None = None,
 ) -> dict[str, Any]:
-    """Search every landscape with every sampler, and see what the intervals held.
+    """Search every landscape with every sampler and measure the coverage of the intervals.
 
     Args:
-        samplers: words; none for the usual ones. One without draws of its own gets ``floor=0.3``.
+        samplers: words; none for the usual ones. One that draws no runs gets ``floor=0.3``.
         repeats: searches for each sampler and rate, the landscapes in turn.
-        progress: is told how many searches of how many are done.
-        runs: numbers of runs to rate after, ascending.
+        progress: called with the number of searches done and their total.
+        runs: numbers of runs after which to rate, ascending.
         rates: true failure rates.
-        workers: processes; None for as many as there are cores.
+        workers: number of processes; None for one per core.
 
     Raises:
-        UsageError: an unknown sampler, or no repetition.
+        UsageError: a sampler is unknown, or ``repeats`` is less than 1.
     """
     words = list(dict.fromkeys(samplers)) or list(_USUAL)
     for word in words:
@@ -122,7 +123,7 @@ def measure_intervals(
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
     cases = list(product(words, rates))
     found = []
-    with process_pool(workers, 'searching worker') as pool:  # after Ctrl-C, those at hand suffice
+    with process_pool(workers, 'searching worker') as pool:  # after Ctrl-C, results so far suffice
         for number, (word, rate) in enumerate(cases):
             search = partial(_search, word, rate, tuple(runs))
             done = []
@@ -141,7 +142,7 @@ def measure_intervals(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Search:
-    """What one repetition gave."""
+    """Result of one repetition."""
 
     drawn: tuple[int, ...]
     low: tuple[float, ...]

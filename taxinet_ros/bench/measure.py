@@ -1,8 +1,8 @@
-"""Measures times so that they can be compared: warm, many times, and all subjects in turns.
+"""Comparable time measurements: warmed up, repeated, with all subjects in turns.
 
-A machine's speed drifts with its load and its temperature. So the subjects take turns: whatever
-happens, happens to all of them. Medians and quartiles, for times have long tails; the minimum is
-what the machine can do when nothing disturbs it. With them go the facts of the machine.
+A machine's speed drifts with its load and temperature. So the subjects take turns, and a drift
+affects all of them. Results are medians and quartiles, since times have long tails; the minimum is
+the time on an undisturbed machine. A report adds the facts of the machine.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from taxinet_ros.core.provenance import provenance
 
 LOAD = 'load_average'
-"""The one fact that is never the same twice."""
+"""Fact that differs in every report."""
 
 
 def machine_facts() -> dict[str, Any]:
-    """Facts by name, as they are after the measuring: torch counts threads once it is loaded."""
+    """Facts of the machine by name, for use after measuring: torch must be loaded by then."""
     torch = sys.modules.get('torch')
     return {
         **provenance(),
@@ -40,26 +40,26 @@ def machine_facts() -> dict[str, Any]:
 
 
 Clock = Callable[[], int]
-"""Nanoseconds since some moment."""
+"""Nanoseconds since an arbitrary moment."""
 Progress = Callable[[int, int], None]
-"""Is told the turns done and their number."""
+"""Called with the number of turns done and their total."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Subject:
-    """Something to be measured.
+    """A measured operation.
 
     Attributes:
-        name: of its figure, words between slashes.
-        run: does it once. It answers None, or the parts that it has taken the time of itself [ns];
-            then there is a figure of each part, by the subject's name and its own, and none of the
-            whole.
-        before: is called before every run, unmeasured.
-        calls: how often ``run`` does the thing; figures are per call.
+        name: name of its figure, words separated by slashes.
+        run: performs it once. It returns None, or the times of parts that it has measured itself
+            [ns]; then each part has a figure, named after the subject and the part, and the whole
+            has none.
+        before: called before every run, unmeasured.
+        calls: operations per call of ``run``; figures are per operation.
         warm_ups: unmeasured runs at the beginning.
-        most: most runs, for what takes seconds; None for as many as were asked for.
-        simulated_s: simulated time that passes in one call [s], where some does.
-        cpu: clock of the processor time [ns], where more than this process works.
+        most: maximum number of runs, for operations that take seconds; None for no limit.
+        simulated_s: simulated time that passes in one operation [s], if any.
+        cpu: clock of the processor time [ns], if other processes work too.
     """
 
     name: str
@@ -74,13 +74,13 @@ class Subject:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figure:
-    """What was measured of one subject, per call.
+    """Measurement of one subject, per operation.
 
     Attributes:
-        median_s, q1_s, q3_s, min_s: wall time [s]: median, quartiles, least.
+        median_s, q1_s, q3_s, min_s: wall time [s]: median, quartiles, minimum.
         cpu_s: median of the processor time of all threads [s]; None for parts.
         repeats: number of runs.
-        real_time_factor: simulated time per median wall time, where time is simulated.
+        real_time_factor: simulated time per median wall time, if time is simulated.
         cpu_q1_s, cpu_q3_s: quartiles of the processor time [s].
         real_time_per_core: simulated time per median processor time.
     """
@@ -143,10 +143,10 @@ def measure(
     """Measure all subjects in turns.
 
     Args:
-        subjects: what to measure; the names differ.
-        repeats: turns, each with one run of every subject that still has some left.
-        progress: is told how far it is.
-        wall: clock on the wall [ns].
+        subjects: subjects with distinct names.
+        repeats: turns, each with one run of every subject that has not reached its maximum.
+        progress: called with the progress.
+        wall: wall clock [ns].
         cpu: clock of the process's processor time [ns].
 
     Returns:
@@ -166,7 +166,7 @@ def measure(
 
 
 def _take(subject: Subject, samples: dict[str, _Samples], wall: Clock, cpu: Clock) -> None:
-    """Run a subject once and keep its times."""
+    """Run a subject once and store its times."""
     if subject.before is not None:
         subject.before()
     cpu = subject.cpu or cpu

@@ -1,4 +1,4 @@
-"""Processes watched from outside: start-up, processor time, memory, and bytes on disk."""
+"""External measurement of processes: start-up, processor time, memory and bytes on disk."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def processor_time_ns(pid: int) -> int:
 
 
 def peak_memory(pids: Iterable[int]) -> int:
-    """Most resident memory that each of these processes has had so far, added up [bytes].
+    """Sum of the peak resident memory of these processes so far [bytes].
 
-    What they share is counted in each of them. A process that is gone counts nothing.
+    Shared memory is counted in each of them. A process that has ended counts as 0.
     """
-    # getrusage would not do: Linux has a child inherit what its parent had before the exec. Nor
-    # does psutil tell it, which knows what a process has now.
+    # getrusage is unsuitable: on Linux a child inherits its parent's peak from before the exec.
+    # psutil only reports current memory.
     return sum(_peak(pid) for pid in pids)
 
 
@@ -39,23 +39,23 @@ def _peak(pid: int) -> int:
 
 
 VERDICTS = (ExitCode.OK, ExitCode.VIOLATED)
-"""Exit codes of a command whose runs have all been judged."""
+"""Exit codes of a command whose runs were all judged."""
 TAXINET = (sys.executable, '-P', '-c', 'from taxinet_ros.cli.main import main; main()')
-"""What starts ``taxinet`` as people's shells do, with this Python."""
+"""Command that starts ``taxinet`` with this Python, as a shell would."""
 LIMIT_S = 120.0
-"""Longest time to wait for something to be seen [s]."""
+"""Maximum time to wait for a condition [s]."""
 LOOK_S = 0.003
-"""Time between two looks [s]."""
+"""Polling period [s]."""
 
 
 def wait_for(process: ChildProcess, there: Callable[[], bool]) -> int:
-    """Look until something is there.
+    """Poll until a condition holds.
 
     Returns:
-        When that was, on the clock of :func:`time.perf_counter_ns`.
+        Time at which it held, on the clock of :func:`time.perf_counter_ns`.
 
     Raises:
-        InfraError: the process has ended, or too much time has passed.
+        InfraError: the process has ended, or the wait timed out.
     """
     deadline = time.monotonic() + LIMIT_S
     while not there():
@@ -70,9 +70,9 @@ def wait_for(process: ChildProcess, there: Callable[[], bool]) -> int:
 
 
 Amounts = dict[str, Callable[[], float]]
-"""What tells an amount [bytes] once all is measured, by name; NaN where there is none."""
+"""Functions that return an amount [bytes] after the measurement, by name; NaN if there is none."""
 
 
 def folder_bytes(folder: Path) -> int:
-    """Size of all the files in a folder [bytes]."""
+    """Total size of the files in a folder [bytes]."""
     return sum(file.stat().st_size for file in folder.rglob('*') if file.is_file())

@@ -1,4 +1,4 @@
-"""Reports of the bench: compared with an older one, and ratios of figures, some of them guarded."""
+"""Benchmark reports: comparison with an older report, and ratios of figures, some with bounds."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 
 Report = dict[str, Any]
-"""``machine``: facts; ``figures``: what was measured, by name; both ready for JSON."""
+"""``machine``: facts; ``figures``: measurements by name; both ready for JSON."""
 
 _APART = (LOAD, COMMIT)
-"""Facts that are never the same twice, or whose comparison is what a report is for."""
+"""Facts that differ in every report, or whose comparison is the purpose of a report."""
 
 
 def make_report(machine: Mapping[str, Any], figures: Mapping[str, Figure]) -> Report:
-    """What ``taxinet bench --json`` prints."""
+    """Report that ``taxinet bench --json`` prints."""
     return {
         'machine': dict(machine),
         'figures': {name: asdict(figure) for name, figure in figures.items()},
@@ -33,7 +33,7 @@ def load_report(path: Path) -> Report:
     """Read an older report.
 
     Raises:
-        UsageError: no such file, or not a report.
+        UsageError: there is no such file, or it is not a report.
     """
     try:
         report = load_json(path.read_bytes())
@@ -56,7 +56,7 @@ def _is_report(report: object) -> bool:
 
 
 def _median(figure: Mapping[str, Any]) -> float:
-    """Median of a figure [s]; 0 where there is none to divide by."""
+    """Median of a figure [s]; 0 if there is none to divide by."""
     value: Any = figure.get('median_s')
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return 0.0
@@ -64,11 +64,11 @@ def _median(figure: Mapping[str, Any]) -> float:
 
 
 def compare_reports(new: Report, old: Report) -> dict[str, Any]:
-    """How a report compares with an older one.
+    """Compare a report with an older one.
 
     Returns:
         ``ratios``: new median over old median for every figure that both have; ``differences``:
-        the facts of the machine that are not the same, as [old, new] by name.
+        the facts of the machine that differ, as [old, new] by name.
     """
     before = old['figures']
     facts = {**old['machine'], **new['machine']}
@@ -87,13 +87,13 @@ def compare_reports(new: Report, old: Report) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ratio:
-    """One figure over another.
+    """Ratio of two figures.
 
     Attributes:
-        name: for people: what over what.
-        over, under: names of the figures.
-        cpu: processor time, or else wall time.
-        least, most: bounds that a program as good as today's keeps on any machine, loosely.
+        name: display name of the ratio.
+        over, under: names of the numerator and the denominator.
+        cpu: whether it is of processor time; else of wall time.
+        least, most: loose bounds that hold on any machine unless performance regresses.
     """
 
     name: str
@@ -103,14 +103,14 @@ class Ratio:
     least: float | None = None
     most: float | None = None
 
-# Bounds leave about as much again as was measured in docs/performance.md: they shall tell when a
-# change makes the graph dear, not when a neighbour of the machine is busy.
+# Bounds leave a margin of about the value measured in docs/performance.md: they should detect a
+# change that makes the graph expensive, not a busy machine.
 RATIOS = (
     Ratio(
         name='composed graph / loop without ROS, network',
         over='graph/composed, network', under='loop/network', most=3.0,
     ),
-    # Without pictures there is little else than messages, so the ratio is of two small things.
+    # Without pictures a run is little more than messages, so both figures are small.
     Ratio(
         name='composed graph / loop without ROS, truth',
         over='graph/composed, truth', under='loop/truth', most=25.0,
@@ -123,7 +123,7 @@ RATIOS = (
         name='separate processes / composed graph, truth',
         over='graph/processes, truth', under='graph/composed, truth',
     ),
-    # Below 1 there would be no reason left to prefer an experimental executor.
+    # Below 1 there would be no reason to prefer an experimental executor.
     Ratio(
         name='default executor / ours, network',
         over='graph/default executor, network', under='graph/composed, network', least=1.0,
@@ -148,15 +148,15 @@ RATIOS = (
         for workers in WORKERS[1:]
     ),
 )  # fmt: skip
-"""What is compared whenever both figures are there."""
+"""Ratios computed whenever both figures exist."""
 
 
 def find_ratios(figures: Mapping[str, Figure]) -> dict[str, dict[str, Any]]:
-    """The ratios of what was measured, by name.
+    """Ratios of the measured figures, by name.
 
     Returns:
-        ``value``: of the medians; ``low``, ``high``: of a quartile and the opposite one; ``clock``;
-        ``least``, ``most``: bounds, where there are any; ``kept``: whether the value is in them.
+        ``value``: ratio of the medians; ``low``, ``high``: of opposite quartiles; ``clock``;
+        ``least``, ``most``: bounds, if any; ``kept``: whether the value is within them.
     """
     return {
         ratio.name: _ratio_facts(ratio, figures[ratio.over], figures[ratio.under])
@@ -166,7 +166,7 @@ def find_ratios(figures: Mapping[str, Figure]) -> dict[str, dict[str, Any]]:
 
 
 def ratio_violations(ratios: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A line for each ratio beyond its bounds."""
+    """One line for each ratio outside its bounds."""
     lines = []
     for name, ratio in ratios.items():
         value, least, most = ratio['value'], ratio['least'], ratio['most']
@@ -178,7 +178,7 @@ def ratio_violations(ratios: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def bounds_text(ratio: Mapping[str, Any]) -> str:
-    """The bounds of a ratio for people, or nothing."""
+    """Display text of a ratio's bounds, '' if it has none."""
     signs = (('>=', ratio['least']), ('<=', ratio['most']))
     return ', '.join(f'{sign} {bound:g}' for sign, bound in signs if bound is not None)
 

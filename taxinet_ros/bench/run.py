@@ -1,4 +1,4 @@
-"""A run of the bench: the chosen subjects, all in turns."""
+"""A run of the benchmark: the chosen subjects, measured in turns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from taxinet_ros.errors import UsageError
 ALL = 'all'
 
 Standing = Callable[[ExitStack, Amounts], list[Subject]]
-"""Makes subjects that need something as long as the stack is not left, and may tell amounts."""
+"""Makes subjects whose resources live until the stack is closed, and may add amounts."""
 
 SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
     'camera': components.camera_subjects,
@@ -31,13 +31,13 @@ SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
     'samplers': components.sampler_subjects,
     'loop': closed_loop.subjects,
 }
-"""What can be measured without ROS, by the word that chooses it."""
+"""Subjects that need no ROS, by the word that chooses them."""
 
 GRAPH, START_UP, CAMPAIGN = 'graph', 'start-up', 'campaign'
 
 
 def _standing(module: str) -> Standing:
-    """The subjects of a module that needs ROS, which is imported when they are asked for."""
+    """The subjects of a module that needs ROS, imported on first use."""
     name = f'taxinet_ros.bench.subjects.{module}'
     return lambda stack, amounts: cast(
         'list[Subject]', import_module(name).subjects(stack, amounts)
@@ -47,26 +47,26 @@ def _standing(module: str) -> Standing:
 WITH_ROS: dict[str, Standing] = {
     GRAPH: _standing('graph'), START_UP: _standing('start_up'), CAMPAIGN: _standing('campaign'),
 }
-"""What needs ROS; all but the campaign, which takes a minute or two, belong to ``all``."""
+"""Subjects that need ROS; ``all`` includes them except the campaign, which takes minutes."""
 
 
 def run_subjects(
     words: Sequence[str], repeats: int, progress: Progress, peers: str | None = None
 ) -> Report:
-    """Measure on one core what the words choose: subjects, or ``all``, which none means too.
+    """Measure the chosen subjects on one core; no words mean ``all``.
 
-    OpenCV keeps to one thread from here on, for all of the process.
+    OpenCV uses one thread from here on, for the rest of the process.
 
     Args:
-        words: the subjects; the graph brings the loop, to be compared with.
-        repeats: how often each is measured.
-        progress: is told how far it is.
-        peers: a Python that has other people's monitors, to be measured beside ours.
+        words: the subjects; the graph adds the loop, for comparison.
+        repeats: number of measurements of each.
+        progress: called with the progress.
+        peers: Python executable with third-party monitors, to be compared with ours.
 
     Raises:
-        UsageError: an unknown word (the known ones are listed), no repeats, or something that
+        UsageError: an unknown word (the known ones are listed), no repeats, or a subject that
             cannot be set up.
-        InfraError: a run through the graph has no verdict, or a command broke down.
+        InfraError: a run through the graph has no verdict, or a command failed.
     """
     chosen, left_out = _choose(words)
     if repeats < 1:
@@ -92,7 +92,7 @@ def run_subjects(
 
 
 def _choose(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """The subjects to measure, and why others of ``all`` are left out, by word."""
+    """The subjects to measure, and the reason for each subject of ``all`` that is left out."""
     known = (*SUBJECTS, *WITH_ROS)
     unknown = [word for word in words if word not in known and word != ALL]
     if unknown:

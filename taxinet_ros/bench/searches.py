@@ -1,8 +1,8 @@
-"""How well the samplers search: synthetic landscapes whose failure regions are known.
+"""Search performance of the samplers on synthetic landscapes with known failure regions.
 
-In place of a simulator stands a formula for ρ. Lengths are of quantiles, so the volume of a region
-in the unit cube is its probability under the program. Each repetition is one search with results
-that come as late as eight workers bring them, so with as little known as there ever is.
+A formula for ρ replaces the simulator. Lengths are in quantiles, so the volume of a region in the
+unit cube is its probability under the program. Each repetition is one search whose results arrive
+as late as with eight workers, so the sampler knows as little as it ever does.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Landscape:
     """Robustness by point.
 
     Attributes:
-        meaning: what is hard about it, in a line.
-        space: what is searched.
-        parts: of a point, the robustness that each failure region would give it alone.
-        shape: of the least of them, and the point, its robustness; 0 or less, a failure, where that
-            is 0 or less.
+        meaning: its difficulty, in one line.
+        space: the searched space.
+        parts: maps a point to the robustness that each failure region alone would give it.
+        shape: maps the least of them and the point to its robustness, which is 0 or less (a
+            failure) if the least is.
     """
 
     meaning: str
@@ -52,7 +52,7 @@ class Landscape:
         return self.shape(min(self.parts(point)), point)
 
     def region(self, point: Point) -> int:
-        """Number of the region, from 0, that a failure belongs to."""
+        """Index of the region that a failure belongs to."""
         parts = self.parts(point)
         return min(range(len(parts)), key=parts.__getitem__)
 
@@ -63,9 +63,9 @@ class Landscape:
 
 
 def count_distinct(space: Space, failures: Sequence[Point]) -> int:
-    """Number of failures that lie apart: a greedy cover, in the order in which they were found.
+    """Number of distinct failures: a greedy cover, in the order in which they were found.
 
-    One counts where it differs from each that was counted before: in a category, in whether a
+    A failure counts if it differs from each one counted before: in a category, in whether a
     dimension is idle, or by more than :data:`APART` in some coordinate.
     """
     counted: list[Point] = []
@@ -89,7 +89,7 @@ def _alike(space: Space, one: Point, other: Point) -> bool:
 
 
 def _radius(share: float) -> float:
-    """Of a disc with this share of the unit square."""
+    """Radius of a disc with this share of the unit square."""
     return math.sqrt(share / math.pi)
 
 
@@ -98,7 +98,7 @@ def _continuous(dimensions: int) -> Space:
 
 
 def _at(point: Point, first: int) -> tuple[float, float]:
-    """Two neighbouring coordinates of dimensions that are never idle."""
+    """Two adjacent coordinates of dimensions that are never idle."""
     return point[first] or 0.0, point[first + 1] or 0.0
 
 _TWO = {(0.21, 0.72): 0.0075, (0.76, 0.27): 0.0075}
@@ -113,13 +113,13 @@ def _discs(
     meaning: str, dimensions: int, shares: Mapping[tuple[float, float], float],
     shape: Callable[[float, Point], float] = lambda least, point: least,
 ) -> Landscape:
-    """Signed distance to discs in the plane of the first two dimensions; others do not matter.
+    """Landscape of signed distance to discs in the first two dimensions; others do not matter.
 
     Args:
-        meaning: of the landscape.
-        dimensions: of its space, all continuous.
-        shares: by centre of a disc, its share of the square.
-        shape: of the landscape.
+        meaning: see :class:`Landscape`.
+        dimensions: number of dimensions of its space, all continuous.
+        shares: share of the unit square of each disc, by its centre.
+        shape: see :class:`Landscape`.
     """
     def parts(point: Point) -> list[float]:
         at = _at(point, 0)
@@ -137,13 +137,13 @@ def _corner(dimensions: int) -> Landscape:
 
 
 def _noisy(least: float, point: Point) -> float:
-    """With noise that is a function of the point, but no failures elsewhere."""
+    """Shape with noise that is a function of the point, but no failures elsewhere."""
     noise = zlib.crc32(repr(point).encode()) / 2**32 - 0.5
     return least if least <= 0 else max(least + 0.2 * noise, 1e-6)
 
 
 def _decoyed(least: float, point: Point) -> float:
-    """With a wide basin elsewhere, which ends at 0.02."""
+    """Shape with a wide basin elsewhere, whose minimum is 0.02."""
     return min(least, 0.02 + 0.8 * math.dist(_at(point, 0), (0.8, 0.8)))
 
 
@@ -151,7 +151,7 @@ def _balls() -> Landscape:
     centres = (
         (0.2, 0.3, 0.7, 0.4), (0.8, 0.7, 0.2, 0.3), (0.3, 0.8, 0.3, 0.8), (0.7, 0.2, 0.8, 0.7),
     )
-    radius = (0.008 * 2 / math.pi**2) ** 0.25  # of a ball in four dimensions with this volume
+    radius = (0.008 * 2 / math.pi**2) ** 0.25  # of a four-dimensional ball with this volume
 
     def parts(point: Point) -> list[float]:
         at = (*_at(point, 0), *_at(point, 2))
@@ -236,25 +236,25 @@ LANDSCAPES: Mapping[str, Landscape] = {
         parts=lambda point: [0.1 - max(abs(each - 0.5) for each in _at(point, 0))],
     ),
 }
-"""Every landscape by its name."""
+"""All landscapes by name."""
 
 
 RUNS = 200
-"""Of each search."""
+"""Runs of each search."""
 _SLOW = ('bo', 'tpe')
-"""Samplers that take a second and more for a search; measured only where they are named."""
+"""Samplers that take a second or more per search; measured only if named."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Search:
-    """What one search came to; or the means of several.
+    """Result of one search, or means over several.
 
     Attributes:
-        found: whether it found a failure; the share of the searches that did.
+        found: whether it found a failure; over several, the share that did.
         regions: share of the failure regions that it found.
-        failures: runs that failed.
-        distinct: failures that lie apart (:func:`~taxinet_ros.bench.searches.count_distinct`).
-        ask_s: processor time for choosing a run and taking its result in [s].
+        failures: number of failed runs.
+        distinct: distinct failures (:func:`~taxinet_ros.bench.searches.count_distinct`).
+        ask_s: processor time for choosing a run and processing its result [s].
     """
 
     found: float
@@ -267,16 +267,16 @@ class Search:
 def measure_searches(
     words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
 ) -> dict[str, Any]:
-    """Search landscapes with samplers, as often as asked for.
+    """Search landscapes with samplers, ``repeats`` times each.
 
     Args:
-        words: samplers and landscapes; where no sampler is named all but the slow ones, where no
-            landscape is named all of them.
+        words: samplers and landscapes; without samplers all but the slow ones, without landscapes
+            all of them.
         repeats: searches for each landscape and sampler, with the seeds 0, 1, ….
-        progress: is told how many pairs of them are done, of how many.
+        progress: called with the number of landscape-sampler pairs done and their total.
 
     Raises:
-        UsageError: an unknown word, or no repetition.
+        UsageError: a word is unknown, or ``repeats`` is less than 1.
     """
     for word in words:
         if word not in SAMPLERS and word not in LANDSCAPES:

@@ -1,7 +1,7 @@
-"""Soak test: many runs, or a running process, sampled for what grows.
+"""Soak test: detect resource growth over many runs, or in a running process.
 
-A sample counts memory, open files, threads and shared memory of a process and its descendants; a
-robust slope through the samples after the warm-up tells whether one of them grows.
+A sample counts memory, open files, threads and shared memory of a process and its descendants. A
+robust slope through the samples after the warm-up shows whether one of them grows.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ _SHARED = '/dev/shm/'
 
 
 class Holdings(NamedTuple):
-    """What one process, or several together, hold.
+    """Resources held by one process, or by several together.
 
     Attributes:
-        memory: resident memory [bytes]; what processes share counts in each of them.
-        files: open file descriptors.
-        threads: threads.
-        segments: different files of ``/dev/shm`` mapped into memory; Fast DDS talks through them.
-        processes: how many they are.
+        memory: resident memory [bytes]; shared memory counts in each process.
+        files: number of open file descriptors.
+        threads: number of threads.
+        segments: number of distinct ``/dev/shm`` files mapped into memory; Fast DDS communicates
+            through them.
+        processes: number of processes.
     """
 
     memory: int
@@ -55,10 +56,10 @@ class Holdings(NamedTuple):
 
 
 def holdings(pid: int) -> Holdings | None:
-    """What a process and all its descendants hold now; None once it is gone.
+    """Resources that a process and its descendants hold now; None once it has ended.
 
     Raises:
-        UsageError: it is another user's, so Linux does not tell.
+        UsageError: it belongs to another user, so Linux denies access.
     """
     try:
         process = psutil.Process(pid)
@@ -93,22 +94,22 @@ def _process_holdings(process: psutil.Process) -> tuple[int, int, int, frozenset
 
 
 WARM_UP = 0.2
-"""Share of the runs, or of the time, at the beginning that do not count: caches fill there."""
+"""Initial share of the runs, or of the time, that is ignored because caches fill."""
 LEAST_SAMPLES = 12
-"""Samples after the warm-up without which nothing is concluded."""
+"""Minimum number of samples after the warm-up for a conclusion."""
 MOST_SAMPLES = 400
-"""Samples that are kept; beyond them every other one goes, so that looking costs nothing more."""
+"""Maximum number of samples kept; beyond it every other one is dropped, to bound the cost."""
 FLAT, GROWS, UNSETTLED = 'flat', 'grows', 'too short to tell'
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """How one quantity went.
+    """Trend of one quantity.
 
     Attributes:
-        first, warm, last, most: at the beginning, after the warm-up, at the end, and at most.
-        slope: after the warm-up, per run or per second.
-        growth: by this slope, from the warm-up to the end.
+        first, warm, last, most: values at the beginning, after the warm-up, at the end; maximum.
+        slope: slope after the warm-up, per run or per second.
+        growth: growth from the warm-up to the end by this slope.
         verdict: :data:`FLAT`, :data:`GROWS` or :data:`UNSETTLED`.
     """
 
@@ -122,17 +123,17 @@ class Trend:
 
 
 class Series:
-    """Samples along an axis, evenly thinned out so that there are never very many."""
+    """Samples along an axis, thinned evenly to bound their number."""
 
     def __init__(self) -> None:
-        """Begin without samples."""
+        """Create an empty series."""
         self.at: list[float] = []
         self.rows: list[tuple[float, ...]] = []
         self._every = 1
         self._asked = 0
 
     def add(self, at: float, row: Sequence[float]) -> None:
-        """Take a sample, unless it would be one of those that are thinned out."""
+        """Add a sample, unless it is one of those thinned out."""
         if self._asked % self._every == 0:
             self.at.append(at)
             self.rows.append(tuple(row))
@@ -143,18 +144,18 @@ class Series:
 
 
 def trend(at: Sequence[float], values: Sequence[float], *, per_unit: float, once: float) -> Trend:
-    """The trend of one quantity.
+    """Compute the trend of one quantity.
 
     Args:
         at: runs or seconds, ascending, one or more.
-        values: as many.
-        per_unit: slope that still counts as flat.
-        once: growth that still counts as flat, however steep.
+        values: one value for each.
+        per_unit: greatest slope that counts as flat.
+        once: greatest growth that counts as flat, whatever the slope.
     """
     x, y = np.asarray(at, float), np.asarray(values, float)
     warm = x >= x[0] + WARM_UP * (x[-1] - x[0])
     x, y = x[warm], y[warm]
-    # Theil's and Sen's: the median slope between pairs of points, which a few outliers do not move.
+    # Theil-Sen estimator: the median slope between pairs of points, robust to a few outliers.
     slope = float(stats.theilslopes(y, x).slope) if x[-1] > x[0] else 0.0
     growth = slope * float(x[-1] - x[0])
     if len(x) < LEAST_SAMPLES:
@@ -169,38 +170,38 @@ def trend(at: Sequence[float], values: Sequence[float], *, per_unit: float, once
 
 RUNS = 1000
 DURATION_S = 3.0
-"""Simulated length of a run [s]: short, for what leaks leaks by the run or by the step."""
+"""Simulated length of a run [s]: short, since leaks occur per run or per step."""
 SEED = 0
 RUNS_PER_SAMPLE = 5
 LEAST_PERIOD_S = 1.0
 SAMPLES_WATCHED = 300
 RUN, SECOND = 'run', 's'
-"""What samples are counted in: runs of our own, or seconds of somebody else's."""
+"""Units of the sample axis: runs of our own graph, or seconds of a watched process."""
 OBJECTS = 'python objects'
 QUANTITIES = ('memory', 'files', 'threads', 'segments')
 _FLAT_SLOPES = {
     RUN: {'memory': 1024.0, OBJECTS: 0.1},
     SECOND: {'memory': 10 * 2**20 / 3600},
 }
-"""Slopes that still count as flat; of what is counted by the piece, none does."""
+"""Greatest slopes that count as flat; 0 for countable quantities."""
 _FLAT_GROWTH = {'memory': 2.0**20, OBJECTS: 500.0}
-"""Growth that still counts as flat; of what is counted by the piece, less than half of one."""
+"""Greatest growth that counts as flat; half of one for countable quantities."""
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Soak:
-    """What a soak has found.
+    """Result of a soak test.
 
     Attributes:
-        what: what was soaked, in words.
+        what: description of what was tested.
         unit: :data:`RUN` or :data:`SECOND`.
-        amount: how many of them there were.
-        wall_s: how long it took [s].
-        trends: by quantity: those of :class:`.Holdings`, and Python objects of a soak of our own.
-        machine: facts on it.
-        outcomes: runs of our own by how they ended.
-        interrupted: whether somebody stopped it early.
+        amount: number of these units.
+        wall_s: duration [s].
+        trends: by quantity: those of :class:`.Holdings`; for our own runs also Python objects.
+        machine: facts of the machine.
+        outcomes: number of our own runs by outcome.
+        interrupted: whether it was stopped early.
     """
 
     what: str
@@ -215,7 +216,7 @@ class Soak:
 
     @property
     def verdict(self) -> str:
-        """``grows`` where anything does, ``flat`` where all is, else ``too short to tell``."""
+        """``grows`` if any quantity does, ``flat`` if all are, else ``too short to tell``."""
         verdicts = {trend.verdict for trend in self.trends.values()}
         if GROWS in verdicts or verdicts == {FLAT}:
             return GROWS if GROWS in verdicts else FLAT
@@ -231,13 +232,13 @@ def soak_runs(
 ) -> Soak:
     """Run short scenes one after the other through one composed graph in this process.
 
-    OpenCV keeps to one thread from here on, for all of the process.
+    OpenCV uses one thread from here on, for the rest of the process.
 
     Args:
-        runs: how many.
-        minutes: of wall time after which it ends all the same.
-        progress: is told how many are done, and of how many.
-        duration_s: simulated length of each.
+        runs: number of runs.
+        minutes: limit of wall time [min].
+        progress: called with the number of runs done and their total.
+        duration_s: simulated length of each run [s].
 
     Raises:
         InfraError: a run has no verdict.
@@ -253,7 +254,7 @@ def soak_runs(
 
 
 class _Runs:
-    """The runs of a soak, and what is seen between them."""
+    """The runs of a soak test, and the samples taken between them."""
 
     def __init__(
         self, runs: int, minutes: float | None, duration_s: float, bags: Path, progress: Progress
@@ -271,12 +272,12 @@ class _Runs:
         self._stopped = False
 
     def stop(self) -> None:
-        """End with the run at hand."""
+        """End after the current run."""
         self._stopped = True
         self.interrupt()
 
     def requests(self) -> Iterator[RunRequest]:
-        """Scenes of S_falsif's world, drawn one by one."""
+        """Yield random scenes in the world of S_falsif."""
         rng = np.random.default_rng(SEED)
         for number in range(self._runs):
             yield RunRequest(
@@ -286,7 +287,7 @@ class _Runs:
             )
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
-        """Look at this process every few runs; False ends the soak."""
+        """Sample this process every few runs; return False to end the soak test."""
         shutil.rmtree(self.bags / request.run_id, ignore_errors=True)
         if self._stopped:
             return False
@@ -295,7 +296,7 @@ class _Runs:
         self._outcomes[result.outcome] = self._outcomes.get(result.outcome, 0) + 1
         self._done += 1
         if self._done % RUNS_PER_SAMPLE == 1:
-            gc.collect()  # so that what is counted is what cannot be freed
+            gc.collect()  # count only objects that cannot be freed
             held = holdings(os.getpid())
             assert held is not None
             self._series.add(self._done, (*held, len(gc.get_objects())))
@@ -303,10 +304,10 @@ class _Runs:
         return time.monotonic() - self._begun < self._most_s
 
     def found(self) -> Soak:
-        """The soak so far.
+        """Result so far.
 
         Raises:
-            UsageError: it was stopped before its first run had ended.
+            UsageError: it was stopped before its first run ended.
         """
         return _found(
             self._series, (*Holdings._fields, OBJECTS), RUN, self._done, self._begun,
@@ -316,15 +317,15 @@ class _Runs:
 
 
 def watch(pid: int, minutes: float, progress: Progress) -> Soak:
-    """Look at a running process and its descendants until the time is over, or it is gone.
+    """Sample a running process and its descendants until the time is over or it has ended.
 
     Args:
-        pid: of the process.
-        minutes: how long.
-        progress: is told how many seconds are over, and of how many.
+        pid: id of the process.
+        minutes: duration [min].
+        progress: called with the seconds elapsed and their total.
 
     Raises:
-        UsageError: there is no such process, or it is another user's.
+        UsageError: there is no such process, or it belongs to another user.
     """
     begun, all_s = time.monotonic(), minutes * 60
     period_s = max(LEAST_PERIOD_S, all_s / SAMPLES_WATCHED)

@@ -1,6 +1,6 @@
-"""A plain campaign: scenes are drawn from the program one by one.
+"""A plain campaign, whose scenes are drawn from the program one by one.
 
-A campaign's folder holds ``campaign.json`` (options and program text), one bag folder per run,
+A campaign's folder contains ``campaign.json`` (options and program text), one bag folder per run,
 ``ledger.jsonl`` (append-only, authoritative) and ``runs.csv``/``runs.parquet`` (derived from it).
 """
 
@@ -23,9 +23,7 @@ from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2
-"""Number of consecutive infrastructure errors that end a campaign; a plain campaign retries
-none.
-"""
+"""Number of consecutive infrastructure errors that end a plain campaign, which has no retries."""
 
 
 class Campaign:
@@ -46,7 +44,7 @@ class Campaign:
         """Create it; nothing is started or written before the ``with``.
 
         Args:
-            options: what to do.
+            options: options of the campaign.
             participants: names of the nodes in every run.
             on_row: called with each row as soon as it is on disk.
             meanwhile: called while the program's process starts, which takes seconds.
@@ -66,11 +64,11 @@ class Campaign:
         self._timing: str | None = None
 
     def __enter__(self) -> Self:
-        """Compile the program, draw the first scene, and only then make the folder.
+        """Compile the program, draw the first scene, then create the folder.
 
         Raises:
             UsageError: the program does not compile, the requirements do not fit its runs, or the
-                folder cannot be made.
+                folder cannot be created.
         """
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
@@ -91,7 +89,7 @@ class Campaign:
 
     @property
     def unfinished(self) -> bool:
-        """Whether there are runs left to try."""
+        """Whether there are runs left."""
         return (
             self._next < self.options.runs and self.book.broken_in_a_row < PATIENCE
             and not self._interrupted

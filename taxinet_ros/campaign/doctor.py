@@ -11,7 +11,8 @@ damaged lines is kept as a copy, and its intact lines are written to a new one. 
 ``campaign.json`` with different content is kept as a copy too, and losses are recorded in the
 ledger, so that neither doctor nor gate takes it for complete.
 
-Where ``campaign.json`` and the tables agree and the ledger is another campaign's, they are trusted.
+If ``campaign.json`` and the tables agree but the ledger belongs to another campaign, the former are
+trusted.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class Examination:
 
     Attributes:
         looked_at: number of items checked, by kind.
-        findings: what is wrong.
+        findings: errors found.
         notes: remarks that are not errors.
         checked: files and bag folders verified against a record.
         unchecked: all others.
@@ -95,7 +96,7 @@ class Examination:
             self.checked.add(path)
 
     def report(self, where: object, what: object, mend: str = '') -> None:
-        """Add a finding; text that starts with the place does not repeat it."""
+        """Add a finding, without repeating a place with which its text starts."""
         text = str(what).removeprefix(f'{where}:').strip().partition('; ')[0]
         self.findings.append(Finding(where=str(where), what=text, mend=mend))
 
@@ -104,11 +105,11 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     """Check everything in a folder.
 
     Args:
-        folder: of a campaign, an experiment, a dataset, a study; anything that holds such.
+        folder: folder of a campaign, an experiment, a dataset or a study, or a parent of such.
         on_bag: called with each bag before it is checked, which takes time.
 
     Raises:
-        UsageError: there is nothing to check in it.
+        UsageError: it contains nothing to check.
     """
     found, places = Examination(), list(_places(folder))
     for place in places:
@@ -430,7 +431,7 @@ def _check_pictures(place: Path, found: Examination) -> None:
 
     try:
         labels = pd.read_parquet(place / _LABELS, columns=[_IMAGE, _DIGEST])
-    except Exception:  # a foreign reader on untrusted bytes; reported with the index
+    except Exception:  # third-party reader on untrusted bytes; reported with the index
         return
     for name, digest in zip(labels[_IMAGE], labels[_DIGEST], strict=True):
         path = place / str(name)
@@ -535,7 +536,7 @@ def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
 
 
 def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[str]:
-    """As :func:`_mend_journal`; permanent losses are recorded in the ledger."""
+    """Like :func:`_mend_journal`; permanent losses are recorded in the ledger."""
     sound, damaged = _sound_events(content)
     trusted, facts = _trusted_facts(path.parent), _sealed_facts(path.parent)
     events = possible_events(sound, trusted.values if trusted else {})
@@ -585,7 +586,7 @@ def _needs_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
 def _end_trouble(
     content: JournalContent, events: list[dict[str, Any]], ended: JournalEnd | None
 ) -> str:
-    """What the intact lines lack compared to the recorded end of the ledger, or ''."""
+    """Text on the difference of the intact lines from the ledger's recorded end, or ''."""
     why = lost_end(content, ended) if ended else ''
     if not ended or content.unprotected:
         return why

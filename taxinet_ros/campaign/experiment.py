@@ -3,19 +3,19 @@
 The paper confirms a suspected cause by running the same scenes with and without it (its Fig. 7: the
 aircraft's shadow). The YAML format:
 
-    program: halton_time_of_day     # shipped, or a .scenic file, also beside this one
+    program: halton_time_of_day     # shipped, or a .scenic file, also relative to this file
     runs: 120
-    seed: 0                         # 0 where left out
-    sampler: halton                 # random where left out
-    perception: original            # taxinet where left out
-    controller: my_file.py:steer    # steering, the handwritten law, where left out
+    seed: 0                         # default 0
+    sampler: halton                 # default random
+    perception: original            # default taxinet
+    controller: my_file.py:steer    # default steering, the handwritten law
     specs: [phi_eventually]         # the first is the headline
     set: {clouds: clear}            # for all arms, as --set of taxinet run
-    over: time_of_day_h             # what the picture is drawn over; found out where left out
+    over: time_of_day_h             # horizontal axis of the picture; determined if not given
     arms:                           # two or more; each has its own set, perception or controller
       shadows: {}
       no_shadows: {set: {shadows: off}}
-    compare_to: shadows             # the first arm where left out
+    compare_to: shadows             # default: the first arm
 
 Arms run as searches with the same scenes except for the values that each arm overrides.
 """
@@ -50,7 +50,7 @@ from taxinet_ros.files.plain_values import Section, expected, read_yaml
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
 PAIRED_SAMPLERS = ('random', 'halton', 'sobol', 'grid')
-"""Samplers that do not learn, and so choose the same scenes for every arm."""
+"""Samplers that do not learn and therefore choose the same scenes for every arm."""
 _KEYS = (
     'program', 'runs', 'seed', 'sampler', 'sampler_options', 'perception', 'controller', 'specs',
     'set', 'over', 'arms', 'compare_to',
@@ -67,9 +67,9 @@ class Arm:
     Attributes:
         name: name of the arm and of its folder.
         perception: name or file, or an external node.
-        controller: likewise.
+        controller: name or file, or an external node.
         laid_over: scenario values that differ from the shared ones, in human keys and units.
-        gains: steering gains, the shared ones included.
+        gains: steering gains, including the shared ones.
     """
 
     name: str
@@ -86,10 +86,10 @@ class Experiment:
     Attributes:
         name: name of its file.
         program: name of a shipped program, or path of one.
-        runs: scenes, each run once in every arm.
+        runs: number of scenes, each run once in every arm.
         seed, sampler, sampler_options: how the scenes are chosen.
         specs: formulas as self-contained text; the first is the headline.
-        overrides: scenario values that all arms share.
+        overrides: scenario values shared by all arms.
         over: scenario key on the x axis of the plot, or ''.
         arms: two or more.
         compare_to: name of the arm that the others are compared to.
@@ -109,7 +109,7 @@ class Experiment:
 
     @property
     def others(self) -> tuple[Arm, ...]:
-        """The arms that are compared."""
+        """The arms other than ``compare_to``."""
         return tuple(arm for arm in self.arms if arm.name != self.compare_to)
 
 
@@ -122,7 +122,7 @@ def find_experiment(word_or_path: str) -> Path:
     """Find the file of a shipped experiment's name, or of a path.
 
     Raises:
-        UsageError: neither; the known names are listed.
+        UsageError: it is neither; the known names are listed.
     """
     if word_or_path in known_experiments():
         return shipped_folder() / FOLDER / f'{word_or_path}{SUFFIX}'
@@ -268,7 +268,7 @@ def _sampler(given: Section) -> tuple[str, dict[str, str]]:
 
 
 PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
-"""Result files beside the completed arms; the second has checksums of the others."""
+"""Result files in the folder of the arms; the second has checksums of the others."""
 
 
 def with_network(experiment: Experiment, perception: str) -> Experiment:
@@ -279,7 +279,7 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
         perception: word or file.
 
     Raises:
-        UsageError: there is no such network, or it is the network that the arms differ in.
+        UsageError: there is no such network, or the arms differ in their network.
     """
     check_perception(perception, graph=True)
     if len({arm.perception for arm in experiment.arms}) > 1:
@@ -294,7 +294,7 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
 def arm_searches(
     experiment: Experiment, out: Path, *, workers: int, resume: bool
 ) -> dict[str, SearchOptions]:
-    """One search for each arm, in a folder of its own, by the arm's name.
+    """One search per arm, in its own folder, by name of the arm.
 
     Args:
         experiment: the experiment to run.
@@ -322,7 +322,7 @@ def arm_searches(
 
 
 def _may_be_begun(experiment: Experiment, out: Path) -> bool:
-    """Whether a folder holds arms of the experiment, even one that has only been created."""
+    """Whether a folder contains arms of the experiment, even one that has only been created."""
     arms = {arm.name for arm in experiment.arms}
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
     return bool(there) and (
@@ -340,7 +340,7 @@ def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]
 def check_paired(
     experiment: Experiment, rows: Mapping[str, tuple[RunRow, ...]]
 ) -> None:
-    """Check that the arms had the same scenes except for each arm's own values.
+    """Check that the arms have the same scenes except for each arm's own values.
 
     Raises:
         UsageError: two scenes with the same index differ otherwise, so they cannot be compared.

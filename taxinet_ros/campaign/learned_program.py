@@ -1,6 +1,6 @@
 """Write a learned distribution as a Scenic program that draws from it.
 
-The text of the searched program is kept, with its comments and requirements; only the calls that
+The text of the searched program is kept with its comments and requirements; only the calls that
 make the choices are replaced, as in Figure 8 of the paper, derived from S_falsif::
 
     Range(0, 2000)   ->   Options({Range(0, 200): 0.05, …, Range(1400, 1600): 0.79})
@@ -50,19 +50,19 @@ def learned_program(
         space: its search space, from :meth:`~.scene_source.SceneSource.search_space`.
         probabilities: by name of a dimension, one number of 0 or more for each of its bins
             (categories, or equal slices of the prior); they need not add up to 1. Choices without
-            any stay as they are written.
+            probabilities are not changed.
         origin: origin of the probabilities, for the header: one or more sentences.
 
     Returns:
-        The text, and why choices are left in it as the program has them, a line each. It is found
-        to compile where the program's imports are found.
+        The text, and one line for each choice left unchanged with the reason. The text compiles if
+        the program's imports are found.
 
     Raises:
-        UsageError: no choice is made in a way that can be rewritten, or the probabilities do not
-            fit; one line says which.
+        UsageError: no choice can be rewritten, or the probabilities do not match; one line with
+            the reason.
     """
     try:
-        source = program.read_bytes().decode()  # with its own line ends
+        source = program.read_bytes().decode()  # keeps its line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
     text = _Text(program=program.resolve(), source=source)

@@ -2,7 +2,7 @@
 
 A sampler's histograms are regularised towards the program's prior, so neither they nor their mean
 are unbiased estimates. The share of failures in a bin is estimated from the failures themselves,
-weighted by the program's density; they are stored beside the histograms, and several searches with
+weighted by the program's density; they are stored with the histograms, and several searches with
 different seeds yield confidence intervals.
 """
 
@@ -55,8 +55,8 @@ class LearnedResult:
 
     Attributes:
         facts: program, sampler, perception, seed and number of runs of the search.
-        choices: choices that it searched.
-        probabilities: of their bins, by name of the dimension, as the sampler has them.
+        choices: the searched choices.
+        probabilities: the sampler's probabilities of their bins, by name of the dimension.
         evidence: by name of the dimension; empty if the weights of the runs are unknown.
     """
 
@@ -131,7 +131,7 @@ class LearnedTogether:
             folders: their folders, for messages.
 
         Raises:
-            UsageError: they differ in more than the seed, or one is given twice.
+            UsageError: they differ in anything but the seed, or one is given twice.
         """
         first, *_ = told = [with_present_keys(result.facts) for result in results]
         for facts, folder in zip(told, folders, strict=True):
@@ -156,7 +156,7 @@ class LearnedTogether:
         self.choices = results[0].choices
 
     def bins(self, choice: Choice) -> list[Share]:
-        """The share of each of a choice's bins in the failures in which it is made."""
+        """The share of each bin of a choice in the failures in which the choice is active."""
         ones = np.eye(len(choice.dimension.prior))
         return [self._share(choice.dimension.name, one) for one in ones]
 
@@ -186,7 +186,7 @@ class LearnedTogether:
         return found
 
     def within(self, name: str, low: float, high: float) -> Share:
-        """The share of values in [low, high], in a bin as likely as under the program.
+        """The share of values in [low, high]; within a bin the program's distribution applies.
 
         Raises:
             UsageError: no choice has that name, or it has no values to compare.

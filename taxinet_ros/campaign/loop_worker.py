@@ -59,9 +59,9 @@ def run_in_loop(
     """Run a request in this process.
 
     Args:
-        request: what to run.
-        perception: estimates.
-        controller: steers.
+        request: the requested run.
+        perception: the perception.
+        controller: the controller.
         timing: when answers take effect.
         on_step: called with the number of every control step.
         make_world: creates the world of the run.

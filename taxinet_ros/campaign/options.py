@@ -1,7 +1,7 @@
 """Options of a campaign, validated before anything starts.
 
-Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file
-has two keys, and either may be left out::
+Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file has
+two optional keys::
 
     predicates:
       on_centreline: abs(cte) <= 1.5
@@ -16,19 +16,21 @@ self-contained: predicates are expanded.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.aircraft import checked_aircraft
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs
+from taxinet_ros.core.judge import SpecCheck, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
     Assumptions,
+    Spec,
+    check_read,
     parse_assumptions,
     parse_formula,
     parse_spec,
@@ -36,10 +38,9 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, PLACE, by_key
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -112,7 +113,7 @@ def _spec_text(where: str, name: str, text: str, predicates: Mapping[str, str]) 
 def _written_out(where: str, name: str, formula: str) -> str:
     text = f'{name}={formula}'
     try:
-        parse_spec(text)  # the name may not be fit, or the formula too long by now
+        parse_spec(text)  # the name may be invalid, or the expanded formula too long
     except UsageError as error:
         raise UsageError(f'{where}: {error}') from None
     return text
@@ -142,24 +143,24 @@ class CampaignOptions:
     Attributes:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
-        seed: of the scenes.
+        seed: seed of the scenes.
         perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
-        overrides: scenario values that replace what is drawn, human keys and units.
+            :mod:`taxinet_ros.core.user_code`; '' if a standing graph determines it.
+        overrides: scenario values that replace drawn ones, in human keys and units.
         gains: steering gains that differ from the defaults.
         judging: judging options of the verdicts.
         out: folder of the campaign, which must be new or empty.
-        processes: every node a process of its own.
-        images: runs whose camera frames are recorded, of :data:`IMAGES`.
+        processes: whether every node runs in its own process.
+        images: runs whose camera frames are recorded, one of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values that override each scene after it was chosen. Unlike
             ``overrides``, they do not remove dimensions from the search; so campaigns that differ
             only in them have otherwise equal scenes.
         timing: when answers take effect.
-        arms: folders of all arms of the experiment, in order, if it is an arm.
+        arms: if it is an arm, folders of all arms of the experiment in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
-        world: name of the world that they take place in, see :mod:`taxinet_ros.core.world`.
+        world: name of the world of the runs, see :mod:`taxinet_ros.core.world`.
     """
 
     program: str
@@ -186,13 +187,17 @@ class CampaignOptions:
             first: scenario of the first run.
 
         Raises:
-            UsageError: a requirement cannot be evaluated on runs of this length.
+            UsageError: a requirement cannot be evaluated on such runs, or a gain has no effect.
         """
+        usual_mps = SteeringGains().speed_mps
+        if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
+            raise UsageError(
+                f'steering.speed_mps={usual_mps:g} has no effect: at {usual_mps:g} the '
+                f'scenario says the speed, {first.speed_mps:g}; set speed_mps instead'
+            )
         known = self.controller == STEERING and not self.standing_graph
-        gains = bounding_gains(SteeringGains(**self.gains), first) if known else None
-        place = self.overrides.get(PLACE.key)
-        runway = typed_place(place).runway if place else None
-        found = check_specs(self.judging.parsed_specs, first.duration_s, gains, runway)
+        gains = SteeringGains(**self.gains) if known else None
+        found = check_specs(self.judging.parsed_specs, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
@@ -214,13 +219,13 @@ def make_options(
     Args:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
-        seed: of the scenes.
+        seed: seed of the scenes.
         perception: see :class:`CampaignOptions`.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
         specs: formulas as text, or files of them; the default if empty.
         out: folder; if None, a new one below ``bags/`` with a descriptive name.
-        processes: every node a process of its own.
-        images: runs whose camera frames are recorded, of :data:`IMAGES`.
+        processes: whether every node runs in its own process.
+        images: runs whose camera frames are recorded, one of :data:`IMAGES`.
         resume: continue the campaign in ``out``.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: assumed bounds of signals, such as ``cte=-25:25``.
@@ -278,7 +283,7 @@ def make_judging(
         specs=read_specs(specs) or DEFAULT_SPECS, stop_on=parse_stop_on(stop_on),
         bounds=tuple(bounds), rates=tuple(rates),
     )
-    check_assumptions(judging.bounds, judging.rates)
+    check_assumptions(judging.bounds, judging.rates, judging.parsed_specs)
     return judging
 
 
@@ -306,14 +311,24 @@ def check_timing(
         raise UsageError(f'--{error}') from None
 
 
-def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:
+def check_assumptions(
+    bounds: Iterable[str], rates: Iterable[str], specs: Sequence[Spec]
+) -> Assumptions:
     """Parse assumptions on the signals.
+
+    Args:
+        bounds: as in :class:`.Judging`.
+        rates: as in :class:`.Judging`.
+        specs: requirements that read the signals; empty: not known.
 
     Raises:
         UsageError: one line that names the option.
     """
     try:
-        return parse_assumptions(bounds, rates)
+        found = parse_assumptions(bounds, rates)
+        if specs:
+            check_read(found, (spec.formula for spec in specs))
+        return found
     except UsageError as error:
         raise UsageError(f'--{error}') from None
 
@@ -331,7 +346,7 @@ def check_new(out: Path) -> None:
     """Check that a campaign can be written to ``out`` without overwriting anything.
 
     Raises:
-        UsageError: it is a file, or a folder with something in it.
+        UsageError: it is a file, or a folder that is not empty.
     """
     if out.is_dir() and not any(out.iterdir()):
         return
@@ -392,7 +407,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
-            # A file may change: what the campaign is, and whether it goes on, has its digest.
+            # A file may change: the campaign's identity includes its digest.
             overrides[key] = BY_KEY[key].settled(value) if key in BY_KEY else value
             if key == AIRCRAFT_MODEL.key:
                 _check_taxiing(overrides[key])

@@ -10,7 +10,7 @@ search. The interval below is then exact for every sampler and number of runs. E
 (Halton, Sobol, grid) are dependent and do not count either; binomial intervals of them are usually
 too wide and sometimes much too narrow.
 
-***Which interval.** If the number of runs equals the number planned before the first one, it is the
+**Which interval.** If the number of runs equals the number planned before the first one, it is the
 Clopper-Pearson interval (Biometrika 26, 1934). If the number of runs depends on their results
 (``--until``, a budget, Ctrl-C, further runs after inconclusive ones), it is a *confidence
 sequence*, which holds at all numbers of runs simultaneously: it contains the probabilities against
@@ -52,7 +52,7 @@ class Rate(NamedTuple):
         return Rate(1 - self.rate, 1 - self.high, 1 - self.low)
 
     def words(self) -> str:
-        """Such as ``85.0% [78.1%, 90.4%]``."""
+        """Display text such as ``85.0% [78.1%, 90.4%]``."""
         return f'{self.rate:.1%} [{self.low:.1%}, {self.high:.1%}]'
 
 
@@ -128,7 +128,7 @@ class ProgramRate:
     """Rate of one kind of run under the program itself, estimated from a campaign.
 
     Attributes:
-        runs, hits: number of judged runs, and of those of the kind, from any source.
+        runs, hits: number of judged runs from any source, and of those of the kind.
         drawn, drawn_hits: the same for runs that the program itself drew.
         anytime: whether the number of runs was not fixed beforehand.
         sampler: word of the sampler, or ''.
@@ -254,7 +254,7 @@ def count_words(counts: Mapping[str, int], kinds: Mapping[str, int]) -> str:
     """Counts by outcome as text, without zero counts.
 
     Args:
-        counts: by outcome, in the order in which they are named.
+        counts: number of runs by outcome, in display order.
         kinds: number of infrastructure errors by kind.
     """
     how = f' ({kind_words(kinds)})' if kinds else ''

@@ -1,8 +1,8 @@
-"""A search: a sampler chooses scenes, learns from their results, may be interrupted.
+"""A search: a sampler chooses scenes and learns from their results; it can be resumed.
 
 A search's folder is a campaign folder (:mod:`.campaign`). Runs may be concurrent and end in any
-order; the sequence of scenes depends neither on this nor on how often the search was resumed. The
-printed lines of a search are at the end.
+order; the sequence of scenes depends neither on this nor on the number of resumptions. The end of
+the module has the printed lines of a search.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ class Search:
     """Requests runs and records their results. A context manager that owns the Scenic child.
 
     Attributes:
-        options: what to do; within the ``with``, with the sampler that the program asks for.
+        options: options of the search; within the ``with``, including the program's sampler.
         notes: notes on the origin of the sampler and on likely mistakes in the program.
         rows: one row per completed run, in order of completion; after the ``with``, also those of
-            earlier broken runs that were not retried.
+            earlier runs with an infrastructure error that were not retried.
         stopped: the rule that ended the search early, or ''.
         exhausted: whether the sampler had no more points.
         interrupted: whether :meth:`interrupt` was called.
@@ -75,7 +75,7 @@ class Search:
         """Create it; nothing is started or written before the ``with``.
 
         Args:
-            options: what to do.
+            options: options of the search.
             participants: names of the nodes in every run.
             on_row: called with each new row once it is on disk; not with earlier ones.
         """
@@ -99,11 +99,11 @@ class Search:
         self._asked = 0
 
     def __enter__(self) -> Self:
-        """Compile the program, draw the first scene, and only then touch the folder.
+        """Compile the program, draw the first scene, then open the folder.
 
         Raises:
             UsageError: the program does not compile or makes no choices, there is no such sampler,
-                the folder cannot be used, or holds another search.
+                the folder cannot be used, or contains another search.
         """
         self.book.check_folder()
         with contextlib.ExitStack() as opened:
@@ -156,7 +156,7 @@ class Search:
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Record one result; a run broken by the bench is retried once.
+        """Record one result; a run with an infrastructure error is retried once.
 
         Raises:
             UsageError: it is from another perception than earlier results; it is not recorded.
@@ -187,7 +187,7 @@ class Search:
     # Asking ------------------------------------------------------------------------------------
 
     def _wants_more(self) -> bool:
-        """Whether one more run is needed; runs begun earlier are always finished first."""
+        """Whether one more run is needed; runs started earlier are always finished first."""
         if (broken := self.book.broken_in_a_row) >= PATIENCE:
             self.stopped = f'{broken} runs in a row were broken by the bench'
         if self._asked >= self._campaign.runs or self.interrupted:
@@ -249,7 +249,7 @@ class Search:
         self.book.keep(row)
 
     def _retries(self, index: int) -> int:
-        """Number of retries of a run after the bench broke, including earlier sessions."""
+        """Number of retries of a run after infrastructure errors, including earlier sessions."""
         before = self._earlier.to_repeat.get(index)
         broken = before is not None and before.outcome is Outcome.INFRA_ERROR
         return (before.retries if before else 0) + broken + self.book.was_retried(index)
@@ -257,9 +257,9 @@ class Search:
     def _weight(self, index: int) -> float | None:
         """Density of the program's distribution over the sampler's at a run's point, if known.
 
-        With a requirement for only a share of the runs, the density of accepted points is unknown
-        unless the sampler draws from the program's distribution: it depends on the probability that
-        sampler and program meet this run's requirements.
+        With soft requirements, the density of accepted points is unknown unless the sampler draws
+        from the program's distribution: it depends on the probabilities that points of the sampler
+        and of the program meet this run's requirements.
         """
         weight = self._sampler.weight(index)
         return None if self.space.soft and weight != 1 else weight

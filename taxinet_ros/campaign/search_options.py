@@ -143,7 +143,7 @@ def with_sampler(
         The options, and a line to print; '' if the program requests none.
 
     Raises:
-        UsageError: an option that the sampler does not have.
+        UsageError: the sampler does not have an option.
     """
     if options.sampler:
         line = f'sampler {options.sampler}, as asked; not the {asked.said} of {asked.place}' \

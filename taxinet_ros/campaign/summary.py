@@ -17,8 +17,9 @@ from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import clock_words, pushing_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words, pushing_words
 from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5
@@ -97,9 +98,10 @@ def scene_words(row: RunRow) -> str:
         return ''
     rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
     where = ''.join(f'  {word}' for word in (row.place, row.camera) if word not in _USUAL)
+    track = '' if row.track in ('', RUNWAY_TRACK) else f' {along_words(row.track)}'
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
-        f'at {row.distance_m:.0f} m  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
+        f'at {row.distance_m:.0f} m{track}  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
         f'{pushing_words(row.scene)}{where}'
     )
 

@@ -1,9 +1,9 @@
-"""The workers of a campaign: started when there is work, watched, replaced when they break.
+"""The workers of a campaign: started on demand, monitored, and replaced after errors.
 
-A worker is a process with a pipe each way. It gets ``{"run": …}`` lines on its standard input,
-and an ``{"interrupt": true}`` line to end the current run; it exits at the end of the input. It
-writes to another descriptor: ``{"seq": n}`` periodically, ``{"result": …}`` after each run, and
-``{"error": text}`` before it exits on a usage error.
+A worker is a process with a pipe in each direction. It receives ``{"run": …}`` lines on its
+standard input, and an ``{"interrupt": true}`` line to end the current run; it exits at the end of
+the input. It writes to another descriptor: ``{"seq": n}`` periodically, ``{"result": …}`` after
+each run, and ``{"error": text}`` before it exits on a usage error.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def request_to_json(request: RunRequest) -> dict[str, Any]:
 
 
 def request_from_json(values: Mapping[str, Any]) -> RunRequest:
-    """Read back what :func:`request_to_json` gave.
+    """Create from the values of :func:`request_to_json`.
 
     Raises:
         UsageError: the scenario is out of range.
@@ -68,8 +68,7 @@ def result_from_json(values: Mapping[str, Any]) -> RunResult:
     """Read back what :func:`result_to_json` gave.
 
     Raises:
-        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is none of
-            the five.
+        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is unknown.
     """
     return RunResult(**{
         **values,
@@ -97,7 +96,7 @@ class WorkerProcess:
 
     Attributes:
         request: the current run, or None.
-        seq: the control step that it last reported.
+        seq: the last control step reported.
         silent_since: time of its last message, on the monotonic clock [s].
         answers: descriptor to wait on; read it with :meth:`read`.
     """

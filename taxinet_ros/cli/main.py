@@ -105,7 +105,7 @@ _PATH_ERRORS = (
 
 
 class _Interrupted(BaseException):
-    """An interrupt on its way past typer, which would make an exit code of it without a word."""
+    """Carries an interrupt past typer, which would turn it into an exit code silently."""
 
 
 @contextlib.contextmanager
@@ -275,7 +275,7 @@ def main() -> None:
 
 
 def _interrupted() -> int:
-    """Say so, where nothing else tells it."""
+    """Report an interrupt on stderr; return its exit code."""
     with contextlib.suppress(OSError):
         os.write(2, b'taxinet: interrupted\n')
     return ExitCode.INTERRUPTED

@@ -14,7 +14,7 @@ from taxinet_ros.errors import UsageError
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
-    """Names of the parameters given on the command line."""
+    """Parameters given on the command line, by name."""
     return {
         name: value for name, value in context.params.items()
         if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
@@ -32,7 +32,7 @@ def scene_settings(
     settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None,
     aircraft: str | None, camera: str | None,
 ) -> list[str]:
-    """What ``--set`` gives, with what the options for place, aircraft and camera mean.
+    """Values of ``--set``, with those that the options for place, aircraft and camera select.
 
     Raises:
         UsageError: a part of the place is missing, or no apt.dat is found.
@@ -47,7 +47,7 @@ def scene_settings(
 
 
 def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
-    """The place of an airport's runway, as ``--set place=`` takes it.
+    """Place of an airport's runway, in the form of ``--set place=``.
 
     Raises:
         UsageError: no runway is named, or no apt.dat is found.

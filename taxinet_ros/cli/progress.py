@@ -39,7 +39,7 @@ def print_rows_if_lost(
         shown: whether rows are already printed one by one.
 
     Raises:
-        RecordError: for every operating system error during the campaign, which is no usage error.
+        RecordError: for every operating system error during the campaign; it is not a usage error.
     """
     try:
         yield
@@ -60,7 +60,7 @@ def run_with_progress(
 
     Args:
         measure: called with a progress callback (done, total).
-        show: prints the figures as text; on no terminal, the console is as wide as a page.
+        show: prints the figures as text; without a terminal, the console has the width of a page.
         as_json: print JSON instead.
 
     Returns:

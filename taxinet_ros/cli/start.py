@@ -54,9 +54,9 @@ def start_module(name: str) -> NoReturn:
 def _run(work: Callable[[], None]) -> NoReturn:
     """Run the process's work and exit at once with its exit code.
 
-    Everything that needs closing is closed by then. Interpreter shutdown would take longer than all
-    else after Ctrl-C, for which ``ros2 launch`` allows 5 s, and would wait forever for a thread
-    left over by user code.
+    Everything that needs closing is closed by then. After Ctrl-C, for which ``ros2 launch`` allows
+    5 s, interpreter shutdown would take longer than everything else, and it would wait forever for
+    a thread left over by user code.
     """
     code: object = None
     with _signals_enabled():
@@ -64,7 +64,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
             work()
         except SystemExit as end:
             code = end.code
-        except KeyboardInterrupt:  # between those who handle it
+        except KeyboardInterrupt:  # raised outside the code that handles it
             _leave(signal.SIGINT, None)
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):

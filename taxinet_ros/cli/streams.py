@@ -28,7 +28,7 @@ class _Output(io.FileIO):
     """Stdout that drops output once its terminal is closed."""
 
     def write(self, data: Any, /) -> int:
-        """Write to it, if it is there."""
+        """Write the data, or drop it if the terminal is closed."""
         try:
             return super().write(data)
         except BrokenPipeError:
@@ -43,7 +43,7 @@ class _Complaints(io.FileIO):
     """Stderr that drops output it cannot write."""
 
     def write(self, data: Any, /) -> int:
-        """Write to it, if it is there."""
+        """Write the data, or drop it on an error."""
         try:
             return super().write(data)
         except OSError:

@@ -110,7 +110,7 @@ FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 """Tyre friction, lateral and in braking, relative to dry pavement.
 
 Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
-EASA AMC 25.1591 gives 0.05 for ice; our models have 0.8 on dry pavement.
+EASA AMC 25.1591 gives 0.05 for ice; the models have 0.8 on dry pavement.
 """
 _ALL = -1  # JSBSim's index for every engine
 _OUTPUTS = (
@@ -134,7 +134,7 @@ def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bo
         models: folder of model folders.
         name: name of the model.
         scratch: folder to write to, which is returned.
-        windy: add the aerodynamics of ``wind.xml`` beside the model.
+        windy: add the aerodynamics of ``wind.xml`` from the model's folder.
         sloping: add a force set by :func:`_pull_down`, since JSBSim's ground is level and its
             gravity vertical.
     """
@@ -207,8 +207,8 @@ class Wind:
         north_mps = fdm['velocities/v-north-fps'] * M_PER_FT - self._north_mps
         east_mps = fdm['velocities/v-east-fps'] * M_PER_FT - self._east_mps
         way_mps = math.hypot(north_mps, east_mps)
-        # The specification aligns its axes with the mean relative wind; at rest in still air there
-        # is none, and any axes will do.
+        # The specification aligns its axes with the mean relative wind; without one (at rest in
+        # still air) the axes are arbitrary.
         north, east = (north_mps / way_mps, east_mps / way_mps) if way_mps else (1.0, 0.0)
         for _ in range(steps):
             along, across = self._gusts.along_mps, self._gusts.across_mps
@@ -219,7 +219,7 @@ class Wind:
 
 
 class Aircraft:
-    """Aircraft of one run, rolling at the scenario's speed from its start pose.
+    """Aircraft of one run; starts at the scenario's pose and speed.
 
     Attributes:
         model: of it, with all that was measured.
@@ -230,7 +230,7 @@ class Aircraft:
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
         model: AircraftModel | None = None, runway: Runway | None = None,
     ) -> None:
-        """Load a model and set it on the runway.
+        """Load a model and place it on the runway.
 
         Args:
             scenario: start pose and aircraft model.
@@ -316,13 +316,11 @@ class Aircraft:
 
     def _place(self, scenario: Scenario) -> float:
         """Set the initial pose; return the runway's true heading there [rad]."""
+        x_m, y_m, yaw_rad = scenario.line.pose(
+            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
+        )
         pose = self._frame.to_geodetic(
-            MapPose(
-                x_m=scenario.distance_m,
-                y_m=scenario.cross_track_m,
-                z_m=self._settled.z_m,
-                yaw_rad=scenario.heading_rad,
-            )
+            MapPose(x_m=x_m, y_m=y_m, z_m=self._settled.z_m, yaw_rad=yaw_rad)
         )
         fdm = self._fdm
         # Order matters: terrain before height above it, attitude before speeds.
@@ -333,11 +331,11 @@ class Aircraft:
         fdm['ic/psi-true-rad'] = pose.heading_rad
         fdm['ic/theta-rad'] = -self._settled.pitch_rad
         fdm['ic/phi-rad'] = self._settled.roll_rad
-        # Along the ground, not along the tilted body axis, or the aircraft would start to sink.
+        # Parallel to the ground, not along the tilted body axis: the aircraft would sink.
         fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
         fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
         fdm['ic/vd-fps'] = 0.0
-        return pose.heading_rad + scenario.heading_rad
+        return pose.heading_rad + yaw_rad
 
     def _start_rolling(self, scenario: Scenario, along_rad: float) -> None:
         fdm, lever = self._fdm, self._gains.rolling_lever
@@ -353,7 +351,7 @@ class Aircraft:
         if not propulsion.get_num_engines():  # the caravan's thrust is an external force
             return
         # Starting an engine also opens its throttle and leaves it at full speed. One step with
-        # motion frozen passes our lever to the engine, which then settles at that speed.
+        # motion frozen passes the lever to the engine, which then settles at that speed.
         fdm['propulsion/set-running'] = _ALL
         fdm['fcs/throttle-cmd-norm'] = lever
         fdm['simulation/models/FGPropagate/enabled'] = 0
@@ -374,7 +372,7 @@ class Aircraft:
     def _attempt(
         self, action: Callable[[], bool], name: str, log: CapturedLog | None = None
     ) -> None:
-        """Call JSBSim, which signals failure by an exception, or by False and a log line."""
+        """Call JSBSim; it signals failure by an exception, or by False and a log line."""
         try:
             done = action()
         except RuntimeError as error:
@@ -395,7 +393,7 @@ class Aircraft:
                 heading_rad=read['attitude/psi-rad'],
             )
         )
-        # JSBSim has y right and z down: its pitch is nose up, its turns are clockwise.
+        # In JSBSim y is right and z down: pitch is nose up positive, yaw rate clockwise positive.
         return AircraftState(
             x_m=pose.x_m,
             y_m=pose.y_m,

@@ -1,13 +1,12 @@
 """Steering law: cascade control from cross-track error via heading error to the nose wheel.
 
 The paper needs a controller that always satisfies its specification on the true state; the gains
-published with its simulator code do not, on any of our aircraft. This cascade does: the further
-the aircraft is from the centreline, the more steeply it turns towards it, up to a limit, and the
-nose wheel follows the difference between that heading and the present one.
+published with its simulator code do not, with any of our aircraft models. This cascade does: the
+desired heading towards the centreline is proportional to the cross-track error, up to a limit, and
+the nose wheel follows the difference between desired and current heading.
 
-Also the interchangeable controllers: an estimate of the tracking error in, a taxi command out.
-
-A word selects one: ``steering``, the shipped law with its gains, a name added by an installed
+Also the interchangeable controllers: input an estimated tracking error, output a taxi command. One
+is selected by a word: ``steering``, the shipped law with its gains, a name added by an installed
 package (:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
 """
 
@@ -36,7 +35,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import CONTROLLERS, find, known
 
 STOP = TaxiCommand(steering_rad=0.0, speed_mps=0.0)
-"""The fail-safe: nose wheel straight, brakes on until standstill."""
+"""Fail-safe command: nose wheel straight, full brakes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,7 +79,7 @@ GAIN_RANGES: dict[str, GainRange] = {
         description='taxi speed to hold; at 5 that of the scenario',
     ),
 }
-"""Every field of :class:`SteeringGains` by name; ROS parameters derive from it."""
+"""Range of every field of :class:`SteeringGains`; the ROS parameters are derived from it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,7 +144,7 @@ class Controller(Protocol):
     """Controller interface: one command per estimate and control step.
 
     Attributes:
-        word: :data:`STEERING`, the name that a package gave it, or ``python`` for a file.
+        word: :data:`STEERING`, the name given by a package, or ``python`` for a file.
         fingerprint: SHA-256 of the Python file and the files it lists, or of the package; empty for
             the law.
     """
@@ -157,7 +156,7 @@ class Controller(Protocol):
         """Reset; called before each run.
 
         Args:
-            scenario: of the run, if there is one.
+            scenario: scenario of the run, if any.
         """
         return
 
@@ -165,7 +164,7 @@ class Controller(Protocol):
         """Return the command for one control period.
 
         Raises:
-            UserCodeError: a user function failed; only those raise.
+            UserCodeError: a user function failed; other controllers do not raise.
         """
         ...
 
@@ -182,25 +181,25 @@ class SteeringLaw(Controller):
         self.gains = self._gains = gains
 
     def begin(self, scenario: Scenario | None = None) -> None:
-        """Hold the scenario's speed, where the gain for it is as usual."""
+        """Use the scenario's speed if the gain ``speed_mps`` has its default."""
         self._gains = self.gains
         if scenario is not None and self.gains.speed_mps == SteeringGains().speed_mps:
             self._gains = replace(self.gains, speed_mps=scenario.speed_mps)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """See :func:`.steering.steer`."""
+        """Return the command of :func:`steer`."""
         return steer(estimate, self._gains)
 
 
 class UserController(Controller):
-    """A user function: a :class:`TrackingError` in, a command out.
+    """A user function from a :class:`TrackingError` to a command.
 
-    It is called with every estimate, including those not ``usable``, and returns a pair
+    It is called with every estimate, including unusable ones, and returns a pair
     ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand`.
     """
 
     def __init__(self, code: UserCode) -> None:
-        """Load it.
+        """Load the function.
 
         Raises:
             UsageError: the file's code fails.
@@ -214,14 +213,14 @@ class UserController(Controller):
         self._run.begin()
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
-        """Return its command."""
+        """Return the function's command."""
         return self._run.answer(
             estimate, read_command, 'a pair (steering_rad, speed_mps), finite, speed not negative'
         )
 
 
 def read_command(answer: Any) -> TaxiCommand | None:
-    """The command that a function of somebody's answered; None where no aircraft can follow it."""
+    """Convert the return value of a user function to a command; None if invalid."""
     if isinstance(answer, TaxiCommand):
         answer = answer.steering_rad, answer.speed_mps
     pair = pair_of_numbers(answer)
@@ -234,8 +233,8 @@ def make_controller(word: str, gains: SteeringGains) -> Controller:
     """Create the controller selected by a word.
 
     Args:
-        word: :data:`STEERING`, a name that a package adds, or ``FILE.py:NAME``.
-        gains: of the law.
+        word: :data:`STEERING`, a name added by a package, or ``FILE.py:NAME``.
+        gains: gains of the shipped law.
 
     Raises:
         UsageError: unknown word, or an unusable controller.
@@ -248,15 +247,15 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
     """Check that :func:`make_controller` will work, without running user code.
 
     Args:
-        word: as there.
+        word: as for :func:`make_controller`.
         gains: gains set by the user, by name.
-        graph: whether for a graph, where an external node is allowed too.
+        graph: whether for a ROS graph, where an external node is allowed too.
 
     Returns:
         The controller's fingerprint; '' if only its node knows it.
 
     Raises:
-        UsageError: as there; or gains are set for a controller without gains.
+        UsageError: as :func:`make_controller`; or gains are set for a controller without gains.
     """
     if word == STEERING:
         SteeringGains(**gains)
@@ -273,7 +272,7 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
 
 
 def _code(word: str) -> UserCode | None:
-    """Somebody's code that a word names; None for the law.
+    """User code selected by a word; None for the shipped law.
 
     Raises:
         UsageError: unknown word, or an unusable controller.
@@ -291,5 +290,5 @@ def _code(word: str) -> UserCode | None:
 
 
 def controller_options(word: str) -> list[str]:
-    """Command-line options that select the controller of a word."""
+    """Command-line options that select a controller."""
     return [] if word == STEERING else ['--controller', word]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import SteeringGains
@@ -20,10 +20,9 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M, Runway
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -46,26 +45,23 @@ class SpecCheck:
 
 
 def check_specs(
-    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
-    runway: Runway | None = None,
+    specs: Sequence[Spec], scenario: Scenario, gains: SteeringGains | None = None
 ) -> SpecCheck:
     """Check requirements for a run of the simulator.
 
     Args:
         specs: the requirements.
-        duration_s: length of the run [s].
+        scenario: of the run.
         gains: gains of the shipped controller; None for any other controller.
-        runway: runway of the run, None if unknown.
 
     Raises:
-        UsageError: a window can hold no sample of such a run, or ``on_runway`` is asked of a runway
-            of another width.
+        UsageError: a window can contain no sample of such a run, or ``on_runway`` is used for a
+            runway of another width.
     """
     for spec in specs:
-        check_windows(spec, round(duration_s * NS_PER_S), CONTROL_PERIOD_NS)
-        if runway is not None:
-            check_edge(spec, runway.half_width_m)
-    return describe_specs(specs, duration_s, gains, runway)
+        check_windows(spec, scenario.duration_ns, CONTROL_PERIOD_NS)
+        check_edge(spec, scenario.line.half_width_m)
+    return describe_specs(specs, scenario.duration_s, gains, scenario)
 
 
 def check_edge(spec: Spec, half_width_m: float) -> None:
@@ -83,11 +79,11 @@ def check_edge(spec: Spec, half_width_m: float) -> None:
 
 def describe_specs(
     specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None,
-    runway: Runway | None = None,
+    scenario: Scenario | None = None,
 ) -> SpecCheck:
-    """The same for finished runs, where undecidable windows are not refused."""
+    """Like :func:`check_specs`, for finished runs: windows are not checked."""
     setting = Setting(
-        units=SIGNALS, ranges=signal_ranges(duration_s, gains, runway),
+        units=SIGNALS, ranges=signal_ranges(duration_s, gains, scenario),
         horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
     )
     return SpecCheck(
@@ -96,41 +92,34 @@ def describe_specs(
     )
 
 
-def bounding_gains(gains: SteeringGains, scenario: Scenario) -> SteeringGains | None:
-    """Gains that say where the signals of a run can be; None where more than the law moves it.
-
-    Args:
-        gains: of the shipped controller.
-        scenario: of the run.
-    """
-    if scenario.pushed:
-        return None
-    return replace(gains, speed_mps=max(gains.speed_mps, scenario.speed_mps))
-
-
 def signal_ranges(
-    duration_s: float, gains: SteeringGains | None = None, runway: Runway | None = None
+    duration_s: float, gains: SteeringGains | None = None, scenario: Scenario | None = None
 ) -> Mapping[str, Range]:
     """Conservative ranges of the signals of a run, by name.
 
     Args:
         duration_s: length of the run [s].
         gains: gains of the shipped controller; None for any other.
-        runway: runway of the run; None for KMWH 04.
+        scenario: of the run; None if unknown. Wind, slope or reduced friction move the aircraft
+            to where the controller does not take it, so motion is then unbounded.
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
         'unusable_share': (0.0, 1.0),
     }
-    if gains is None:
+    if gains is None or scenario is None:
         return ranges
-    fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps)
-    way_m = fastest_mps * duration_s
-    side_m = runway.farthest_start_m if runway else CROSS_TRACK.high
-    ranges['cte'] = -side_m - way_m, side_m + way_m
-    ranges['x'] = DISTANCE.low - way_m, way_m + (runway.last_start_m if runway else DISTANCE.high)
-    ranges['speed'] = -fastest_mps, fastest_mps
     ranges['steering'] = -gains.max_steering_rad, gains.max_steering_rad
+    if scenario.pushed:
+        return ranges
+    fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps, scenario.speed_mps)
+    way_m, line = fastest_mps * duration_s, scenario.line
+    side_m = line.farthest_start_m + way_m
+    ranges['cte'] = -side_m, side_m
+    # Inside a curve the distance grows faster than the aircraft moves.
+    ahead_m = line.last_start_m if line.is_runway else line.length_m
+    ranges['x'] = -way_m, ahead_m + way_m
+    ranges['speed'] = -fastest_mps, fastest_mps
     return ranges
 
 
@@ -140,9 +129,9 @@ class Judgement:
 
     Attributes:
         readings: latest reading of each formula, in the order of the specs.
-        complete: the horizon was reached, every sample was usable, and every formula evaluated at
-        least one.
-        stopped_early: not complete, but the stop rule was met at the latest sample.
+        complete: the horizon was reached, every sample was usable, and every formula used at least
+            one.
+        stopped_early: the stop rule was met at the latest sample, before the horizon.
         satisfied: complete or stopped early, and every formula has robustness > 0.
         statistics: statistics of the samples so far.
     """
@@ -165,16 +154,16 @@ class Judge:
         """Start a run.
 
         Args:
-            specs: formulas to judge by; the first is the headline.
+            specs: formulas to evaluate; the first is the headline.
             horizon_ns: last stamp of the run [ns].
             max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
-            stop_on: what ends the run before its horizon.
+            stop_on: rule that ends the run before its horizon.
             assumptions: assumptions of the user.
-            half_width_m: half the runway's width [m].
+            half_width_m: half the width of the runway or track [m].
 
         Raises:
-            UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is asked
-                of a runway of another width.
+            UsageError: a formula has a window beyond the end of the run, or ``on_runway`` is used
+                for a runway of another width.
         """
         for spec in specs:
             check_windows(spec, horizon_ns)

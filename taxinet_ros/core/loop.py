@@ -1,7 +1,7 @@
-"""The closed loop in one process, without ROS: the bit-exact reference for the graph.
+"""The closed loop in one process, without ROS: the bit-exact reference for the ROS graph.
 
-One control step, ten times a simulated second: the world is observed, the perception estimates,
-the controller answers, the judge looks at the truth, the world moves on (paper, section 3.1).
+Each control step (10 Hz in simulated time): observe the world, estimate, compute the command,
+evaluate the requirements on the truth, advance the world (paper, section 3.1).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
-"""A lockstep run has a sample every control period; a longer gap means that one was lost."""
+"""Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -37,10 +37,10 @@ class Step:
     @property
     def sample(self) -> dict[str, float]:
         """The monitored signals."""
-        state = self.observation.state
-        truth = state.tracking_error
+        now = self.observation
+        along_m, cte_m, he_rad = now.on_track
         return signals(
-            cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m, speed_mps=state.speed_mps,
+            cte_m=cte_m, he_rad=he_rad, x_m=along_m, speed_mps=now.state.speed_mps,
             estimate=self.estimate, command=self.command,
         )
 
@@ -49,7 +49,7 @@ def rolling_on(speed_mps: float) -> TaxiCommand:
     """Command before the first answer: constant initial motion.
 
     Args:
-        speed_mps: of the scenario [m/s].
+        speed_mps: initial speed of the scenario [m/s].
     """
     return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
 
@@ -67,7 +67,7 @@ class LateCommands:
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
-        """The command in effect from step ``seq``, whose own answer is ``command``.
+        """Return the command in effect from step ``seq``; ``command`` is the answer to that step.
 
         Call once per step, in order.
         """
@@ -112,8 +112,8 @@ def run_closed_loop(
 
     Args:
         scenario: initial condition and environment.
-        perception: turns a camera frame, or the truth, into an estimate.
-        specs: formulas to judge the ground truth by.
+        perception: computes estimates from camera frames or the truth.
+        specs: formulas to evaluate.
         controller: computes commands from estimates; None: the steering law with default gains.
         stop_on: stop rule; the deciding step is the last.
         assumptions: assumptions on the signals.
@@ -123,7 +123,7 @@ def run_closed_loop(
         make_world: factory of the world.
 
     Returns:
-        The judgement over the run.
+        The judgement of the run.
     """
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
@@ -132,17 +132,17 @@ def run_closed_loop(
     commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(
-        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.runway.half_width_m
+        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
     )
     while True:
         now = world.observe()
-        estimate = perception.estimate(now.image, now.state.tracking_error)
+        along_m, cte_m, he_rad = now.on_track
+        estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
         command = controller.command(estimate)
-        truth = now.state.tracking_error
         sample = signals(
-            cte_m=truth.cte_m,
-            he_rad=truth.he_rad,
-            x_m=now.state.x_m,
+            cte_m=cte_m,
+            he_rad=he_rad,
+            x_m=along_m,
             speed_mps=now.state.speed_mps,
             estimate=estimate,
             command=command,

@@ -30,7 +30,7 @@ class Outcome(enum.StrEnum):
 
     @property
     def judged(self) -> bool:
-        """Whether the run was judged: it was whole, or was stopped when that was decided."""
+        """Whether the run has a verdict: it was complete, or stopped once that was decided."""
         return self in (Outcome.PASS, Outcome.FAIL)
 
 
@@ -51,7 +51,7 @@ class Judged(Protocol):
 
 
 def outcome_of(judgement: Judged) -> Outcome:
-    """PASS or FAIL; INFRA_ERROR where there was no whole, finite sequence of samples to judge."""
+    """PASS or FAIL; INFRA_ERROR if the sequence of samples was not complete and finite."""
     if not (judgement.complete or judgement.stopped_early):
         return Outcome.INFRA_ERROR
     return Outcome.PASS if judgement.satisfied else Outcome.FAIL
@@ -74,8 +74,8 @@ class RunRequest:
         program: Scenic program that the scenario was drawn from, or ''.
         seed: seed of the campaign.
         scenario: initial condition and environment.
-        judging: what decides its verdict.
-        participants: node names that take part in the lockstep.
+        judging: requirements, stop rule and assumptions.
+        participants: names of the nodes in the lockstep.
     """
 
     run_id: str
@@ -89,20 +89,21 @@ class RunRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunResult:
-    """How one run ended.
+    """Result of a run.
 
     Attributes:
         outcome: one of the five.
-        kind, who: of an infrastructure error, else ''; a :class:`~taxinet_ros.errors.InfraKind`.
-        detail: one line for people.
+        kind, who: kind (:class:`~taxinet_ros.errors.InfraKind`) and origin of an infrastructure
+            error, else ''.
+        detail: one-line explanation.
         last_seq: last control step reached, -1 before the first.
-        robustness: of each formula, by name, the headline first; where judged.
-        stopped_early: whether it was, see :mod:`.judging`.
-        statistics: the run in a few figures, where judged.
-        perception, fingerprint: which perception took part, and the hash of its weights.
-        timing: when its answers took effect, in the words of :mod:`.timing`.
-        free: of a free run how it went, see :meth:`.free_run.FreeRunAccount.figures`.
-        wall_s: wall-clock time from request to answer [s].
+        robustness: by formula name, the headline first; empty unless judged.
+        stopped_early: whether the run ended before its horizon, see :mod:`.judging`.
+        statistics: summary statistics; None unless judged.
+        perception, fingerprint: name of the perception, and hash of its weights.
+        timing: when answers took effect, in the notation of :mod:`.timing`.
+        free: statistics of a free run, see :meth:`.free_run.FreeRunAccount.figures`.
+        wall_s: wall-clock time from request to result [s].
     """
 
     outcome: Outcome
@@ -121,12 +122,12 @@ class RunResult:
 
     @property
     def rho(self) -> Mapping[str, float]:
-        """Robustness by formula name, where it is known: not all is, of a run stopped early."""
+        """Exactly known robustness by formula name; a run stopped early may lack some."""
         return exact_rho(self.robustness)
 
     @classmethod
     def infra_error(cls, kind: str, who: str, detail: str, last_seq: int) -> Self:
-        """The result of a run that a part of the bench broke."""
+        """Result of a run that failed because of the test bench."""
         return cls(
             outcome=Outcome.INFRA_ERROR, kind=str(kind), who=who, detail=detail, last_seq=last_seq
         )

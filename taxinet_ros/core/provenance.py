@@ -1,7 +1,7 @@
-"""Provenance of a result: machine, libraries and code, on which its exact bits depend.
+"""Provenance of a result: the machine, libraries and code that determine its exact bits.
 
-Two records that are equal promise equal bytes. What a library chooses for itself and does not tell
-(onnxruntime's kernels) follows from the processor's features, which are in the record.
+Equal records guarantee equal bytes. Choices that a library does not report (onnxruntime's kernels)
+depend on the processor features, which are recorded.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from taxinet_ros.registry import plugins
 from taxinet_ros.version import __version__
 
 Provenance = Mapping[str, str]
-"""Facts by name, as :func:`provenance` gives them."""
+"""Facts by name, as returned by :func:`provenance`."""
 
 COMMIT = 'commit'
-"""The one fact that may differ between two checkouts of equal code."""
+"""The only fact that may differ between two checkouts of the same code."""
 
 LIBRARIES = (
     'numpy', 'opencv-python-headless', 'onnxruntime', 'jsbsim', 'astral', 'pymap3d', 'scenic',
     'torch', 'scipy', 'optuna', 'scikit-learn', 'pandas', 'rclpy', 'ros-fastrtps', 'zstandard',
 )
-"""Packages by the names under which they are installed; of some only the trained or learned part
-of a result depends, on the last those of a bag's bytes."""
+"""Names of installed packages. Some affect only trained or learned parts of a result; the last
+affects only the bytes of a bag."""
 
 NAMES = (
     'processor', 'machine', 'processor_features', 'pixels', 'numpy_features', 'blas', 'environment',
     'libc', 'python', *LIBRARIES, 'plugins', 'taxinet_ros', COMMIT,
 )
-"""All facts that a record may have, in its order."""
+"""All possible facts, in the order of a record."""
 
 _FEATURES = ('avx2', 'fma', 'avx512f', 'avx512_vnni', 'asimd')
 _SWITCHES = (
     'NPY_DISABLE_CPU_FEATURES', 'OPENBLAS_CORETYPE', 'OPENCV_CPU_DISABLE', 'GLIBC_TUNABLES',
     'ATEN_CPU_CAPABILITY',
 )
-"""Environment variables that keep libraries from using what the processor has."""
+"""Environment variables that stop libraries from using processor features."""
 
 _INSTALLED = re.compile(r'(?P<name>.+?)-(?P<version>\d[^-]*)(-py[\d.]+)?\.(dist|egg)-info')
 _GIT_S = 5.0
@@ -53,16 +53,15 @@ _GIT_S = 5.0
 
 @cache
 def provenance() -> Provenance:
-    """Processor, instruction sets, libraries, version and commit, as they are in this process.
+    """Collect processor, instruction sets, libraries, version and commit of this process.
 
     Returns:
-        Facts by name, '' never among them: ``processor`` (model), ``machine`` (architecture),
-        ``processor_features`` (those that matter here), ``pixels``, ``numpy_features``, ``blas``
-        (what our own compiled code, numpy and its BLAS make use of), ``environment`` (variables
-        that hold them back), ``libc``, ``python``, each of :data:`LIBRARIES` that is installed,
+        Non-empty facts by name: ``processor`` (model), ``machine`` (architecture),
+        ``processor_features`` (the relevant ones), ``pixels``, ``numpy_features``, ``blas``
+        (features used by our compiled code, numpy and its BLAS), ``environment`` (variables that
+        disable features), ``libc``, ``python``, each installed package of :data:`LIBRARIES`,
         ``plugins`` (packages that add extensions, with their versions), ``taxinet_ros`` (version)
-        and ``commit``, which ends with ``+changes`` where the checkout's code has been edited
-        since.
+        and ``commit``, which ends with ``+changes`` if the checkout's code has uncommitted changes.
     """
     facts = {
         'processor': processor(),
@@ -81,7 +80,7 @@ def provenance() -> Provenance:
 
 
 def without_commit(facts: Provenance) -> dict[str, str]:
-    """The facts that two checkouts of equal code have in common on one machine."""
+    """Facts that are equal for two checkouts of the same code on one machine."""
     return {name: value for name, value in facts.items() if name != COMMIT}
 
 
@@ -92,9 +91,9 @@ def stack_id(facts: Provenance) -> str:
 
 
 def differences(*records: Provenance) -> str:
-    """What differs between records, in words: ``numpy 2.4.6 | 2.5.0, …``; '' where nothing does.
+    """Describe how records differ: ``numpy 2.4.6 | 2.5.0, …``; '' if they do not.
 
-    What only one of them tells is no difference: an older version told less.
+    A fact in only one record is not a difference: older versions recorded fewer.
     """
     told: dict[str, dict[str, None]] = {}
     for record in records:
@@ -105,12 +104,12 @@ def differences(*records: Provenance) -> str:
 
 
 def begun_elsewhere(before: Sequence[Provenance], now: Provenance, what: str) -> str:
-    """One line where records of before are of another machine or version than now; else ''.
+    """One-line warning if earlier records are of another machine or version; else ''.
 
     Args:
-        before: the records; an empty one is of a sitting of which nothing is known.
-        now: the record of this process.
-        what: was made on them, for the line: ``all the runs so far``.
+        before: earlier records; an empty one means that nothing was recorded.
+        now: record of this process.
+        what: what was made on them, for the message: ``all the runs so far``.
     """
     if not all(before):
         return f'nothing tells on which machine and versions {what} were made'
@@ -134,15 +133,15 @@ def known(values: Any) -> dict[str, str]:
 
 
 def processor() -> str:
-    """Model of the processor, as the kernel names it."""
+    """Processor model, as reported by the kernel."""
     return _cpuinfo('model name') or platform.machine()
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of those of :data:`LIBRARIES` that are installed.
+    """Versions of the installed packages of :data:`LIBRARIES`.
 
-    From the names of the folders that say so: ``importlib.metadata`` opens and parses each, which
-    takes longer than all else here.
+    Read from the names of metadata folders: ``importlib.metadata`` opens and parses each, which
+    takes longer than everything else here.
     """
     found: dict[str, str] = {}
     for folder in sys.path:
@@ -157,7 +156,7 @@ def library_versions() -> dict[str, str]:
 
 
 def _in_use() -> dict[str, str]:
-    # Only here: a command that records nothing need not wait for them.
+    # Imported here, so that commands that record nothing do not load them.
     import numpy as np
     import threadpoolctl
 
@@ -190,7 +189,7 @@ def _cpuinfo(key: str) -> str:
 
 
 def _commit(root: Path) -> str:
-    """The commit that a checkout's code is at, or that an installation was made from; or ''."""
+    """Commit of a checkout, or from which an installation was made; '' if unknown."""
     if not (root / '.git').exists():
         return _installed_commit(root)
     asked = ['git', '-C', str(root), 'status', '--porcelain=v2', '--branch',
@@ -208,7 +207,7 @@ def _commit(root: Path) -> str:
 
 
 def _installed_commit(site: Path) -> str:
-    """What pip noted of an installation out of a repository (PEP 610)."""
+    """Commit recorded by pip when it installed from a repository (PEP 610)."""
     for file in site.glob('taxinet_ros-*.dist-info/direct_url.json'):
         try:
             return str(json.loads(file.read_text(encoding='utf-8'))['vcs_info']['commit_id'])

@@ -18,9 +18,9 @@ class ErrorStatistics:
     """Estimate minus truth over the frames of a run that had a usable estimate.
 
     Attributes:
-        mean: the bias; NaN, as the others, where no estimate was usable.
+        mean: bias; NaN, like the others, if no estimate was usable.
         mean_abs: mean absolute error.
-        max_abs: greatest absolute error.
+        max_abs: maximum absolute error.
     """
 
     mean: float = math.nan
@@ -33,13 +33,13 @@ class RunStatistics:
     """Summary statistics of a run.
 
     Attributes:
-        max_cross_track_m: greatest |cross-track error| [m].
+        max_cross_track_m: maximum |cross-track error| [m].
         settle_time_s: first moment from which |cross-track error| stays within
             :data:`.mtl.specs.CENTRELINE_TOLERANCE_M` to the last sample [s]; NaN if it does not.
-        cte_error: of the estimated cross-track error [m].
-        he_error: of the estimated heading error [rad].
-        unusable_estimates: frames without one.
-        half_width_m: of the runway [m].
+        cte_error: estimation error of the cross-track error [m].
+        he_error: estimation error of the heading error [rad].
+        unusable_estimates: number of frames without a usable estimate.
+        half_width_m: half width of the runway [m].
     """
 
     max_cross_track_m: float = math.nan
@@ -56,10 +56,10 @@ class RunStatistics:
 
 
 class RunStatisticsCollector:
-    """Takes the samples of one run in order; constant work and memory for each."""
+    """Collects the samples of one run in order; constant time and memory per sample."""
 
     def __init__(self, half_width_m: float = KMWH_HALF_WIDTH_M) -> None:
-        """Begin a run on a runway of this half width [m]."""
+        """``half_width_m``: half width of the runway [m]."""
         self._half_width_m = half_width_m
         self._max_cross_track_m = 0.0
         self._settled_ns: int | None = None
@@ -67,7 +67,7 @@ class RunStatisticsCollector:
         self._unusable = 0
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> None:
-        """Take one sample of the signals of :data:`.mtl.specs.SIGNALS`."""
+        """Add one sample of the signals in :data:`.mtl.specs.SIGNALS`."""
         deviation = abs(sample['cte'])
         self._max_cross_track_m = max(self._max_cross_track_m, deviation)
         if not deviation <= CENTRELINE_TOLERANCE_M:
@@ -84,7 +84,7 @@ class RunStatisticsCollector:
 
     @property
     def statistics(self) -> RunStatistics:
-        """The figures so far."""
+        """Statistics so far."""
         settled_ns = self._settled_ns
         return RunStatistics(
             max_cross_track_m=self._max_cross_track_m,
@@ -99,7 +99,7 @@ class RunStatisticsCollector:
 class _ErrorSum:
     def __init__(self) -> None:
         self._count, self._sum, self._sum_abs, self._max_abs = 0, 0.0, 0.0, 0.0
-        # The same sums in a unit in which no sum of a run's errors overflows.
+        # The same sums, scaled so that they cannot overflow.
         self._small, self._small_abs = 0.0, 0.0
 
     def add(self, error: float) -> None:
@@ -116,7 +116,7 @@ class _ErrorSum:
             return ErrorStatistics()
         mean, mean_abs = self._sum / self._count, self._sum_abs / self._count
         if not math.isfinite(mean_abs):
-            # A mean is no greater than the greatest, by which rounding must not take it to inf.
+            # Limited to the maximum, so that rounding cannot make a mean infinite.
             least = self._max_abs * _SCALE
             mean = max(-least, min(self._small / self._count, least)) / _SCALE
             mean_abs = min(self._small_abs / self._count, least) / _SCALE
@@ -124,7 +124,7 @@ class _ErrorSum:
 
 
 class EstimateWatch:
-    """How long, and how often, a run was without a usable estimate: two of its signals.
+    """Computes two signals of missing estimates: length of the gap, and share of the frames.
 
     Args:
         horizon_ns: last stamp of the run [ns].
@@ -144,8 +144,8 @@ class EstimateWatch:
     def signals(self, stamp_ns: int, sample: Mapping[str, float]) -> dict[str, float]:
         """``estimate_gap`` [s] and ``unusable_share`` [1] at the next sample.
 
-        The gap is the time since the last frame with a usable estimate; where there was none yet,
-        as if there had been one just before the first frame.
+        The gap is the time since the last frame with a usable estimate; if there was none yet,
+        since one period before the first frame.
         """
         if math.isfinite(sample['cte_estimate']) and math.isfinite(sample['he_estimate']):
             self._last_ns = stamp_ns

@@ -1,20 +1,21 @@
 """One test case: a point in the paper's six-dimensional feature space, with its settings.
 
-Inside the program a scenario is in SI units; people write metres, degrees, percent and hours (in
-Scenic programs, on the command line, in tables). :func:`scenario_from_human` is the one door;
-ranges, units and words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
+Internally a scenario is in SI units; user interfaces (Scenic programs, command line, tables) use
+metres, degrees, percent and hours. :func:`scenario_from_human` converts them; ranges, units and
+words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.camera_model import LEAST_HEIGHT_M, CameraModel, rotation
 from taxinet_ros.core.rig.catalogue import (
@@ -32,7 +33,9 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
+    TRACK,
     ScenarioField,
+    along_words,
     by_key,
 )
 from taxinet_ros.core.types import NS_PER_S
@@ -45,34 +48,37 @@ class Scenario:
 
     Attributes:
         cross_track_m: start cross-track error [m], left positive.
-        distance_m: start distance past the threshold along the runway [m].
+        distance_m: start distance along the track [m]: past the threshold, on the runway's
+            centreline.
         heading_rad: start heading error [rad], nose left positive.
         clouds: one of ``scenario_fields.CLOUDS``.
         rain_fraction: intensity, 0..1; more than 0 only under
             ``scenario_fields.RAIN_CLOUDS``.
-        time_of_day_s: after midnight, as the clocks of the place have it [s].
+        time_of_day_s: local time since midnight [s].
         date: ISO date of the sun's position; near an equinox 6-18 h is daylight.
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
-        crossing: whether the other runway is there that crosses this one (KMWH: near 1,450 m);
-            without it pavement and paint go on as elsewhere. Never, where nothing crosses.
+        crossing: whether the crossing runway exists (KMWH: near 1,450 m); without it pavement and
+            paint are continuous. Always False at a place without a crossing.
         aircraft: a shipped name, or the whole aircraft as JSON, see
             :mod:`taxinet_ros.core.rig.aircraft_model`.
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
-        gust_mps: standard deviation of the turbulence in either horizontal direction [m/s], see
+        gust_mps: standard deviation of the turbulence in each horizontal direction [m/s], see
             :mod:`taxinet_ros.core.gusts`.
         gust_seed: random seed of the gusts; a whole number.
         runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
-        slope_fraction: rise of the runway by its length, uphill ahead positive.
-        speed_mps: at which the run starts [m/s], and which the steering law holds unless its gain
-            ``speed_mps`` is another than the usual.
+        slope_fraction: rise of the runway divided by its length, uphill ahead positive.
+        speed_mps: initial speed [m/s]; the steering law holds it unless its gain ``speed_mps``
+            differs from the default.
+        track: the line to follow: ``runway``, its centreline, or the name of another one of the
+            place; also taxi routes of these names, ``A+B``. Empty is ``runway``.
         camera: likewise, see :mod:`taxinet_ros.core.rig.camera_model`.
         duration_s: length of the run [s], a multiple of the control period.
-        place: where it takes place: a shipped name, or the whole place as JSON, see
+        place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
 
     Raises:
-        UsageError: a value is out of range, not finite, or of an unknown word.
+        UsageError: a value is out of range, not finite, or an unknown word.
     """
 
     cross_track_m: float = 0.0
@@ -92,21 +98,23 @@ class Scenario:
     runway_state: str = 'dry'
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
+    track: str = RUNWAY_TRACK
     camera: str = DEFAULT_CAMERA
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
     def __post_init__(self) -> None:
         PLACE.checked(self.place)
-        runway = self.runway
+        object.__setattr__(self, TRACK.attribute, TRACK.checked(self.track) or RUNWAY_TRACK)
+        line = self.line
         limits = {
-            CROSS_TRACK.key: (-runway.farthest_start_m, runway.farthest_start_m),
-            DISTANCE.key: (0.0, runway.last_start_m),
+            CROSS_TRACK.key: (-line.farthest_start_m, line.farthest_start_m),
+            DISTANCE.key: (0.0, line.last_start_m),
         }
         for field in SCENARIO_FIELDS:
             value = self._checked(field, limits.get(field.key))
             object.__setattr__(self, field.attribute, value)
-        if not runway.crossings:
+        if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
@@ -144,17 +152,26 @@ class Scenario:
                 )
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
+        if field is DISTANCE and not self.line.is_runway:
+            field = replace(field, counted=f' {along_words(self.track)}')
         try:
             return field.checked(getattr(self, field.attribute), limits)
         except UsageError as error:
-            if limits is None or self.place == DEFAULT_PLACE:
+            usual = self.place == DEFAULT_PLACE and self.line.is_runway
+            if limits is None or usual:
                 raise
-            raise UsageError(f'{error}, at {find_place(self.place).reference}') from None
+            where = '' if self.line.is_runway else f'track {self.track} of '
+            raise UsageError(f'{error}, at {where}{find_place(self.place).reference}') from None
 
     @property
     def runway(self) -> Runway:
-        """The runway of its place."""
+        """Runway of the place."""
         return find_place(self.place).runway
+
+    @property
+    def line(self) -> Track:
+        """The track that it follows."""
+        return find_track(self.place, self.track)
 
     @property
     def aircraft_model(self) -> AircraftModel:
@@ -196,11 +213,11 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from user-facing units (m, degrees, percent, hours).
 
     Args:
-        values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
+        values: values by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
 
     Raises:
-        UsageError: an unknown key (the known ones are listed), one that is there with its short
-            form too, or a bad value; it is told in the units that were typed.
+        UsageError: an unknown key (the known ones are listed), a key given together with its short
+            form, or an invalid value; errors use the user's units.
     """
     values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]

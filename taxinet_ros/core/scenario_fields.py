@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -25,6 +26,7 @@ from taxinet_ros.arguments import is_number, told
 from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.errors import UsageError
 
@@ -40,6 +42,8 @@ RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
 }
+_PLAIN_NUMBER = re.compile(r'\s*[+-]?[0-9a-zA-Z.+-]{1,40}\s*')
+"""Python also reads ``1_0`` and digits of other scripts; a typing error must not become a value."""
 _DECIMALS = 9
 """Rounding to a nano-unit makes degrees -> radians -> degrees give back what was typed."""
 
@@ -217,6 +221,8 @@ class ScenarioField:
         if isinstance(value, bool):
             raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
         try:
+            if isinstance(value, str) and not _PLAIN_NUMBER.fullmatch(value):
+                raise ValueError
             return float(value)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f'scenario: {self.key} needs a number, got {told(value)}') from None
@@ -244,6 +250,11 @@ def clock_words(hours: float) -> str:
     return f'{whole:02d}:{minutes:02d}'
 
 
+def along_words(track: str) -> str:
+    """What a distance is measured along: ``'past the threshold'``, ``'along exit_left'``."""
+    return 'past the threshold' if track in ('', RUNWAY_TRACK) else f'along {track}'
+
+
 def pushing_words(scene: Mapping[str, Any]) -> str:
     """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
 
@@ -264,7 +275,7 @@ CROSS_TRACK = ScenarioField(
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
-    title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
+    title='start distance along the track', unit='m', form='{:.0f}', low=0.0, high=2600.0,
     si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(
@@ -327,6 +338,9 @@ SPEED = ScenarioField(
     key='speed_mps', short='speed', attribute='speed_mps', title='taxi speed', unit='m/s',
     form='{:.1f}', low=1.0, high=10.0, si_unit='m/s', absent=5.0,
 )
+TRACK = ScenarioField(
+    key='track', attribute='track', title='track', kind=Kind.WORD, absent=RUNWAY_TRACK,
+)
 CAMERA = ScenarioField(
     key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
     absent=CAMERAS.default,
@@ -345,8 +359,8 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, CAMERA, DURATION,
-    PLACE,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, CAMERA,
+    DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
@@ -359,7 +373,9 @@ CATALOGUES = {
 }
 """By each key whose values are documents, all that are known; these attributes have its name."""
 
-BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
+BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
+"""Keys whose valid values depend on the track."""
+BY_PLACE = BY_TRACK | {CROSSING.key, TRACK.key}
 """Keys whose valid values depend on the place."""
 
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)

@@ -1,7 +1,7 @@
 """Table of the graph's topics: name, type, quality of service, publishers and subscribers.
 
-Plain data without ROS: nodes, recorder, bag readers, docs and tests use it, and topic names are
-    written nowhere else. ``nodes/interface.py`` makes rclpy's objects of it.
+Plain data without ROS, used by nodes, recorder, bag readers, docs and tests. Topic names are
+defined only here; ``nodes/interface.py`` creates the rclpy objects.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FOLLOWERS = (MTL_MONITOR, RECORDER)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Quality:
-    """Quality of service, in the words of rosbag2 and rclpy, lower case."""
+    """Quality of service; values are the names of rosbag2 and rclpy in lower case."""
 
     depth: int
     history: str = 'keep_last'
@@ -45,9 +45,9 @@ class Quality:
 
 # Reliable, since no message may be lost; the depth exceeds the lockstep's window.
 LOCKSTEP = Quality(depth=16)
-# The window counts frames. Of each frame there is one message per formula, and several nodes report
-# how far they are; in a free run nobody waits until an answer that was lost on its way, and is sent
-# again within a second, has reached everybody, and there are at most 1000 frames in that.
+# The lockstep's window counts frames, but each frame has one message per formula, and several nodes
+# report progress. In a free run, no node waits while a lost answer is resent; this takes up to a
+# second, which is at most 1000 frames.
 _QUEUE = 4000
 # Inputs of the loop's nodes: a node slower than the frames gets the newest, without a backlog.
 NEWEST = Quality(depth=1)
@@ -55,7 +55,7 @@ NEWEST = Quality(depth=1)
 LATCHED = Quality(depth=16, durability='transient_local')
 # Best effort: viewers request no retransmission, so publishers never wait for them.
 LOOKING_ON = Quality(depth=16, reliability='best_effort')
-# As tf2_ros has it.
+# Same as in tf2_ros.
 TF2 = Quality(depth=100)
 PER_STEP = 'per step'
 PER_SPEC = 'per step and formula'
@@ -73,11 +73,10 @@ class Topic:
         quality: quality of service of both ends.
         publishers: names of the publishing nodes.
         subscribers: names of the nodes that must receive every message; the recorder is implied
-            where ``recorded``.
-        recorded: how many messages a run's bag holds, or None where the topic is not recorded.
-        carries: description in one line.
-        queue: messages that may wait at either end, where those are more than the depth in
-            ``quality``.
+            if ``recorded``.
+        recorded: number of messages in a run's bag, or None if the topic is not recorded.
+        carries: one-line description.
+        queue: queue length at either end, if greater than the depth in ``quality``.
     """
 
     name: str
@@ -91,7 +90,7 @@ class Topic:
 
     @property
     def each_step(self) -> bool:
-        """Whether there are messages in every control step, by the recorder's account."""
+        """Whether every control step has recorded messages."""
         return self.recorded in (PER_STEP, PER_SPEC)
 
     def listeners(self, participants: Sequence[str]) -> set[str]:
@@ -229,4 +228,4 @@ SCENE_AIRCRAFT = Topic(
     carries='the aircraft and its path so far, in map',
 )
 SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
-"""What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
+"""Additional topics for viewers; computed from odometry, never recorded."""

@@ -1,7 +1,7 @@
-"""The trace of a run: a row for each control step, in columns with units.
+"""The trace of a run: one row per control step, in columns with units.
 
-The same columns are made of the steps of a loop and of the messages of a bag, and formulas can be
-judged on them again.
+Steps of a loop and messages of a bag give the same columns, on which formulas can be evaluated
+again.
 """
 
 from __future__ import annotations
@@ -25,27 +25,30 @@ if TYPE_CHECKING:
 Column = NDArray[np.generic]
 
 STEP_UNITS: Mapping[str, str] = MappingProxyType({
-    'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad', 'est_cte_m': 'm',
-    'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
+    'x_m': 'm', 'y_m': 'm', 'distance_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad',
+    'est_cte_m': 'm', 'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
 })
-"""Column and unit of each number of a control step. The position is in ``map``, ``cte_m`` and
-``he_rad`` are the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps``
-the command; signs are those of :mod:`taxinet_ros.core.types`."""
+"""Columns of a control step with units. The position is in ``map``, ``distance_m`` is that along
+the track; ``cte_m`` and ``he_rad`` are the truth, ``est_`` the perception's estimate,
+``steering_rad`` and ``speed_cmd_mps`` the command. Signs are defined in
+:mod:`taxinet_ros.core.types`."""
 
 _UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS}
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
-    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'x_m', 'steering': 'steering_rad',
-    'cte_estimate': 'est_cte_m', 'he_estimate': 'est_he_rad',
+    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
+    'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
+    'he_estimate': 'est_he_rad',
 })
-"""The column of each signal of :data:`.mtl.specs.SIGNALS` that a frame has by itself."""
+"""Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
 _OF_STEP: Mapping[str, Callable[[Step], float]] = {
     'x_m': lambda step: step.observation.state.x_m,
     'y_m': lambda step: step.observation.state.y_m,
+    'distance_m': lambda step: step.observation.on_track.distance_m,
     'speed_mps': lambda step: step.observation.state.speed_mps,
-    'cte_m': lambda step: step.observation.state.tracking_error.cte_m,
-    'he_rad': lambda step: step.observation.state.tracking_error.he_rad,
+    'cte_m': lambda step: step.observation.truth.cte_m,
+    'he_rad': lambda step: step.observation.truth.he_rad,
     'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.valid else math.nan,
     'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.valid else math.nan,
     'steering_rad': lambda step: step.command.steering_rad,
@@ -54,16 +57,16 @@ _OF_STEP: Mapping[str, Callable[[Step], float]] = {
 
 
 def columns_of_steps(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Column]:
-    """Columns of a run, a row for each of its steps.
+    """Columns of a run, one row per step.
 
     Args:
-        steps: of the run, in order.
-        specs: names of the formulas that the readings of each step are of.
+        steps: steps of the run, in order.
+        specs: names of the formulas, in the order of each step's readings.
 
     Returns:
-        ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool, those of
-        :data:`STEP_UNITS` as float64, NaN for an estimate that was declared invalid, and for each
-        formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
+        ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool, the columns of
+        :data:`STEP_UNITS` as float64 (NaN for an invalid estimate), and for each formula
+        ``rho_lower.<name>`` and ``rho_upper.<name>``.
     """
     columns: dict[str, Column] = {
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
@@ -81,7 +84,7 @@ def columns_of_steps(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, C
 
 
 def trace_table(columns: Mapping[str, Column]) -> pd.DataFrame:
-    """The columns of a trace as a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
+    """Convert a trace to a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
     import pandas as pd
 
     table = pd.DataFrame({'t_s': np.asarray(columns['t_ns'], np.int64) / NS_PER_S, **columns})
@@ -92,21 +95,24 @@ def trace_table(columns: Mapping[str, Column]) -> pd.DataFrame:
 def trace_signals(
     stamps_ns: NDArray[np.int64], columns: Mapping[str, ArrayLike]
 ) -> dict[str, Column]:
-    """The signals that the columns of a trace hold, to judge formulas on.
+    """Signals of a trace, for the evaluation of formulas.
 
     Args:
         stamps_ns: (n,) simulated time of each row [ns].
-        columns: (n,) each, by name; what is missing has no signal.
+        columns: (n,) each, by name; a missing column has no signal.
 
     Returns:
-        (n,) float64 for each signal. Where the estimates are there, so are the two signals that
-        depend on the frames before (:class:`.run_statistics.EstimateWatch`), with the rows taken
-        for a whole run at a steady pace.
+        (n,) float64 for each signal. With the estimates, this includes the two signals that depend
+        on earlier frames (:class:`.run_statistics.EstimateWatch`), assuming that the rows are a
+        whole run with a constant period.
     """
     signals: dict[str, Column] = {
         name: np.asarray(columns[column], dtype=np.float64)
         for name, column in SIGNAL_COLUMNS.items() if column in columns
     }
+    if 'x' not in signals and 'x_m' in columns:
+        # A trace of an older version, whose track was always the runway's centreline.
+        signals['x'] = np.asarray(columns['x_m'], dtype=np.float64)
     if 'cte_estimate' in signals and 'he_estimate' in signals and len(stamps_ns):
         period_ns = int(stamps_ns[1] - stamps_ns[0]) if len(stamps_ns) > 1 else NS_PER_S
         watch = EstimateWatch(int(stamps_ns[-1] - stamps_ns[0]), max(period_ns, 1))

@@ -12,7 +12,7 @@ These are the signs of the published X-Plane TaxiNet data. A steering angle is l
 positive angle turns the nose to the left. Pitch and roll follow REP-103 as well (x forward, y left,
 z up): positive pitch is nose **down**, positive roll is right wing down.
 
-Attitude as a unit quaternion, which is how messages carry it.
+Messages carry the attitude as a unit quaternion.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from taxinet_ros.arguments import check_fields
 
 NS_PER_S = 1_000_000_000
 _FLOATS = {float}
-"""What nearly all numbers below are. They are made in each control step, so this is looked at
-first: a look at each field by its annotation takes ten times as long."""
+"""Type of nearly all numbers below. It is checked first because the values are created in every
+control step, and checking each field by its annotation takes ten times as long."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,7 +35,7 @@ class TrackingError:
     Attributes:
         cte_m: cross-track error [m], left positive.
         he_rad: heading error [rad], nose left positive.
-        valid: False where an estimate could not be made; the numbers then mean nothing.
+        valid: False if there is no estimate; the numbers are then meaningless.
     """
 
     cte_m: float
@@ -48,7 +48,7 @@ class TrackingError:
 
     @property
     def usable(self) -> bool:
-        """True where both numbers are finite and declared valid."""
+        """Whether both numbers are finite and declared valid."""
         return self.valid and math.isfinite(self.cte_m) and math.isfinite(self.he_rad)
 
 
@@ -83,7 +83,10 @@ class AircraftState:
 
     @property
     def tracking_error(self) -> TrackingError:
-        """Ground-truth cross-track and heading error of this state."""
+        """Ground-truth errors relative to the runway's centreline.
+
+        Those relative to another track: :class:`taxinet_ros.core.world.Observation`.
+        """
         return TrackingError(cte_m=self.y_m, he_rad=self.yaw_rad)
 
 
@@ -105,7 +108,7 @@ class TaxiCommand:
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Attitude as x, y, z, w from angles about x, y, z [rad], applied in the order z, y, x."""
+    """Quaternion (x, y, z, w) from angles about x, y, z [rad], applied in the order z, y, x."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -120,9 +123,9 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 def quaternion_product(
     outer: tuple[float, float, float, float], inner: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Attitude of a frame that has ``inner`` within a frame that has ``outer``, as x, y, z, w.
+    """Hamilton product of two unit quaternions (x, y, z, w).
 
-    It is Hamilton's product of unit quaternions.
+    Gives the attitude of a frame with attitude ``inner`` inside a frame with attitude ``outer``.
     """
     ax, ay, az, aw = outer
     bx, by, bz, bw = inner

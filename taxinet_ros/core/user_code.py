@@ -3,10 +3,10 @@
 ``FILE.py:NAME``: a function (frame or estimate in, answer out), or a class or function without
 arguments that creates such a callable. It is created anew for every run, unless it has a method
 ``reset()``, which is then called instead, so that no run depends on earlier ones. The file is code
-and runs with the user's rights, like a Scenic program. It is only read until a node needs it.
+and runs with the user's rights, like a Scenic program. It is not executed until a node needs it.
 
 ``external``: a node started by the user, in any language. ``cmd:COMMAND``: a node that the graph
-    starts, supervises and ends, e.g. ``cmd:ros2 run my_pkg my_node``.
+starts, supervises and ends, e.g. ``cmd:ros2 run my_pkg my_node``.
 """
 
 from __future__ import annotations
@@ -63,15 +63,15 @@ def command_of(word: str) -> list[str] | None:
 
 
 def node_command(word: str, name: str, remaps: Sequence[str] = ()) -> list[str] | None:
-    """The same, with the arguments that set the node's name in the graph.
+    """As :func:`command_of`, with the arguments that set the node's name in the graph.
 
     Args:
-        word: as of :func:`command_of`.
-        name: of the node.
+        word: as for :func:`command_of`.
+        name: name of the node.
         remaps: further remap rules, ``FROM:=TO``.
 
     Raises:
-        UsageError: as there.
+        UsageError: as :func:`command_of`.
     """
     words = command_of(word)
     if words is None:
@@ -106,7 +106,7 @@ class UserCode:
 
     Attributes:
         path: the file as given.
-        name: of the function or class.
+        name: name of the function or class.
         sha256: hash of the file and the files it lists as ``FILES = [...]``, such as weights,
             relative to its folder.
     """
@@ -188,9 +188,9 @@ class PluginCode(UserCode):
 
     Attributes:
         path: folder or only file of the package.
-        name: of the function or class.
-        sha256: of the whole package, see :attr:`.Extension.fingerprint`.
-        extension: where it comes from.
+        name: name of the function or class.
+        sha256: hash of the whole package, see :attr:`.Extension.fingerprint`.
+        extension: the extension that it belongs to.
     """
 
     extension: Extension
@@ -243,7 +243,7 @@ def find_plugin_code(extension: Extension) -> PluginCode:
 
 
 class RunCode:
-    """User code in its initial state for each run."""
+    """User code that is reset to its initial state for each run."""
 
     def __init__(self, code: UserCode) -> None:
         """Load the file.
@@ -276,7 +276,7 @@ class RunCode:
     def answer(
         self, argument: Any, read: Callable[[Any], _Answer | None], expected: str
     ) -> _Answer:
-        """Call it.
+        """Call the function.
 
         Args:
             argument: its argument.
@@ -299,11 +299,13 @@ class RunCode:
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
-    """Two numbers from a tuple, list or array; None if invalid, or text."""
+    """Two numbers from a tuple, list or array; None if invalid, text or booleans."""
     heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
         if any(isinstance(one, str | bytes) for one in (answer, first, second)):
+            return None
+        if any(type(one).__name__ in ('bool', 'bool_') for one in (first, second)):
             return None
         return float(first), float(second)
     except BaseException as error:  # the result may have a user-defined __iter__ or __float__

@@ -7,6 +7,7 @@ The simulated world is the aircraft on its runway with its wing camera. A packag
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,13 +18,15 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
+_START_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -36,12 +39,28 @@ class Observation:
         state: true state of the aircraft.
         image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
             (200, 360, 3); None if not requested.
+        track: that is followed; None for the runway's centreline.
     """
 
     seq: int
     stamp_ns: int
     state: AircraftState
     image: NDArray[np.uint8] | None
+    track: Track | None = None
+
+    @property
+    def on_track(self) -> OnTrack:
+        """Where the aircraft is along and beside the track."""
+        state = self.state
+        if self.track is None:
+            return OnTrack(state.x_m, state.y_m, state.yaw_rad)
+        return self.track.measure(state.x_m, state.y_m, state.yaw_rad)
+
+    @property
+    def truth(self) -> TrackingError:
+        """Ground-truth cross-track and heading error, relative to the track."""
+        _, cte_m, he_rad = self.on_track
+        return TrackingError(cte_m=cte_m, he_rad=he_rad)
 
 
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
@@ -60,7 +79,7 @@ def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
 
 
 class World(Protocol):
-    """Interface of the world of one run. A new one per run keeps runs bit-identical.
+    """Interface of the world of one run. One is created per run, so that runs are bit-identical.
 
     Attributes:
         last_seq: number of the last control step, :func:`last_step` of the scenario.
@@ -101,22 +120,23 @@ class SimulatedWorld(World):
         aircraft: Callable[[Scenario], Aircraft] = Aircraft,
         camera: Callable[[Scenario], Camera] = Camera,
     ) -> None:
-        """Set the aircraft on the runway.
+        """Place the aircraft on the runway.
 
         Args:
             scenario: initial condition, light and weather.
-            pictures: False leaves the camera out.
+            pictures: False: without camera.
             aircraft: factory of the aircraft.
-            camera: factory of the camera, called for the first picture.
+            camera: factory of the camera, called for the first image.
         """
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
         self._seq = 0
+        self._track = scenario.line
 
     @cached_property
     def _camera(self) -> Camera:
-        # Created for the first picture: its ground takes most of the set-up time and 63 MB.
+        # Created for the first image: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:
@@ -124,7 +144,9 @@ class SimulatedWorld(World):
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         state = self._aircraft.state
         image = self._camera.render(state, stamp_ns) if picture and self._pictures else None
-        return Observation(seq=self._seq, stamp_ns=stamp_ns, state=state, image=image)
+        return Observation(
+            seq=self._seq, stamp_ns=stamp_ns, state=state, image=image, track=self._track
+        )
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
@@ -137,7 +159,7 @@ class ChosenWorld:
     """A world selected by name.
 
     Attributes:
-        name: of it.
+        name: name of the world.
         fingerprint: SHA-256 of the package that adds it; empty for the simulated one.
         make: factory, called once per run.
     """
@@ -151,12 +173,12 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
     """Find a world by name: ``kmwh`` or one added by a package.
 
     Args:
-        name: of it.
+        name: name of the world.
         fingerprint: required hash of its package; '' for any.
 
     Raises:
-        UsageError: unknown name, a package that cannot be imported or has no callable there, or a
-            hash that differs from the recorded one.
+        UsageError: unknown name, a package that cannot be imported or has no such callable, or a
+            hash that differs from the required one.
     """
     extension = find(WORLDS, name)
     if extension is None:
@@ -186,7 +208,7 @@ def world_options(name: str) -> list[str]:
 
 
 class _PluginWorld(World):
-    """A package's world; failures of its code are infrastructure errors that name the package."""
+    """World of a package; failures of its code are infrastructure errors naming the package."""
 
     def __init__(
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
@@ -195,6 +217,7 @@ class _PluginWorld(World):
         self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
         self._world = self._call(lambda: make(scenario, pictures=pictures))
+        self._scenario = scenario
         told = self._call(lambda: self._world.last_seq)
         if told != self.last_seq:
             raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
@@ -211,9 +234,24 @@ class _PluginWorld(World):
             raise self._broken(f'observed stamp {now.stamp_ns!r} ns, expected {stamp_ns}')
         if not isinstance(now.state, AircraftState):
             raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
-        return Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image)
+        seen = Observation(
+            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image),
+            track=self._scenario.line,
         )
+        if self._seq == 0 and not self._scenario.line.is_runway:
+            self._check_start(seen)
+        return seen
+
+    def _check_start(self, now: Observation) -> None:
+        """A world that knows of no tracks would set the aircraft on the runway."""
+        start = self._scenario
+        x_m, y_m, _ = start.line.pose(start.distance_m, start.cross_track_m)
+        away_m = math.hypot(now.state.x_m - x_m, now.state.y_m - y_m)
+        if not away_m < _START_M:
+            raise self._broken(
+                f'the run begins {away_m:.1f} m from its start on the track {start.track}; a world '
+                'has to place the aircraft by scenario.line.pose'
+            )
 
     def _picture(self, image: Any) -> NDArray[np.uint8] | None:
         frame = self._frame
@@ -225,7 +263,7 @@ class _PluginWorld(World):
             # A network would produce an estimate from any array.
             got = f'{image.shape} {image.dtype}'
             raise self._broken(f'the picture is {got}, not {frame} uint8')
-        return np.array(image, order='C')  # the package may paint the next one over it
+        return np.array(image, order='C')  # the package may reuse its buffer
 
     def advance(self, command: TaxiCommand) -> None:
         self._call(lambda: self._world.advance(command))

@@ -29,7 +29,7 @@ def disk_error(path: Path, error: OSError) -> OSError:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names within ``folder`` survive a loss of power."""
+    """Make the file names in ``folder`` survive a power failure."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -55,28 +55,28 @@ def write_atomically(path: Path, data: str | bytes, *, sync: bool = True) -> Non
     Args:
         path: the file; its folder exists.
         data: text is written in UTF-8.
-        sync: False where many files are made safe from a loss of power together, afterwards.
+        sync: False if many files are synced together afterwards.
 
     Raises:
-        OSError: it cannot be written, with its name; an existing file is unchanged.
+        OSError: it cannot be written (the error names it); an existing file is unchanged.
     """
     content = data.encode() if isinstance(data, str) else data
     make_atomically(path, lambda draft: draft.write_bytes(content), sync=sync)
 
 
 def make_atomically(path: Path, make: Callable[[Path], T], *, sync: bool = True) -> T:
-    """Have ``make`` write a draft beside ``path``, which gets the name once it is safe on the disk.
+    """Create ``path`` from a draft beside it, which is renamed once it is safely on the disk.
 
     Args:
         path: the file; its folder exists.
-        make: gets the draft's path.
+        make: function that writes the draft; gets its path.
         sync: as for :func:`write_atomically`.
 
     Returns:
-        What ``make`` does.
+        The return value of ``make``.
 
     Raises:
-        OSError: as :func:`write_atomically`; no draft is left then.
+        OSError: as :func:`write_atomically`; no draft is left.
     """
     draft = draft_path(path)
     try:

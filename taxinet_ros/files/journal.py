@@ -1,16 +1,15 @@
 """Append-only JSON Lines file with checksums, written by one process at a time.
 
-Each line begins with its checksums, in 64 hexadecimal digits under the key ``chain``: the first 32
-are the link, a digest of the link of the line before and of this line's other words; the last 32 a
-digest of this line alone. So a changed bit, and a line that is missing, there twice or in another
-place, is found and told apart from the others.
+Each line begins with 64 hexadecimal digits under the key ``chain``. The first 32 are the link, a
+digest of the previous line's link and the rest of this line; the last 32 are a digest of this line
+alone. This detects and distinguishes changed bits and missing, repeated or moved lines.
 
-A last line without its end is cut off when the file is opened: its write was interrupted, and was
-never confirmed. Missing whole lines at the end are detected by comparison with a recorded end
+An incomplete last line is removed when the file is opened: its write was interrupted and never
+confirmed. Missing complete lines at the end are detected by comparison with a recorded end
 (:class:`JournalEnd`).
 
-Lines of earlier versions have no checksums. Where a journal begins with such lines, the first one
-that is added has a digest of all of them for the link before it.
+Lines of earlier versions have no checksums. If a journal begins with such lines, a digest of all of
+them serves as the link before the first line added to it.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _LINE = re.compile(rb'\{"chain":"([0-9a-f]{32})([0-9a-f]{32})",(.+\})', re.DOTAL
 
 
 _START = hashlib.sha256().hexdigest()[:_DIGITS]
-"""Link before the first line: the digest of nothing."""
+"""Link before the first line: the digest of empty input."""
 
 
 class JournalEnd(NamedTuple):
@@ -47,12 +46,12 @@ class JournalEnd(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JournalLine:
-    """One whole line of a journal.
+    """One complete line of a journal.
 
     Attributes:
-        event: its values, without the checksums; None where it is damaged.
-        link: its link; '' in a line of an earlier version and in one that is damaged.
-        trouble: what is wrong with it or with its place, or ''.
+        event: its values, without the checksums; None if it is damaged.
+        link: its link; '' in a line that is damaged or of an earlier version.
+        trouble: error of the line or its position, or ''.
     """
 
     event: dict[str, Any] | None
@@ -65,11 +64,11 @@ class JournalContent:
     """Content of a journal.
 
     Attributes:
-        lines: all whole lines.
+        lines: all complete lines.
         unprotected: number of initial lines without checksums and without known damage.
-        links: the link after each number of lines, from none on.
-        whole: number of bytes up to the end of the last whole line.
-        trouble: what is wrong with the bytes after them, or ''.
+        links: link after each number of lines, starting at zero lines.
+        whole: number of bytes up to the end of the last complete line.
+        trouble: error in the bytes after them, or ''.
     """
 
     lines: tuple[JournalLine, ...] = ()
@@ -94,16 +93,16 @@ class Journal:
     """An open journal.
 
     Attributes:
-        events: what the lines said that it held when it was opened.
+        events: events that it contained when it was opened.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open ``path`` to append, making it if need be.
+        """Open ``path`` for appending; create it if missing.
 
         Raises:
             BlockingIOError: another process has it open.
             OSError: it cannot be opened.
-            UsageError: ``path:line: message`` where it is damaged; it is left as it is.
+            UsageError: ``path:line: message`` if it is damaged; the file is not changed.
         """
         self._path = path
         self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -121,7 +120,7 @@ class Journal:
         """Write one line.
 
         Raises:
-            OSError: not all of it could be written, as on a full disk; then none of it is.
+            OSError: writing failed, as on a full disk; a partial line is removed.
             RecordError: it was written to a file that was moved or replaced; see
                 :meth:`check_in_place`.
         """
@@ -142,8 +141,8 @@ class Journal:
         """Check that the open file is still the one at its path.
 
         Raises:
-            RecordError: it, or a folder above it, was moved, deleted or replaced. What was appended
-                is in the file all the same, wherever that is now.
+            RecordError: it, or a folder above it, was moved, deleted or replaced. Appended lines
+                are in the original file, wherever that is now.
         """
         if not _is_at(self._path, self._fd):
             os.fsync(self._fd)
@@ -153,10 +152,10 @@ class Journal:
             )
 
     def sync(self) -> None:
-        """Wait until what was written has reached the disk.
+        """Wait until all written lines are on the disk.
 
         Raises:
-            OSError: it has not, with the file's name.
+            OSError: the disk failed; the error names the file.
         """
         try:
             os.fsync(self._fd)
@@ -171,15 +170,15 @@ class Journal:
 def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, Any]]:
     """Read the events of a journal, even while it is being written.
 
-    A last line without its end is ignored.
+    An incomplete last line is ignored.
 
     Args:
         path: path of the journal.
-        ended: where it ended once, if that is known; it may have grown since.
+        ended: recorded end, if known; the journal may have grown since.
 
     Raises:
         OSError: it cannot be read.
-        UsageError: ``path:line: message`` on the first thing that is wrong.
+        UsageError: ``path:line: message`` for the first error.
     """
     content = parse_journal(path.read_bytes())
     events = _sound_events(path, content)
@@ -189,7 +188,7 @@ def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, 
 
 
 def lost_end(content: JournalContent, ended: JournalEnd) -> str:
-    """What is wrong with a journal that ended there once, or ''."""
+    """Why a journal does not contain its recorded end, or ''."""
     if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
         return f'{lost} of its {ended.lines} lines are missing at its end'
@@ -227,11 +226,11 @@ def parse_journal(data: bytes) -> JournalContent:
 
 
 def chained_line(before: str, event: Mapping[str, Any]) -> tuple[bytes, str]:
-    """A line with its checksums and its end, and its link.
+    """Encode a line with its checksums and newline; also return its link.
 
     Args:
-        before: link of the line before.
-        event: what it is to say; not empty.
+        before: link of the previous line.
+        event: values of the line; not empty.
     """
     body = json.dumps(event, separators=(',', ':')).encode()
     link = _digest(before.encode() + body)
@@ -240,7 +239,7 @@ def chained_line(before: str, event: Mapping[str, Any]) -> tuple[bytes, str]:
 
 
 def journal_end(path: Path) -> JournalEnd:
-    """Where a journal ends that this process has just written; nothing is checked.
+    """End of a journal that this process has just written; nothing is checked.
 
     Raises:
         OSError: it cannot be read.
@@ -264,7 +263,7 @@ def _digest(data: bytes) -> str:
 
 
 def _parsed(line: bytes) -> JournalLine:
-    """A line by itself."""
+    """Parse a line independently of its position."""
     found = _LINE.fullmatch(line)
     if found is None:
         return _unchained(line)
@@ -278,10 +277,10 @@ def _parsed(line: bytes) -> JournalLine:
 
 
 def _unchained(line: bytes) -> JournalLine:
-    """A line that does not begin as those with checksums do.
+    """Parse a line that does not begin with checksums.
 
-    No one bit makes one with checksums look like one of an earlier version, whose first value was
-    never a text of as many letters.
+    No single-bit error makes a line with checksums look like one of an earlier version, whose first
+    value was never a text of that length.
     """
     try:
         event = load_json(line)
@@ -319,9 +318,10 @@ def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> Jou
 
 
 def _torn_trouble(rest: bytes) -> str:
-    """What is wrong with the bytes after the last end of a line, or ''.
+    """Error in the bytes after the last newline, or ''.
 
-    Those of a line that was not written to its end are no whole object, nor is there more of it.
+    After an interrupted write they are an incomplete object; after a complete one, the newline is
+    damaged.
     """
     try:
         return 'its end is damaged' if isinstance(load_json(rest[:-1]), dict) else ''

@@ -1,8 +1,8 @@
 """Strict parsing of JSON and YAML from untrusted texts into plain values, with type checks.
 
-What such a text can do beyond being wrong is to grow when it is read (YAML's aliases and merge
-keys), to be nested deeper than Python's stack, or to take minutes. None of it gets so far here.
-Any error in a user's file gives one line with file, key and expected value.
+Rejects texts that would grow when parsed (YAML aliases and merge keys), are nested deeper than
+Python's stack, or would take minutes. Any error in a user's file gives one line with file, key and
+expected value.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import yaml
 from taxinet_ros.errors import UsageError
 
 MAX_DEPTH = 100
-"""Brackets within brackets; PyYAML takes seconds for a thousand."""
+"""Limit of nested brackets; PyYAML takes seconds for a thousand."""
 MAX_BYTES = 1 << 20
 """Size limit of user files: YAML takes 1 s for about ten thousand characters."""
 MAX_CHARS = 2**22
@@ -31,10 +31,10 @@ YAML_TROUBLES = (
 
 
 def load_json(data: bytes | str) -> Any:
-    """The values that a JSON text stands for.
+    """Parse a JSON text.
 
     Raises:
-        ValueError: it is no JSON, or nested too deeply to be read.
+        ValueError: it is not JSON, or nested too deeply.
     """
     try:
         return json.loads(data)
@@ -43,15 +43,15 @@ def load_json(data: bytes | str) -> Any:
 
 
 def load_yaml(text: str, *, aliases: bool = True) -> Any:
-    """The plain values of a YAML text in a bag, whoever wrote it.
+    """Parse an untrusted YAML text of a bag into plain values.
 
     Args:
-        text: from anywhere.
-        aliases: whether one part may stand in several places. Written out again, few lines with
-            aliases of aliases could be many gigabytes.
+        text: the text.
+        aliases: whether aliases are allowed. Written out again, a few lines with aliases of aliases
+            could be many gigabytes.
 
     Raises:
-        ValueError: it is no YAML of plain values, or has merge keys, or is too long or too deep.
+        ValueError: it is not YAML of plain values, has merge keys, or is too long or too deep.
     """
     if len(text) > MAX_CHARS:
         raise ValueError(f'{len(text)} characters, more than the {MAX_CHARS} allowed')
@@ -62,16 +62,16 @@ def load_yaml(text: str, *, aliases: bool = True) -> Any:
 
 
 def dump_yaml(value: Any) -> str:
-    """YAML of ``value`` in the order given and without aliases, which rosbag2's readers dislike."""
+    """Dump ``value`` as YAML in the given order, without aliases, for rosbag2's readers."""
     return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
-# A base class that is chosen at run time has no type that mypy could know.
+# mypy cannot know the type of a base class chosen at run time.
 class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    """YAML without anchors and aliases; libyaml, where it is there, writes the same text sooner."""
+    """YAML dumper without anchors and aliases; libyaml, if available, is faster with equal text."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Spell every value out, however often it occurs."""
+        """Write every value in full, even if it is repeated."""
         return True
 
 
@@ -80,11 +80,11 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
 
     Args:
         path: the file, UTF-8.
-        option: heads the line if the file cannot be read, as in ``--spec``.
-        mend: what to say of a mistake in the syntax, on how it may be mended.
+        option: prefix of the error if the file cannot be read, as in ``--spec``.
+        mend: advice appended to syntax errors.
 
     Raises:
-        UsageError: it cannot be read, is not YAML, or gives a key twice.
+        UsageError: it cannot be read, is not YAML, or repeats a key.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -100,12 +100,12 @@ def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> o
 
     Args:
         path: the file, for the message.
-        data: all of it.
-        about: heads every complaint.
+        data: its content.
+        about: prefix of every error.
         mend: as for :func:`read_yaml`.
 
     Raises:
-        UsageError: it is not YAML of plain values, or gives a key twice.
+        UsageError: it is not YAML of plain values, or repeats a key.
     """
     try:
         return _load(data.decode('utf-8-sig'), aliases=False, repeats=False)
@@ -137,23 +137,23 @@ def _load(text: str, *, aliases: bool, repeats: bool) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Plain values only, and nothing that grows when it is read."""
+    """YAML loader for plain values that rejects everything that grows when parsed."""
 
     aliases = repeats = False
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """The next part, unless it is one from elsewhere."""
+        """Return the next node; reject aliases unless allowed."""
         if not self.aliases and self.check_event(yaml.events.AliasEvent):
             problem = 'an alias (*) is not read; write it out'
             raise yaml.constructor.ConstructorError(None, None, problem, self.get_mark())
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The mapping, unless it gives a key twice, of which YAML would keep the last."""
+        """Return the mapping; reject repeated keys, of which YAML would keep the last."""
         seen = set()
         for key, _ in node.value:
             word = key.value if isinstance(key, yaml.ScalarNode) else None
-            if key.tag == 'tag:yaml.org,2002:merge':  # merged merges double with every line
+            if key.tag == 'tag:yaml.org,2002:merge':  # nested merges double with every line
                 problem = 'a merge key (<<) is not read; write it out'
             elif word is not None and word in seen and not self.repeats:
                 problem = f'{word[:60]} is given twice'
@@ -167,24 +167,24 @@ class _StrictLoader(yaml.SafeLoader):
 class Section:
     """A mapping in a user's file with checked access to its values.
 
-    Every complaint is one line: the file, the keys that lead there, and what is expected.
+    Every error is one line: the file, the path of keys, and what is expected.
     """
 
     def __init__(
         self, path: Path, value: object, known: Sequence[str] | None = None, *, where: str = '',
         about: str = '',
     ) -> None:
-        """Take it.
+        """Check that the value is a mapping with known keys.
 
         Args:
-            path: of the file.
-            value: what stands there.
-            known: its keys; where None, any words.
-            where: the keys that lead to it, with dots; '' for the whole file.
-            about: heads every complaint.
+            path: path of the file.
+            value: parsed value.
+            known: allowed keys; None for any words.
+            where: path of keys to it, joined by dots; '' for the whole file.
+            about: prefix of every error.
 
         Raises:
-            UsageError: it is no mapping, or has another key.
+            UsageError: it is not a mapping, or has an unknown key.
         """
         self.path = path
         self._where, self._about = where, about
@@ -192,7 +192,7 @@ class Section:
             keys = f' with the keys {", ".join(known)}' if known else ''
             raise self.wrong(expected(f'KEY: VALUE pairs{keys}', value))
         for key in value:
-            if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
+            if not isinstance(key, str):  # YAML reads on, off, yes and no as booleans
                 raise self.wrong(f"expected words as keys, got {shown(key)}; put it in '…' quotes")
         for key in value:
             if known is not None and key not in known:
@@ -212,7 +212,7 @@ class Section:
                           else f'{self._about}{self.path}: {what}')
 
     def check(self, key: str, check: Callable[[], object]) -> None:
-        """Have a value checked elsewhere, and say in which place it is if it is wrong."""
+        """Call ``check``, and add the location of the value to its error."""
         try:
             check()
         except UsageError as error:
@@ -227,13 +227,13 @@ class Section:
     def section(
         self, key: str, known: Sequence[str] | None = None, *, optional: bool = False
     ) -> Section:
-        """A mapping inside this one; an empty one where it is left out and optional."""
+        """A mapping inside this one; empty if it is optional and missing."""
         keys = f' with the keys {", ".join(known)}' if known else ''
         value = self._values.get(key) if optional else self.take(key, f'KEY: VALUE pairs{keys}')
         return self._within(key, {} if value is None and optional else value, known)
 
     def sections(self, key: str, known: Sequence[str]) -> list[Section]:
-        """A list of mappings, one at least."""
+        """A non-empty list of mappings."""
         kind = f'a list of entries with the keys {", ".join(known)}'
         value = self.take(key, kind)
         if not isinstance(value, list) or not value:
@@ -241,7 +241,7 @@ class Section:
         return [self._within(f'{key}[{index}]', entry, known) for index, entry in enumerate(value)]
 
     def several(self, key: str) -> list[Section]:
-        """One value or a list of several, each once: sections that have one each under the key."""
+        """One value or a list of distinct values; one section per value."""
         value = self.take(key, 'one or several')
         found = value if isinstance(value, list) else [value]
         if not found or any(one in found[:at] for at, one in enumerate(found)):
@@ -253,7 +253,7 @@ class Section:
     def text(
         self, key: str, default: str | None = None, *, kind: str = 'a word', empty: bool = False
     ) -> str:
-        """Any text; ``kind`` says what it is to be."""
+        """Any text; ``kind`` describes the expected value."""
         if default is not None and key not in self._values:
             return default
         value = self.take(key, kind)
@@ -263,7 +263,7 @@ class Section:
         return value
 
     def word(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
-        """One of some words."""
+        """One of the words in ``choices``."""
         if default is not None and key not in self._values:
             return default
         kind = f'one of {", ".join(choices)}' if len(choices) > 1 else choices[0]
@@ -324,7 +324,7 @@ class Section:
 
 
 def expected(kind: str, value: object) -> str:
-    """The words of a complaint about a value."""
+    """Error text for an unexpected value."""
     return f'expected {kind}, got {shown(value)}'
 
 
@@ -333,7 +333,7 @@ _FEW_WORDS.maxlevel, _FEW_WORDS.maxstring = 2, 60
 
 
 def shown(value: object) -> str:
-    """A value in a few words; even where it is endless, or nested without end."""
+    """Short text of a value, even of one that is huge or contains itself."""
     try:
         return _FEW_WORDS.repr(value)
     except ValueError:
@@ -349,20 +349,20 @@ def is_number(value: object, low: float, high: float | None = None) -> TypeGuard
 
 _OPTIONAL = ' | None'
 _MOST = 2**63
-"""Whole numbers beyond it fit into no table."""
+"""Limit of whole numbers; tables cannot hold larger ones."""
 
 
 def check_kind(name: str, kind: str, value: object) -> None:
     """Check the type of a value.
 
     Args:
-        name: of the field, for the message.
-        kind: the field's annotation as it is written: ``str``, ``int``, ``float`` (whole numbers
-            too), ``bool``, one of these ``| None``, or ``Mapping[str, float]``; others pass.
-        value: what JSON has given.
+        name: name of the field, for the message.
+        kind: text of the field's annotation: ``str``, ``int``, ``float`` (whole numbers too),
+            ``bool``, one of these ``| None``, or ``Mapping[str, float]``; others are not checked.
+        value: value from JSON.
 
     Raises:
-        ValueError: it is of another kind.
+        ValueError: it has another type.
     """
     if not _fits(kind, value):
         raise ValueError(f'{name} is {str(value)[:40]!r}, not {kind}')
@@ -387,7 +387,7 @@ def _fits(kind: str, value: object) -> bool:
 
 
 def _is_text(value: str) -> bool:
-    """JSON may escape halves of characters, which no file takes."""
+    """Whether it can be encoded; JSON may escape lone surrogates, which no file can store."""
     try:
         value.encode()
     except UnicodeEncodeError:

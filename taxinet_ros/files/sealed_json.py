@@ -1,8 +1,8 @@
 """JSON file with a checksum of itself and of other files in or below its folder.
 
-Beside its values it has, under ``seal``, digests of whole files and the ends of journals, and as
-its last line, under ``checksum``, the SHA-256 of all its text before. Files of earlier versions
-have neither; no one bit makes a file with both look like one with none.
+Besides the values, the key ``seal`` holds digests of whole files and the ends of journals; the last
+line, with the key ``checksum``, holds the SHA-256 of all preceding text. Files of earlier versions
+have neither; no single-bit error makes a file with both look like one with neither.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class SealedJson:
     """Content of a sealed file.
 
     Attributes:
-        values: without seal and checksum.
-        files: SHA-256 of files in the same folder or below, by path from it.
-        journals: where they ended, of journals in the same folder or below, likewise.
+        values: content without seal and checksum.
+        files: SHA-256 of files in the same folder or below, by relative path.
+        journals: ends of journals in the same folder or below, by relative path.
         sealed: False for a file of an earlier version.
     """
 
@@ -44,11 +44,11 @@ class SealedJson:
         """Check a file against its checksum; return whether it has one.
 
         Args:
-            path: of the file, in the same folder.
-            mend: what to do where it is another.
+            path: path of the file, in the same folder.
+            mend: what to do if it differs, for the message.
 
         Raises:
-            UsageError: it is another.
+            UsageError: it differs.
             OSError: it cannot be read.
         """
         if path.name not in self.files:
@@ -62,7 +62,7 @@ def sealed_text(
     values: Mapping[str, Any], files: Mapping[str, str] | None = None,
     journals: Mapping[str, JournalEnd] | None = None,
 ) -> str:
-    """The text of such a file; ``values`` has no keys ``seal`` and ``checksum``."""
+    """Text of a sealed file; ``values`` has no keys ``seal`` and ``checksum``."""
     seal = {'files': dict(files or {}), 'journals': {
         name: end._asdict() for name, end in (journals or {}).items()
     }}
@@ -87,7 +87,7 @@ def write_sealed(
 
 
 def read_sealed(path: Path) -> SealedJson:
-    """Read a sealed file, or one of an earlier version, which is warned of.
+    """Read a sealed file, or with a warning one of an earlier version.
 
     Raises:
         OSError: it cannot be read.

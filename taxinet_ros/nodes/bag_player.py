@@ -1,6 +1,6 @@
 """Executable ``bag_player``: play back a recorded run on its topics, with its clock, at any rate.
 
-Playback follows the wall clock and waits for no answers; other nodes run freely beside it.
+Playback follows the wall clock and waits for no answers; other nodes run freely.
 (``taxinet bag replay`` replays a run into one node in lockstep.) Messages are published as stored.
 """
 
@@ -171,7 +171,7 @@ def known_topics(
     """Full names of the topics listed in a parameter, with or without leading slash.
 
     Args:
-        info: of the bag.
+        info: table of contents of the bag.
         names: value of the parameter.
         parameter: its name.
         made: topics that the player derives from others.
@@ -193,12 +193,12 @@ def known_topics(
 def portions(
     path: Path, topics: Collection[str], part: Window, latched: Collection[str]
 ) -> Iterator[Portion]:
-    """Yield what to play, in the order of the bag.
+    """Yield the messages to play, in the order of the bag.
 
     Args:
         path: the bag.
         topics: names of the topics to play.
-        part: when.
+        part: time window.
         latched: topics whose messages from before the window form its first portion.
     """
     messages = stored_messages(path, frozenset(topics).__contains__)

@@ -17,7 +17,7 @@ from taxinet_msgs.msg import Scenario
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.topics import message_definition
-from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.scenario import Scenario as Scene
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -78,8 +78,8 @@ class FoxgloveServer(Observer):
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
         topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
-        self._runway = default_runway()
-        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers(self._runway)), 0)
+        self._ground = Scene().runway, Scene().line
+        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers(*self._ground)), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
         print(f'listening on ws://{HOST}:{self.port}', flush=True)
@@ -146,12 +146,12 @@ class FoxgloveServer(Observer):
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
     def _change_scene(self, cdr: bytes) -> None:
-        scenario = scenario_of(deserialize_message(cdr, Scenario))
-        self._aircraft.change(scenario.aircraft_model)
-        runway = scenario.runway
-        if runway != self._runway:
-            self._runway = runway
-            markers = serialize_message(other_runway_markers(runway))
+        scene = scenario_of(deserialize_message(cdr, Scenario))
+        self._aircraft.change(scene.aircraft_model)
+        ground = scene.runway, scene.line
+        if ground != self._ground:
+            self._ground = ground
+            markers = serialize_message(other_runway_markers(*ground))
             self._say(interface.SCENE_RUNWAY, markers, 0)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Executable ``ground_truth_perception``: perfect perception, in place of the network."""
+"""Executable ``ground_truth_perception``: perfect perception instead of the network."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class GroundTruthPerception(PerceptionNode):
     """Publishes the true tracking error as its estimate."""
 
     def choose(self) -> Perception:
-        """The truth."""
+        """The ground truth."""
         return make_perception('truth')
 
 

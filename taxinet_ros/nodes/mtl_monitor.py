@@ -1,6 +1,6 @@
 """MTL monitor node: ground truth in; robustness during the run and a verdict at its end out.
 
-If the scenario stops the run early, the verdict is sent at the deciding step in place of the
+If the scenario stops the run early, the verdict is sent at the deciding step instead of the
 progress report: the simulator waits for either, and ends the run.
 """
 
@@ -74,11 +74,12 @@ class MtlMonitor(Participant):
         judging = Judging.from_message(scenario)
         self._specs = judging.parsed_specs
         scene = scenario_of(scenario)
+        self._track = scene.line
         self._last_seq = last_step(scene)
         self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
-            judging.assumptions, scene.runway.half_width_m,
+            judging.assumptions, scene.line.half_width_m,
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
@@ -143,7 +144,7 @@ class MtlMonitor(Participant):
         sample = signals(
             cte_m=truth.value.cte_m,
             he_rad=truth.value.he_rad,
-            x_m=odometry.value.x_m,
+            x_m=self._track.measure(odometry.value.x_m, odometry.value.y_m).distance_m,
             speed_mps=odometry.value.speed_mps,
             estimate=estimate[0].value if estimate else NO_ESTIMATE,
             command=self._command,  # the last one counts

@@ -136,14 +136,14 @@ class LateFrames:
 
 
 def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
-    """Files by name.
+    """Files attached to the bag of a run, by name.
 
     A run of a campaign has the text of its Scenic program, stored in the campaign's folder; a run
     requested by hand has none.
 
     Args:
-        scenario: the run's.
-        out: the folder of the bags.
+        scenario: scenario of the run.
+        out: folder of the bags.
     """
     files = {'scenario.json': scenario_json(scenario)}
     text = _program_text(scenario.program, out)
@@ -321,7 +321,7 @@ class Recorder(Participant):
         return closed or self.silent_looks > enough
 
     def close(self) -> None:
-        """Finish the bag of a run that is known to be broken off: no more is awaited of it."""
+        """Finish the bag of an aborted run, without waiting for more messages."""
         ended = self._ended if self._writer is not None else None
         if ended is not None and not Outcome(ended.outcome).judged:
             self._rest_looks = _REST_LOOKS
@@ -329,7 +329,7 @@ class Recorder(Participant):
         self._abandon()
 
     def _abandon(self) -> None:
-        """Leave an unfinished bag readable, and not declared whole."""
+        """Close an unfinished bag so that it is readable but not marked as complete."""
         self._rest.cancel()
         self._late_frames.cancel()
         if self._writer is not None:
@@ -339,7 +339,7 @@ class Recorder(Participant):
     # Messages --------------------------------------------------------------------------------
 
     def _take(self, scenario: Scenario) -> None:
-        # A foreign node may have sent it, and the run's bag shall still be complete.
+        # A foreign node may have sent it; the run's bag must still become complete.
         if self._writer is not None and self._charged:
             return
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
@@ -405,7 +405,7 @@ class Recorder(Participant):
             self._hear_again(deserialize_message(told, NodeStatus), status)
             return
         if status.node == self.get_name():
-            # The bag's topics tell it, and frames added later must leave no other trace.
+            # The bag's topics contain it, and frames added later must not change anything else.
             status.listens = []
             cdr = serialize_message(status)
         # Another node may be ready before this one knows of the run.

@@ -349,12 +349,6 @@ def _say(node: StandaloneSampler, lines: list[str]) -> None:
         node.get_logger().info(line.rstrip())
 
 
-"""After an interrupt so many looks without a word mean that the simulator has gone too."""
-"""A simulator says several times a second how far it is; one that is silent for so long may have
-ended the run. Its answer can be lost (once in 3,900 tests on a busy machine), and is kept a while.
-"""
-
-
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros scenario_sampler``."""
     run_standalone()

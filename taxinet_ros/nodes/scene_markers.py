@@ -1,6 +1,6 @@
 """Executable ``scene_markers``: publish runway, aircraft and path as markers for 3-D viewers.
 
-It runs beside any graph or ``bag_player`` without taking part. The Foxglove server publishes the
+It works with any graph or ``bag_player`` without taking part. The Foxglove server publishes the
 same markers.
 """
 
@@ -19,11 +19,12 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.place.runway import Crossing, Runway
+from taxinet_ros.core.place.track import Track, painted_line
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, find_aircraft
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -33,6 +34,7 @@ from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Usage, published_topics, refuse_unknown
 
 _ASPHALT, _CONCRETE = (0.30, 0.30, 0.32), (0.38, 0.38, 0.39)
+_YELLOW = (0.95, 0.72, 0.10)
 _PAINT, _AIRFRAME, _PATH = (0.95, 0.95, 0.90), (0.98, 0.95, 0.90), (0.95, 0.45, 0.10)
 _THICKNESS_M = 0.02
 _PAINT_LIFT_M = 0.03
@@ -41,19 +43,39 @@ _PATH_WIDTH_M = 0.3
 Triangle = tuple[tuple[float, float, float], ...]
 
 
-def runway_markers(runway: Runway) -> MarkerArray:
-    """Pavement, what crosses it and all paint, in ``map``."""
+def runway_markers(runway: Runway, track: Track | None = None) -> MarkerArray:
+    """Pavement, crossings, all paint, and a track that leaves the runway, in ``map``."""
     pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
     pavement.pose.position = Point(x=runway.length_m / 2, z=-_THICKNESS_M / 2)
     pavement.scale = Vector3(x=runway.length_m, y=runway.width_m, z=_THICKNESS_M)
     crossings = [_crossing(*numbered) for numbered in enumerate(runway.crossings)]
     paint = _triangles('paint', _paint_triangles(runway), _PAINT)
-    return MarkerArray(markers=[pavement, *crossings, paint])
+    aside = [] if track is None or track.is_runway else _taxiway(track, runway)
+    return MarkerArray(markers=[pavement, *crossings, paint, *aside])
 
 
-def other_runway_markers(runway: Runway) -> MarkerArray:
-    """The same, in place of those of another runway."""
-    return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *runway_markers(runway).markers])
+def other_runway_markers(runway: Runway, track: Track) -> MarkerArray:
+    """The same markers, replacing those of another runway or track."""
+    markers = runway_markers(runway, track).markers
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers])
+
+
+def _taxiway(track: Track, runway: Runway) -> list[Marker]:
+    strip = track.strip(track.half_width_m)
+    # The outline goes out on the right and comes back on the left: each two points of it make a
+    # triangle with the one across.
+    ground = [
+        ((*here, -_THICKNESS_M), (*ahead, -_THICKNESS_M), (*across, -_THICKNESS_M))
+        for (here, ahead), across in zip(pairwise(strip), reversed(strip[:-1]), strict=True)
+    ]
+    lines = [
+        ((*start, _PAINT_LIFT_M), (*end, _PAINT_LIFT_M))
+        for line in painted_line(track, runway) for start, end in pairwise(line)
+    ]
+    paint = _marker('taxi_line', Marker.LINE_LIST, _YELLOW)
+    paint.scale.x = _PATH_WIDTH_M
+    paint.points = [Point(x=x, y=y, z=z) for ends in lines for x, y, z in ends]
+    return [_triangles('taxiway', ground, _CONCRETE), paint]
 
 
 def _crossing(number: int, crossing: Crossing) -> Marker:
@@ -120,10 +142,10 @@ def _paint_triangles(runway: Runway) -> list[Triangle]:
 
 @lru_cache(maxsize=8)
 def _aircraft_triangles(aircraft: AircraftModel) -> tuple[Triangle, ...]:
-    """The hulls of the parts that also throw its shadow, about the reference point."""
+    """Convex hulls of the parts that also cast its shadow, relative to the reference point."""
     found = []
     for points in (part.points for part in aircraft.outline if part.shades):
-        # A flat part has no hull; qhull moves its corners by a hair (QJ) and finds one.
+        # A flat part has no hull; with QJ, qhull perturbs its corners slightly and finds one.
         faces = points[ConvexHull(points, qhull_options='QJ').simplices]
         found += [tuple(map(tuple, face)) for face in np.round(faces, 3).tolist()]
     return tuple(found)
@@ -154,18 +176,18 @@ class SceneMarkers(Observer):
             for topic in interface.SCENE
         }
         self._aircraft = AircraftMarkers()
-        self._runway = default_runway()
-        self._say(interface.SCENE_RUNWAY, runway_markers(self._runway))
+        self._ground = Scenario().runway, Scenario().line
+        self._say(interface.SCENE_RUNWAY, runway_markers(*self._ground))
         self.watch(interface.ODOMETRY, self._draw)
         self.watch(interface.SCENARIO, self._change_scene)
 
     def _change_scene(self, message: Any) -> None:
-        scenario = scenario_of(message)
-        self._aircraft.change(scenario.aircraft_model)
-        runway = scenario.runway
-        if runway != self._runway:
-            self._runway = runway
-            self._say(interface.SCENE_RUNWAY, other_runway_markers(runway))
+        scene = scenario_of(message)
+        self._aircraft.change(scene.aircraft_model)
+        ground = scene.runway, scene.line
+        if ground != self._ground:
+            self._ground = ground
+            self._say(interface.SCENE_RUNWAY, other_runway_markers(*ground))
 
     def _draw(self, odometry: Odometry) -> None:
         self._say(interface.SCENE_AIRCRAFT, self._aircraft.markers(odometry))

@@ -90,7 +90,7 @@ _DELIVERY_S = 0.3
 _STALLED_S = 1.0
 """Step duration [s] above which the missing nodes count as awaited."""
 
-_RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
+_RESULT_KEPT_S = 10  # rclpy would keep those of 15 minutes, and list them at each change
 _SUSPECTED_S = 1.0
 """Time [s] to wait for evidence that another node caused a node's protocol error."""
 
@@ -205,7 +205,7 @@ class Simulator(Node):
             self.create_timer(FREE_TICK_S, self._tick, clock=steady)
 
     def may_leave(self) -> bool:
-        """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
+        """Whether the current run has ended as INTERRUPTED, or all other nodes have left."""
         self._leaving = True
         alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
@@ -220,7 +220,7 @@ class Simulator(Node):
         return self._awaited(run)
 
     def close(self) -> None:
-        """Leave the graph: a server that lingers would answer the next graph's goals."""
+        """Leave the graph, since a remaining server would answer the next graph's goals."""
         self._server.destroy()
 
     def destroy_node(self) -> None:
@@ -238,7 +238,7 @@ class Simulator(Node):
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
 
     def _cancel(self, goal: Any) -> CancelResponse:
-        """Refuse for a run that is over: one that is told to be cancelled gets no verdict."""
+        """Refuse to cancel a run that is over, since a cancelled run gets no verdict."""
         run = self._run
         over = run is not None and run.goal is goal and run.ending is not None
         return CancelResponse.REJECT if over else CancelResponse.ACCEPT
@@ -277,7 +277,7 @@ class Simulator(Node):
         return result
 
     def _own_status(self, run: ActiveRun) -> NodeStatus:
-        """What goes into the run's bag of this node: when answers take effect, and whose world."""
+        """Status of this node for the run's bag, with the timing of answers and the world."""
         return NodeStatus(
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
@@ -285,7 +285,7 @@ class Simulator(Node):
             detail=origin_words(WORLDS, self._world.name),
         )
 
-    # What the graph says -----------------------------------------------------------------------
+    # Messages of the graph ---------------------------------------------------------------------
 
     def _hear(
         self, read: Callable[[Any], Any], callback: Callable[[ActiveRun, Any], None], given: Any
@@ -298,7 +298,7 @@ class Simulator(Node):
     def _take(
         self, run: ActiveRun, callback: Callable[[ActiveRun, Any], None], message: Any
     ) -> None:
-        # Before its first step a run has nothing to be answered.
+        # Before its first step a run has nothing to answer.
         early = not run.started and callback not in (self._on_status, self._on_death_notice)
         if message.run_id == run.run_id and not early:
             callback(run, message)
@@ -333,7 +333,7 @@ class Simulator(Node):
             self._on_done(run, status)
 
     def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
-        """The recorder has closed its bag; a verdict stands only if the bag holds the same."""
+        """The recorder has closed its bag; a verdict counts only if the bag contains it."""
         if (stranger := self._stranger(run)) is not None:
             self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
         elif run.ending is None:
@@ -348,7 +348,7 @@ class Simulator(Node):
             run.finish()
 
     def _on_death_notice(self, run: ActiveRun, notice: NodeStatus) -> None:
-        """A node is dead by the word of whoever looks after it, or this one is said to be."""
+        """A supervisor reports the death of a node, possibly of this one."""
         self._fail(run, InfraKind.DIED, notice.node, notice.detail)
 
     def _on_estimate(self, run: ActiveRun, estimate: StepMessage) -> None:
@@ -362,7 +362,7 @@ class Simulator(Node):
         try:
             check_answer(command, interface.STEERING_CONTROLLER, run.lockstep.seq)
         except InfraError as error:
-            # It may but repeat what the perception said, whose estimate is still to come then.
+            # It may repeat an error of the perception, whose estimate has then not arrived yet.
             run.suspect = run.suspect or (error, time.monotonic())
             return
         check_command(command.value, interface.STEERING_CONTROLLER, command.seq)
@@ -402,7 +402,7 @@ class Simulator(Node):
         self._publish_frame(run)
 
     def _deaf(self, run: ActiveRun) -> list[str]:
-        """Topics on which this node has not yet found every other end of the run."""
+        """Topics on which this node has not yet found all other endpoints of the run."""
         unheard = [
             name
             for name, publisher in self._speakers.items()
@@ -487,10 +487,10 @@ class Simulator(Node):
             self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
 
     def _stranger(self, run: ActiveRun, thorough: bool = True) -> Stranger | None:
-        """Whoever came since the first step, while it matters.
+        """A foreign publisher that joined since the first step, as long as it matters.
 
-        After the verdict the recorder looks after the rest, to the closing of its bag; but that it
-        is closed may be somebody else's word.
+        After the verdict the recorder checks the other topics until it closes its bag; but a
+        foreign node could forge the message that the bag is closed.
         """
         if run.ending is None:
             topics = self._topics
@@ -511,8 +511,8 @@ class Simulator(Node):
         if run.ending is None or (judged and doubtful):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
-            # The bag could not be finished, so the evidence is not whole: no verdict stands. What
-            # has broken the run before stays what broke it, and the bag is another matter.
+            # The bag could not be finished, so the evidence is incomplete and no verdict counts. An
+            # earlier error remains the reason.
             if run.ending.outcome != Outcome.INFRA_ERROR:
                 run.ending = status
             run.finish()
@@ -522,7 +522,7 @@ class Simulator(Node):
         self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
 
     def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
-        """Announce the end, then wait for the recorder to close its bag where there is one."""
+        """Announce the end, then wait until the recorder, if any, has closed its bag."""
         run.ending = status
         run.reset_watchdog()
         if run.free is not None:
@@ -583,8 +583,8 @@ class Simulator(Node):
         self._fail(run, InfraKind.TIMEOUT, who, detail)
 
     def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
-        """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
-        # Its first end: where it was told of the run, its others may be yet to be found.
+        """Wait for the recorder to close its bag; during a shutdown it may have left."""
+        # Its first endpoint: others may not be discovered yet although it knows of the run.
         ends = self.get_subscriptions_info_by_topic(interface.SCENARIO.name)
         if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
             run.finish()
@@ -601,7 +601,7 @@ class Simulator(Node):
             self._fail(run, *self._unready(run))
 
     def _unready(self, run: ActiveRun) -> tuple[str, str, str]:
-        """Kind, who and what of a run that could not begin: those alone that others wait for."""
+        """Kind, who and detail for a run that could not start; only nodes that others wait for."""
         within = f'not ready within {self._ready_timeout_s:g} s'
         for speakers in self._topics:
             if (stranger := speakers.early_stranger(run.participants)) is not None:

@@ -1,8 +1,8 @@
 """Child processes: start, limit, watch and end them.
 
-Limits of the operating system (setrlimit(2)) hold in native code, too, which no timer of Python's
-interrupts. A process sets them before it touches what it is to be protected from. A child can ask
-Linux to end it when its parent goes, however it goes (prctl(2)).
+Operating-system limits (setrlimit(2)) also apply to native code, which Python timers cannot
+interrupt. A process sets them before it processes untrusted input. A child can ask Linux to signal
+it when its parent dies for any reason (prctl(2)).
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from typing import IO, Any, Self
 import taxinet_ros
 
 Ladder = Sequence[tuple[signal.Signals, float]]
-"""Signals that ask a process to end, each with the grace that follows it [s]."""
+"""Signals that ask a process to end, each with the grace period after it [s]."""
 SOFT: Ladder = ((signal.SIGTERM, 5.0),)
 """For processes without state to save."""
 IN_ORDER: Ladder = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0))
-"""As a user would: Ctrl-C first."""
+"""Ctrl-C first, as a user would."""
 _LAST_GRACE_S = 60.0
 _LAST_BYTES = 4096
 
 
 def module_command(module: str, *words: str) -> list[str]:
     """Command line of a module of this package with this Python."""
-    # -P: a random.py in the user's folder must not become the standard library's.
+    # -P: a random.py in the user's folder must not shadow that of the standard library.
     return [sys.executable, '-P', '-m', module, *words]
 
 
 def package_environment() -> dict[str, str]:
-    """This very package wherever the child runs; else as a shell would start it."""
+    """Environment of this process in which a child imports this same package from any folder."""
     here = str(Path(taxinet_ros.__file__).resolve().parents[1])
     path = os.pathsep.join(part for part in (here, os.environ.get('PYTHONPATH', '')) if part)
     return {**os.environ, 'PYTHONPATH': path}
 
 
 def child_environment() -> dict[str, str]:
-    """This very package, the same hash order every time, and no idle threads for matrices."""
+    """As :func:`package_environment`, with a fixed hash order and single-threaded BLAS."""
     fixed = {'PYTHONHASHSEED': '0', 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
     return {**package_environment(), **fixed}
 
@@ -59,8 +59,8 @@ class ChildProcess:
 
     Attributes:
         name: display name, for messages.
-        log: file that takes, at its end, what it prints; None where that goes elsewhere.
-        process: the one that runs now, or ran last.
+        log: file to which its output is appended; None if the output goes elsewhere.
+        process: the current or last process.
     """
 
     def __init__(
@@ -70,27 +70,27 @@ class ChildProcess:
         stderr: int | IO[Any] | None = None, descriptors: Sequence[int] = (),
         new_session: bool = True, killed_with_parent: bool = False, signals_held: bool = False,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             name: display name, for messages.
             command: program and arguments, see :func:`module_command`.
-            log: file that takes what it prints, in the place of ``stdout`` and ``stderr``.
-            environment: all of it; :func:`child_environment` where None.
-            folder: where it runs; here where None.
-            stdin: as :class:`subprocess.Popen` takes it.
+            log: file to which output is appended; replaces ``stdout`` and ``stderr``.
+            environment: complete environment; None for :func:`child_environment`.
+            folder: working directory; None for the current one.
+            stdin: as for :class:`subprocess.Popen`.
             stdout: likewise.
             stderr: likewise.
-            descriptors: further ones that it has, see :func:`open_pipe`.
-            new_session: False for a process group of its own in this session, so that its terminal
-                is this process's, but Ctrl-C there is not for it.
-            killed_with_parent: whether Linux kills it when this thread goes. It is killed and not
-                asked, for one that hangs or is stopped would not hear.
-            signals_held: whether SIGINT, SIGTERM and SIGHUP wait until the program lets them come:
-                Python has no better answer than a traceback to what comes while it starts.
+            descriptors: further file descriptors to inherit, see :func:`open_pipe`.
+            new_session: False for a process group of its own in this session: it shares this
+                terminal, but does not receive its Ctrl-C.
+            killed_with_parent: whether Linux sends SIGKILL when this thread ends; a hanging or
+                stopped process would not handle other signals.
+            signals_held: whether SIGINT, SIGTERM and SIGHUP are blocked until the program unblocks
+                them: while Python starts, it would only print a traceback.
 
         Raises:
-            OSError: there is no such program, or the log cannot be written.
+            OSError: the program does not exist, or the log cannot be written.
         """
         self.name = name
         self.log = log
@@ -104,7 +104,7 @@ class ChildProcess:
         self.start()
 
     def start(self) -> None:
-        """Start it, or start it again."""
+        """Start or restart the process."""
         before = functools.partial(_before_program, os.getpid(), *self._before)
         with contextlib.ExitStack() as files:
             streams: dict[str, Any] = self._streams
@@ -132,7 +132,7 @@ class ChildProcess:
 
     @property
     def code(self) -> int | None:
-        """Its exit code, negative for a signal; None until its end has been observed."""
+        """Exit code, negative for a signal; None until its end has been observed."""
         return self.process.returncode
 
     @property
@@ -141,23 +141,23 @@ class ChildProcess:
         return self.process.poll() is not None
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal to it and to all of its group."""
+        """Send a signal to it and its whole process group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, number)
 
     def kill(self) -> None:
-        """Kill it and all of its group."""
+        """Kill it and its whole process group."""
         self.send(signal.SIGKILL)
 
     def wait(self, timeout_s: float | None = None) -> int | None:
-        """Its exit code once it has ended, negative for a signal; None after ``timeout_s``."""
+        """Wait for its end; return the exit code, negative for a signal, or None on timeout."""
         try:
             return self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, ladder: Ladder = SOFT) -> None:
-        """Have it end, see :func:`end_all`."""
+        """End it, see :func:`end_all`."""
         end_all([self], ladder)
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
             if stream is not None:
@@ -165,14 +165,14 @@ class ChildProcess:
                     stream.close()
 
     def how_it_ended(self) -> str:
-        """Its exit code or signal, and the last line of a log that says why."""
+        """Its exit code or signal; after a failure also the last line of its log."""
         if self.code is None:
             return 'outlives SIGKILL'
         last = self.last_line() if self.code > 0 else ''
         return f'{exit_words(self.code)}: {last}' if last else exit_words(self.code)
 
     def last_line(self, but: str | None = None) -> str:
-        """The last line in its log that does not begin with ``but``, or ''."""
+        """Last line of its log that does not begin with ``but``, or ''."""
         if self.log is None:
             return ''
         with self.log.open('rb') as log:
@@ -186,8 +186,8 @@ def end_all(children: Iterable[ChildProcess], ladder: Ladder = SOFT) -> list[str
     """End processes with a sequence of signals, finally SIGKILL, leaving no orphans.
 
     Args:
-        children: all that are to end.
-        ladder: what asks them before they are killed.
+        children: processes to end.
+        ladder: signals to send before SIGKILL.
 
     Returns:
         Names of those that had to be killed.
@@ -205,7 +205,7 @@ def end_all(children: Iterable[ChildProcess], ladder: Ladder = SOFT) -> list[str
 
 
 def _outlasting(children: list[ChildProcess], grace_s: float) -> list[ChildProcess]:
-    """The children that are still alive after a time."""
+    """Children that are still alive after the grace period."""
     deadline = time.monotonic() + grace_s
     return [
         child for child in children
@@ -214,12 +214,12 @@ def _outlasting(children: list[ChildProcess], grace_s: float) -> list[ChildProce
 
 
 def exit_words(code: int) -> str:
-    """Text on how a process ended, by its exit code (negative for a signal)."""
+    """Describe how a process ended, by its exit code (negative for a signal)."""
     return f'killed by {signal_name(-code)}' if code < 0 else f'exit code {code}'
 
 
 def signal_name(number: int) -> str:
-    """As in ``kill -l``; real-time signals have no names of their own."""
+    """Signal name as in ``kill -l``; real-time signals have none and are given by number."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -227,7 +227,7 @@ def signal_name(number: int) -> str:
 
 
 def open_pipe() -> tuple[int, int]:
-    """A pipe's end to read and end to write, of which none is a standard stream."""
+    """Create a pipe; return its read and write ends, neither of which is a standard stream."""
     fill_standard_descriptors()
     return os.pipe()
 
@@ -245,7 +245,7 @@ def limit_memory(most_bytes: int) -> None:
 
 
 def limit_cpu(most_s: int) -> None:
-    """Limit the processor time of this process; SIGXCPU ends it then."""
+    """Limit the processor time of this process; SIGXCPU ends it when the time is used up."""
     _lower(resource.RLIMIT_CPU, most_s)
 
 
@@ -270,7 +270,7 @@ def adopt_orphans() -> None:
 
 
 def _before_program(parent: int, killed_with_parent: bool, signals_held: bool) -> None:
-    """In a child, between fork and exec."""
+    """Set up a child between fork and exec."""
     if signals_held:
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     if killed_with_parent:

@@ -1,8 +1,8 @@
 """Interrupts (Ctrl-C, SIGTERM, closed terminal) and their exit codes.
 
-The first interrupt requests an orderly end, the second an immediate one. An exit code is a verdict:
-0 says that every run satisfied its specifications. So user code cannot end the process or choose
-its exit code, except below Python, as with C's ``exit``.
+The first interrupt requests an orderly end, the second an immediate one. Exit code 0 means that
+every run satisfied its specifications, so user code cannot end the process or choose its exit code,
+except through native code such as C's ``exit``.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _kept_by = 0
 
 
 class ToldInterrupt(KeyboardInterrupt):
-    """An interrupt that ends a command which has said what has become of its work."""
+    """Interrupt that ends a command which has already reported the state of its work."""
 
 
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
-    """Handle a signal like Ctrl-C, by KeyboardInterrupt, so that everything is cleaned up.
+    """Handle a signal like Ctrl-C, by raising KeyboardInterrupt, so that cleanup code runs.
 
-    While a library in C++ is being loaded, or calls from a destructor, the signal is put off: C++
-    lets no exception out of there, and would abort the process for it.
+    While a C++ library is being loaded or calls Python from a destructor, the signal is delayed:
+    an exception there would make C++ abort the process.
 
     Raises:
-        KeyboardInterrupt: else.
+        KeyboardInterrupt: in all other cases.
     """
     if _must_not_raise(frame):
         resend_signal(number)
@@ -66,7 +66,7 @@ def _must_not_raise(frame: FrameType | None) -> bool:
             frame.f_locals.get('self'), ExtensionFileLoader
         ):
             return True
-        # The executor of rclpy lets go of what it waits for in destructors.
+        # The executor of rclpy releases the entities it waits for in destructors.
         if name == '__exit__' and str(frame.f_globals.get('__name__')).startswith('rclpy.'):
             return True
         frame = frame.f_back
@@ -76,11 +76,12 @@ def _must_not_raise(frame: FrameType | None) -> bool:
 def refuse_exits() -> None:
     """Replace functions that end the process immediately, so that they raise SystemExit.
 
-    Its children may end as they like. A Ctrl-C is noted from now on, wherever it is handled.
+    Child processes are not affected. From now on every Ctrl-C is recorded, even if user code
+    handles it.
     """
     global _kept_by
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        with contextlib.suppress(ValueError):  # not the main thread, which alone is interrupted
+        with contextlib.suppress(ValueError):  # only the main thread can set handlers
             signal.signal(signal.SIGINT, raise_interrupt)
     if not _kept_by:
         for name in _EXITS:
@@ -96,7 +97,7 @@ def _refusing(name: str, end: Callable[..., NoReturn]) -> Callable[..., NoReturn
         if os.getpid() != _kept_by or (name == '_exit' and caller in _FORKED):
             end(*words, **named)
         called = f'os.{name}({", ".join(map(repr, words))})'
-        if threading.current_thread() is not threading.main_thread():  # where it would be silent
+        if threading.current_thread() is not threading.main_thread():  # SystemExit is silent
             warn_once(f'{called}: refused in a thread of user code')
         raise SystemExit(called)
 
@@ -116,17 +117,16 @@ def interrupts(
 ) -> Iterator[None]:
     """Context in which the first interrupt calls ``first`` and the next one ``second``.
 
-    Where that helps nothing, for somebody's code does not come back, the process is ended after
-    :data:`_STUCK_S`.
+    If user code still does not return, the process is ended after :data:`_STUCK_S`.
 
     Args:
-        first: has what is at hand end in order.
-        second: has whoever waits give up, or answers False where there is nobody to be told.
-        gone_s: the process is ended so long after the second interrupt [s], whatever ``second``
-            answers; for what has nothing to clear away that the kernel does not. None: not so.
+        first: requests an orderly end of the current work.
+        second: makes waiting code give up; returns False if none is waiting.
+        gone_s: the process is ended this long after the second interrupt [s], whatever ``second``
+            returns; for work that needs no cleanup beyond the kernel's. None: no such limit.
 
     Raises:
-        KeyboardInterrupt: where ``second`` answers False, and at the third interrupt.
+        KeyboardInterrupt: ``second`` returned False, or at the third interrupt.
     """
     asked = 0
     stuck = threading.Timer(_STUCK_S if gone_s is None else gone_s, _exit_stuck)
@@ -181,7 +181,7 @@ def handle_signals(
 def lost_interrupts_resent() -> Iterator[None]:
     """Context that resends an interrupt that Python could not raise.
 
-    In a destructor, or in a callback of the import system, it would be printed and forgotten.
+    In a destructor, or in a callback of the import system, Python would only print it.
     """
     before = sys.unraisablehook
 
@@ -189,7 +189,7 @@ def lost_interrupts_resent() -> Iterator[None]:
         if not issubclass(what.exc_type, KeyboardInterrupt):
             before(what)
             return
-        # At once, it would be raised right here.
+        # Delayed, since it would otherwise be raised right here.
         resend_signal(_newest_stop())
 
     sys.unraisablehook = hook
@@ -202,7 +202,8 @@ def lost_interrupts_resent() -> Iterator[None]:
 def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:
     """Signal handler that ends the process immediately, regardless of its threads.
 
-    For where nothing is begun, or all is done: :attr:`ExitCode.INTERRUPTED` is told apart.
+    For use before work has begun or after it is done. :attr:`ExitCode.INTERRUPTED` becomes the exit
+    code of the signal, see :func:`interrupted_exit_code`.
     """
     def handle(number: int, frame: FrameType | None) -> NoReturn:
         RECEIVED_STOPS.append(number)
@@ -219,9 +220,9 @@ def _exit_stuck() -> None:
 
 
 def interrupted_exit_code(code: int) -> int:
-    """An exit code, where an interrupt's is that of the signal that came: 130, or 143 of SIGTERM.
+    """Exit code, or for an interrupt that of the received signal: 130, or 143 for SIGTERM.
 
-    So do shells, with 128 and the signal's number (POSIX.1-2024, XCU section 2.8.2).
+    As in shells, it is 128 plus the signal number (POSIX.1-2024, XCU section 2.8.2).
     """
     return 128 + _newest_stop() if code == ExitCode.INTERRUPTED else code
 

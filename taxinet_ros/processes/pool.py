@@ -1,6 +1,6 @@
 """Pool of worker processes for functions; ends with its parent or on an interrupt.
 
-The workers are spawned: a fork would copy the threads of torch and onnxruntime badly.
+Workers are spawned, because the threads of torch and onnxruntime do not survive a fork.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def process_pool(
 
     Args:
         workers: number of workers; None for the number of cores.
-        name: of one, for the message when it dies.
-        start: is called first in each of them.
-        arguments: of ``start``.
+        name: name of a worker, for the message if it dies.
+        start: function called first in each worker.
+        arguments: arguments of ``start``.
 
     Raises:
-        InfraError: one of them died.
+        InfraError: a worker died.
     """
     with ProcessPool(workers, SPAWN, _begin_worker, (start, *arguments)) as pool:
         try:

@@ -21,12 +21,12 @@ class Epoch:
     """One epoch: a pass over the training images and its validation.
 
     Attributes:
-        number: from 1.
-        learning_rate: at its last step.
-        training_loss: mean over its steps, while the weights changed and, where asked for, on
-            augmented pictures; it may therefore lie above the other.
+        number: number of the epoch, from 1.
+        learning_rate: learning rate at its last step.
+        training_loss: mean over its steps, with changing weights and, if requested, on augmented
+            pictures; it may therefore exceed ``validation_loss``.
         validation_loss: mean over the validation pictures, with the weights at its end.
-        cte_mae_m, he_mae_deg: mean absolute errors there [m] and [degrees].
+        cte_mae_m, he_mae_deg: mean absolute errors on them [m] and [degrees].
     """
 
     number: int
@@ -38,7 +38,7 @@ class Epoch:
 
 
 def history_csv(history: Sequence[Epoch]) -> str:
-    """The epochs as CSV, one line each under the names of their values."""
+    """The epochs as CSV with a header, one row per epoch."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(field.name for field in fields(Epoch))
@@ -49,11 +49,11 @@ def history_csv(history: Sequence[Epoch]) -> str:
 
 _BATCH = 256
 _NORMAL_95 = 1.959964
-"""Standard deviations that hold 95 % of a normal distribution on both sides of its mean."""
+"""Two-sided 95 % quantile of the standard normal distribution."""
 
 
 def absolute_errors(network: TaxiNet, dataset: Dataset) -> NDArray[np.float64]:
-    """Distances of the estimates from the truth, (N, 2): [m] and [rad]."""
+    """Absolute errors of the estimates, (N, 2): [m] and [rad]."""
     starts = range(0, len(dataset), _BATCH)
     parts = [network.infer(dataset.pictures[start : start + _BATCH]) for start in starts]
     truth = np.stack([dataset.cte_m, dataset.he_rad], axis=1)
@@ -61,20 +61,20 @@ def absolute_errors(network: TaxiNet, dataset: Dataset) -> NDArray[np.float64]:
 
 
 def error_statistics(errors: NDArray[np.float64]) -> dict[str, dict[str, float]]:
-    """Mean, percentiles and maximum of errors (N, 2) in [m] and [rad], as a model card has them."""
+    """Mean, percentiles and maximum of errors (N, 2) in [m] and [rad], as in a model card."""
     columns = zip(ERROR_QUANTITIES, in_card_units(errors).T, strict=True)
     return {name: _row(column) for name, column in columns}
 
 
 def in_card_units(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Errors (N, 2) in [m] and [degrees] of those in [m] and [rad]."""
+    """Convert errors (N, 2) from [m] and [rad] to [m] and [degrees]."""
     return np.stack([errors[:, 0], np.degrees(errors[:, 1])], axis=1)
 
 
 def half_width_95(values: NDArray[np.float64]) -> float | None:
     """Half the width of a 95 % confidence interval of the mean, None for fewer than two values.
 
-    It takes the mean for normally distributed, which that of some dozens of independent errors is.
+    It assumes a normally distributed mean, as for a few dozen independent errors.
     """
     if len(values) < 2:
         return None

@@ -32,7 +32,7 @@ SLICES: dict[str, Callable[[Scenario], bool]] = {
     'rain': lambda s: s.rain_fraction > 0,
     'crossing': lambda s: _late_morning(s) and _at_crossing(s),
 }
-"""Parts of S_falsif that the paper's analysis tells apart, each by what belongs to it."""
+"""Parts of S_falsif that the paper's analysis distinguishes, with their membership tests."""
 
 _Frame = tuple[NDArray[np.uint8], TrackingError]
 
@@ -42,13 +42,12 @@ class SliceErrors:
     """Absolute errors on one part of the images.
 
     Attributes:
-        name: of the part.
-        images: how many belong to it.
-        without_estimate: those of them that the perception could not judge; the errors are of
-            the others.
-        errors: as in a model card, by quantity and statistic; empty where there are none.
-        half_widths: of the 95 % confidence interval of each mean, by quantity; None where one or
-            no error is too few to tell.
+        name: name of the part.
+        images: number of images in it.
+        without_estimate: number of images without an estimate, which are left out of the errors.
+        errors: as in a model card, by quantity and statistic; empty if there are none.
+        half_widths: half width of the 95 % confidence interval of each mean, by quantity; None for
+            fewer than two errors.
     """
 
     name: str
@@ -75,10 +74,10 @@ def _as_trained(s: Scenario) -> bool:
 
 
 def image_perception(word_or_file: str) -> Perception:
-    """The perception of that word or file, if it looks at images at all.
+    """The perception of a word or file, which must use images.
 
     Raises:
-        UsageError: it cannot be used, or needs no images.
+        UsageError: it cannot be used, or uses no images.
     """
     perception = make_perception(word_or_file)
     if not perception.needs_image:
@@ -98,15 +97,15 @@ def evaluate_program(
     workers: int = 2,
     progress: Progress = no_progress,
 ) -> list[SliceErrors]:
-    """Measure a perception at the start of a program's scenes, whole and by :data:`SLICES`.
+    """Evaluate a perception at the start of a program's scenes, in total and by :data:`SLICES`.
 
     Args:
-        perception: looks at full frames, as in a run.
+        perception: perception of full frames, as in a run.
         program: word of a shipped Scenic program or path of one.
-        images: scenes to look at.
-        seed: of the scenes; another than in the training, or they were seen there.
-        workers: processes that render.
-        progress: told of the stages ``scenes`` and ``images``.
+        images: number of scenes.
+        seed: seed of the scenes; it must differ from that of the training.
+        workers: number of rendering processes.
+        progress: called in the stages ``scenes`` and ``images``.
 
     Raises:
         UsageError: the program cannot be used.
@@ -125,7 +124,7 @@ def evaluate_program(
 def evaluate_folder(
     perception: Perception, folder: Path, progress: Progress = no_progress
 ) -> list[SliceErrors]:
-    """Measure a perception on a folder of labelled images, whole only.
+    """Evaluate a perception on a folder of labelled images, in total only.
 
     Raises:
         UsageError: the folder, its labels or an image cannot be used.
@@ -136,7 +135,7 @@ def evaluate_folder(
 
 
 def by_slice(errors: NDArray[np.float64], scenes: Sequence[Scenario]) -> list[SliceErrors]:
-    """The errors of every part, from absolute ones (N, 2) [m], [rad]; NaN: no estimate."""
+    """Errors of every part from absolute errors (N, 2) [m], [rad]; NaN means no estimate."""
     rows = []
     for name, belongs in SLICES.items():
         chosen = np.array([belongs(scene) for scene in scenes], bool)

@@ -24,10 +24,10 @@ from taxinet_ros.training.torch_network import (
 )
 
 _WARM_UP = 0.1
-"""Share of all steps in which the learning rate rises, before it falls to nothing."""
+"""Share of all steps in which the learning rate rises, before it falls to zero."""
 
 _ROUND_BELOW = 0.05
-"""Errors below it count squared, above it in proportion: hopeless pictures must not dominate."""
+"""Huber threshold: larger errors count linearly, so that unusable pictures do not dominate."""
 
 _MEASURED_AT_ONCE = 256
 """Validation pictures per pass through the network."""
@@ -35,17 +35,17 @@ _MEASURED_AT_ONCE = 256
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recipe:
-    """How a network is fitted.
+    """Hyperparameters of a training.
 
     Attributes:
-        epochs: times that every picture is seen.
-        batch: pictures per step; a rest that does not fill one sits the epoch out.
-        learning_rate: the highest.
-        seed: of the first weights, of the order of the pictures, and of their augmentation.
-        patience: epochs without a better validation loss after which to stop; 0 is never. The
+        epochs: number of passes over all pictures.
+        batch: pictures per step; an incomplete last batch is skipped in that epoch.
+        learning_rate: maximum learning rate.
+        seed: seed of the initial weights, of the order of the pictures, and of their augmentation.
+        patience: epochs without a better validation loss after which to stop; 0 means never. The
             learning rate falls until the last epoch and most of the gain comes with its fall, so
-            stopping before it saves time at the cost of accuracy.
-        augmented: whether every picture is changed a little each time it is seen.
+            stopping early saves time at the cost of accuracy.
+        augmented: whether every picture is augmented in each epoch.
     """
 
     epochs: int
@@ -58,12 +58,12 @@ class Recipe:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Fitted:
-    """What came out.
+    """Result of a training.
 
     Attributes:
-        weights: by name, those of the epoch with the lowest validation loss.
-        history: every epoch, in order.
-        best_epoch: number of the epoch whose weights these are.
+        weights: weights by name, of the epoch with the lowest validation loss.
+        history: all epochs in order.
+        best_epoch: number of the epoch of these weights.
     """
 
     weights: dict[str, NDArray[np.float32]]
@@ -79,21 +79,21 @@ def fit(
     progress: Progress = no_progress,
     start: Weights | None = None,
 ) -> Fitted:
-    """Train a network, by AdamW under one cycle of the learning rate.
+    """Train a network with AdamW and a one-cycle learning rate schedule.
 
-    One thread and seeded generators make it repeatable: on one machine, the same arguments give
-    the same weights to the bit. The number of threads holds for all of torch in this process.
+    One thread and seeded generators make it deterministic: on one machine, the same arguments give
+    bit-identical weights. The number of threads is set for torch in the whole process.
 
     Args:
-        architecture: of the network.
-        training: pictures and true errors to learn.
-        validation: others, which choose the epoch.
-        recipe: how.
-        progress: told after every epoch.
-        start: weights to begin from; None to draw fresh ones.
+        architecture: architecture of the network.
+        training: training pictures and true errors.
+        validation: other pictures, by which the epoch is chosen.
+        recipe: hyperparameters.
+        progress: called after every epoch.
+        start: initial weights; None for random ones.
 
     Raises:
-        UsageError: the loss left the numbers; a lower learning rate mends that.
+        UsageError: the loss is not finite; a lower learning rate helps.
     """
     torch.set_num_threads(1)
     with torch.random.fork_rng(devices=[]):
@@ -113,7 +113,7 @@ def fit(
 
 
 class _Trainer:
-    """A network in training, with all that has a state."""
+    """A network in training, with all state."""
 
     def __init__(
         self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe,
@@ -125,7 +125,7 @@ class _Trainer:
             unfold_batch_norm(
                 network, start, torch.from_numpy(normalise(training.pictures[some.astype(int)]))
             )
-        # The annotations of Module.to leave the memory format out.
+        # The annotations of Module.to omit the memory format.
         self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training
         self._targets = torch.from_numpy(scaled(training.cte_m, training.he_rad))
@@ -133,7 +133,7 @@ class _Trainer:
         self._recipe = recipe
         self._steps = max(1, len(training) // recipe.batch)
         self._order = np.random.default_rng(recipe.seed)
-        # Of its own, so that the order of the pictures is the same with augmentation and without.
+        # Separate, so that the order of the pictures does not depend on augmentation.
         self._chance = np.random.default_rng([recipe.seed, 1])
         rate = recipe.learning_rate
         self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=rate, weight_decay=0.01)
@@ -143,7 +143,7 @@ class _Trainer:
         )
 
     def epoch(self, number: int) -> Epoch:
-        """See every training picture once, then measure."""
+        """Train on every picture once, then validate."""
         self._network.train()
         losses = [self._step(rows) for rows in self._batches()]
         validation_loss, cte_mae_m, he_mae_rad = self._measure()
@@ -162,7 +162,7 @@ class _Trainer:
         )
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """The weights as they are now, for the plain architecture."""
+        """The current weights, for the plain architecture."""
         return fold_batch_norm(self._network)
 
     def _batches(self) -> Iterator[NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""The learning curves of a training as a picture."""
+"""Picture of the learning curves of a training."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from taxinet_ros.training.accuracy import Epoch
 
-# Okabe and Ito's colours, told apart with every common colour blindness; lines differ in their
-# strokes as well, for print in grey.
+# Okabe-Ito colours, distinguishable with all common colour vision deficiencies; lines also differ
+# in their dashes, for greyscale prints.
 _TRAINING: dict[str, Any] = {'color': '#0072B2', 'linestyle': (0, (4, 1.5)), 'linewidth': 1.6}
 _VALIDATION: dict[str, Any] = {'color': '#D55E00', 'linewidth': 2.0, 'marker': 'o', 'markersize': 3}
 _HEADING: dict[str, Any] = {'color': '#009E73', 'linewidth': 2.0, 'marker': 's', 'markersize': 3}
@@ -26,12 +26,12 @@ _BEST: dict[str, Any] = {'color': '0.4', 'linewidth': 1.2, 'linestyle': (0, (1, 
 def learning_curves(history: Sequence[Epoch], best_epoch: int, title: str) -> bytes:
     """A PNG of losses, errors on the validation pictures, and learning rate over the epochs.
 
-    The same values give the same bytes. A dotted line marks the epoch whose weights were kept.
+    The same values give the same bytes. A dotted line marks the epoch of the final weights.
 
     Args:
-        history: every epoch, at least one.
-        best_epoch: the one marked.
-        title: heads the picture.
+        history: all epochs, at least one.
+        best_epoch: the marked epoch.
+        title: title of the picture.
     """
     figure = Figure(figsize=(13.5, 4.3), dpi=110, layout='constrained')
     FigureCanvasAgg(figure)
@@ -72,7 +72,7 @@ def _draw_errors(axes: Axes, history: Sequence[Epoch], best_epoch: int) -> None:
 
 
 def _log_scale(axes: Axes, title: str) -> None:
-    """A logarithmic scale whose labels are plain numbers, also where it spans no decade."""
+    """Set a logarithmic scale with plain number labels, even if it spans no decade."""
     axes.set(title=title, yscale='log')
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_minor_locator(LogLocator(subs='all'))

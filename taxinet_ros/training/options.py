@@ -27,36 +27,35 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrainOptions:
-    """What to train on, how, and where the result goes; numbers are checked on construction.
+    """Options of a training; numbers are checked on construction.
 
     Attributes:
         out: weights file to write, ``NAME.safetensors``; its card becomes ``NAME.json``, its
             learning curves ``NAME.png`` and ``NAME.csv``.
         program: word of a shipped Scenic program or path of one, or None to train on ``data``.
         data: folders of labelled images, or none to train on ``program``.
-        validation_data: folder of the validation images; None to hold some of the others back.
-        sampler: how the program's scenes are drawn, a word of
+        validation_data: folder of the validation images; None to hold out some of the others.
+        sampler: sampler of the program's scenes, a word of
             :data:`~taxinet_ros.training.data.dataset.SAMPLERS`.
-        validation_program: program of the validation scenes, which are those that a training on
-            it with the same seed and number of images would hold back; None for ``program``.
+        validation_program: program of the validation scenes, which are those that a training on it
+            with the same seed and number of images would hold out; None for ``program``.
         add: pictures added to those of ``program``, with validation pictures in proportion.
-        start: weights to begin from, as a file or a shipped network's word; None to draw fresh
-            ones.
-        images: pictures to train on, one per scene of the program.
-        validation: further scenes of the program, or rows of the data, held back to choose the
-            epoch and to measure the errors on.
+        start: initial weights, as a file or a shipped network's word; None for random ones.
+        images: number of training pictures, one per scene of the program.
+        validation: number of further scenes of the program, or rows of the data, held out to choose
+            the epoch and to measure the errors.
         varied: whether the look of the rendered world varies.
-        augment: whether every picture is changed a little each time it is seen.
-        epochs: times that every picture is seen.
+        augment: whether every picture is augmented in each epoch.
+        epochs: number of passes over all pictures.
         batch: pictures per step.
-        learning_rate: the highest of the one-cycle schedule.
-        patience: epochs without a better validation loss after which to stop; 0 is never.
-        seed: of everything random.
-        workers: processes that render, or threads that read; the result does not depend on them.
+        learning_rate: maximum of the one-cycle schedule.
+        patience: epochs without a better validation loss after which to stop; 0 means never.
+        seed: seed of everything random.
+        workers: number of rendering processes or reading threads; results do not depend on it.
         overwrite: whether existing files may be replaced.
 
     Raises:
-        UsageError: a number is out of range, or options do not go together.
+        UsageError: a number is out of range, or options are incompatible.
     """
 
     out: Path
@@ -118,7 +117,7 @@ class TrainOptions:
 
     @property
     def command_line(self) -> str:
-        """The command that trains these weights, with every option that matters."""
+        """The command that trains these weights, with every relevant option."""
         words = ['taxinet', 'train', *([] if self.program is None else [self.program])]
         for folder in self.data:
             words += ['--data', str(folder)]
@@ -148,19 +147,19 @@ class TrainOptions:
 
     @property
     def curves_path(self) -> Path:
-        """The picture of the learning curves."""
+        """Path of the picture of the learning curves."""
         return self.out.with_suffix('.png')
 
     @property
     def history_path(self) -> Path:
-        """The numbers of the learning curves."""
+        """Path of the table of the learning curves."""
         return self.out.with_suffix('.csv')
 
     def check_out(self) -> None:
-        """See that the result can be written, before hours go into it.
+        """Check that the result can be written, before hours of training.
 
         Raises:
-            UsageError: wrong suffix, no such folder, not writable, or there already.
+            UsageError: the suffix is wrong, the folder missing or unwritable, or the file exists.
         """
         out = self.out
         if out.suffix != SUFFIX:

@@ -1,8 +1,8 @@
 """Torch version of the network for training, with batch normalisation folded in afterwards.
 
-Normalised channels train faster and to a better end (Ioffe and Szegedy, ICML 2015). Once
-trained, each normalisation is an affine map of the convolution before it and is folded into
-its weights: the network that is shipped, and runs, has none.
+Batch normalisation makes training faster and more accurate (Ioffe and Szegedy, ICML 2015). After
+training, each normalisation is an affine map of the preceding convolution and is folded into its
+weights, so the shipped network has none.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from taxinet_ros.core.perception.weights import Weights
 
 
 def torch_network(architecture: Architecture) -> nn.Sequential:
-    """A network of this architecture, its weights drawn from torch's global generator.
+    """A network of this architecture with weights drawn from torch's global generator.
 
     The names of its layers are those of :meth:`Architecture.shapes`.
     """
@@ -38,7 +38,7 @@ def torch_network(architecture: Architecture) -> nn.Sequential:
 
 
 def build_with_batch_norm(architecture: Architecture) -> nn.Sequential:
-    """A network to train, its weights drawn from torch's global generator."""
+    """A network for training, with weights drawn from torch's global generator."""
     layers: OrderedDict[str, nn.Module] = OrderedDict()
     for name, layer in torch_network(architecture).named_children():
         layers[name] = layer
@@ -48,12 +48,12 @@ def build_with_batch_norm(architecture: Architecture) -> nn.Sequential:
 
 
 def fold_batch_norm(network: nn.Sequential) -> dict[str, NDArray[np.float32]]:
-    """Weights of the plain architecture that answers as ``network`` does in evaluation."""
+    """Weights of the plain architecture with the same outputs as ``network`` in evaluation."""
     layers = dict(network.named_children())
     weights: dict[str, NDArray[np.float32]] = {}
     for name, layer in layers.items():
         if isinstance(layer, nn.Conv2d | nn.Linear):
-            assert layer.bias is not None  # every layer of ours has one
+            assert layer.bias is not None  # all our layers have one
             weight, bias = layer.weight.detach(), layer.bias.detach()
             norm = layers.get(_norm_of(name))
             if isinstance(norm, nn.BatchNorm2d):
@@ -64,22 +64,22 @@ def fold_batch_norm(network: nn.Sequential) -> dict[str, NDArray[np.float32]]:
 
 
 def unfold_batch_norm(network: nn.Sequential, weights: Weights, seen: torch.Tensor) -> None:
-    """Give a network of :func:`build_normed` the weights of a plain one, to train it further.
+    """Load plain weights into a network of :func:`build_with_batch_norm`, to train it further.
 
-    Every normalisation is set to what leaves its convolution's answers to ``seen`` as they are, so
-    that evaluation gives the plain network's answers, and training begins close to them.
+    Every normalisation is set to leave its convolution's outputs for ``seen`` unchanged, so that
+    evaluation gives the plain network's outputs, and training starts close to them.
 
     Args:
-        network: written to.
-        weights: of its plain architecture.
-        seen: inputs, (N, 1, H, W), some hundreds of those that it will be trained on.
+        network: network to modify.
+        weights: weights of its plain architecture.
+        seen: some hundred training inputs, (N, 1, H, W).
     """
     network.eval()
     with torch.no_grad():
         for name, layer in network.named_children():
             if isinstance(layer, nn.Conv2d | nn.Linear):
                 layer.weight.copy_(torch.from_numpy(weights[f'{name}.weight']))
-                assert layer.bias is not None  # every layer of ours has one
+                assert layer.bias is not None  # all our layers have one
                 layer.bias.copy_(torch.from_numpy(weights[f'{name}.bias']))
             elif isinstance(layer, nn.BatchNorm2d):
                 _set_to_identity(layer, seen)
@@ -88,7 +88,7 @@ def unfold_batch_norm(network: nn.Sequential, weights: Weights, seen: torch.Tens
 
 def _set_to_identity(norm: nn.BatchNorm2d, answers: torch.Tensor) -> None:
     variance, mean = torch.var_mean(answers, dim=(0, 2, 3), correction=0)
-    assert norm.running_mean is not None  # both are kept, as is the default
+    assert norm.running_mean is not None  # both are tracked by default
     assert norm.running_var is not None
     norm.running_mean.copy_(mean)
     norm.running_var.copy_(variance)
@@ -104,7 +104,7 @@ def _folded_layer(
     weight: torch.Tensor, bias: torch.Tensor, norm: nn.BatchNorm2d
 ) -> tuple[torch.Tensor, torch.Tensor]:
     mean, variance = norm.running_mean, norm.running_var
-    assert mean is not None  # both are kept, as is the default
+    assert mean is not None  # both are tracked by default
     assert variance is not None
     scale = norm.weight.detach() / torch.sqrt(variance + norm.eps)
     return weight * scale[:, None, None, None], (bias - mean) * scale + norm.bias.detach()

@@ -1,4 +1,4 @@
-"""From a Scenic program or folders of labelled images to a weights file with its model card."""
+"""Train a network on a Scenic program or folders of labelled images; write weights and card."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ if TYPE_CHECKING:
 
 
 _SPLIT = 2
-"""Tells the random numbers that hold rows back from those of the training."""
+"""Stream key that separates the random numbers of the split from those of the training."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrainingData:
-    """What to learn and what to measure on, and where both come from.
+    """Training and validation pictures with their origins.
 
     Attributes:
         training, validation: the pictures.
-        training_data, validation_data: their origins, as a model card has them; the latter is
-            empty where the validation pictures were held back from the others.
+        training_data, validation_data: their origins, as in a model card; the latter is empty if
+            the validation pictures were held out from the others.
     """
 
     training: Dataset
@@ -61,10 +61,10 @@ class TrainingData:
 
 
 def get_training_data(options: TrainOptions, progress: Progress) -> TrainingData:
-    """Render or read what the options ask for.
+    """Render or read the pictures requested by the options.
 
     Raises:
-        UsageError: a program, campaign or folder cannot be used, or has too little.
+        UsageError: a program, campaign or folder cannot be used, or has too few pictures.
         InfraError: a worker process died, or the simulator failed.
     """
     if options.program is not None:
@@ -74,7 +74,7 @@ def get_training_data(options: TrainOptions, progress: Progress) -> TrainingData
 
 @dataclass(frozen=True, slots=True)
 class _SceneGroup:
-    """Scenes that are trained on, or held back, together."""
+    """Scenes of one origin, for training or held out."""
 
     scenes: list[Scenario]
     held_back: bool
@@ -84,7 +84,7 @@ def _render_scenes(options: TrainOptions, program: str, progress: Progress) -> T
     other = options.validation_program
     sources = (program_source(program), *(portion.source() for portion in options.add))
     validation_data = () if other is None else (program_source(other),)
-    # The program's own lots come first, so that nothing added changes their pictures.
+    # The program's own groups come first, so that additions do not change their pictures.
     lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
@@ -98,7 +98,7 @@ def _render_scenes(options: TrainOptions, program: str, progress: Progress) -> T
 
 
 def _program_scenes(options: TrainOptions, program: str, progress: Progress) -> list[_SceneGroup]:
-    """The program's scenes, and those held back, of it or of the validation program."""
+    """The program's scenes, and the held-out ones, of it or of the validation program."""
     images, total = options.images, options.images + options.validation
     other = options.validation_program
     scenes = draw_scenes(
@@ -140,7 +140,7 @@ def _read_folders(options: TrainOptions, progress: Progress) -> TrainingData:
 
 
 def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
-    """Rows to learn and rows held back, each in the order of the tables."""
+    """Split into training and held-out rows, each in the order of the tables."""
     left = len(dataset) - options.validation
     if left < 1:
         raise UsageError(
@@ -158,19 +158,19 @@ def _check_batch(options: TrainOptions, images: int) -> None:
 
 
 def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
-    """Get labelled pictures, fit a network, measure it, and write weights, card and curves.
+    """Get labelled pictures, train and evaluate a network, and write weights, card and curves.
 
-    Everything that can be wrong with the options is found before the work starts. Files appear
-    at the end and whole; equal options give equal weights on one machine.
+    All errors in the options are found before the work starts. Files are written atomically at the
+    end; equal options give equal weights on one machine.
 
     Args:
-        options: what to do.
-        progress: told of the stages ``scenes``, ``images``, ``held back`` (images of
+        options: options of the training.
+        progress: called in the stages ``scenes``, ``images``, ``held back`` (images of
             ``validation_data``) and ``epochs``.
 
     Returns:
-        The card that was written. Its errors were measured on the pictures that also chose the
-        epoch, one of a few dozen, which flatters them a little.
+        The written card. Its errors are slightly optimistic, since they were measured on the
+        pictures that also chose the epoch, one of a few dozen.
 
     Raises:
         UsageError: options, program, data or folder cannot be used.
@@ -210,7 +210,7 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 def _fit(
     options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress
 ) -> Fitted:
-    from taxinet_ros.training.fit import Recipe, fit  # torch: bad options should not wait for it
+    from taxinet_ros.training.fit import Recipe, fit  # imports torch, after checking options
 
     recipe = Recipe(
         epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,

@@ -59,6 +59,17 @@ def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_
     assert parts.rows.drop(columns=PER_MACHINE).equals(whole.rows.drop(columns=PER_MACHINE))
 
 
+def test_given_late_answers_then_a_search_drives_as_single_runs_do(tmp_path):
+    late = {'latency': 'perception=0.5', 'rates': 'cte=3', 'stop_on': 'violated'}
+    specs = ['phi_eventually', 'soon=always[3:4](cte <= 9)']
+    found = search(tmp_path / 'late', runs=1, specs=specs, **late)
+    at_once = search(tmp_path / 'at-once', runs=1, specs=specs)
+    assert found.rows['rho_soon'][0] != at_once.rows['rho_soon'][0]
+    assert (found.facts['rates'], found.facts['timing']) == (
+        ['cte=3'], 'latency perception=0.5'
+    )
+
+
 def test_given_a_function_that_fails_then_its_runs_are_infrastructure_errors(tmp_path):
     file = tmp_path / 'eyes.py'
     file.write_text('def look(frame):\n    raise ValueError("blind")\n')
@@ -81,6 +92,9 @@ def test_given_a_function_that_fails_then_its_runs_are_infrastructure_errors(tmp
     ({'workers': 0}, 'workers'),
     ({'specs': ()}, 'no requirement'),
     ({'resume': True}, 'nothing to resume'),
+    ({'bounds': 'he=-1:1'}, 'bounds? he: has no effect'),
+    ({'latency': 'eyes=1'}, 'latency eyes=1'),
+    ({'world': 'moon'}, "world: 'moon' is unknown"),
 ])
 def test_given_what_cannot_be_then_one_line_says_so_and_nothing_is_written(asked, words, tmp_path):
     with pytest.raises(tx.UsageError, match=words):

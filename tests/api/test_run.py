@@ -67,6 +67,56 @@ def test_given_a_function_with_reset_then_each_run_finds_it_as_new():
     pd.testing.assert_frame_equal(first.trace, second.trace, check_exact=True)
 
 
+def test_given_a_trace_that_is_changed_then_the_run_keeps_its_own():
+    run = tx.run(SHORT)
+    changed = run.trace
+    changed['cte_m'] = 99.0
+    assert tx.robustness('phi_eventually', run.trace) == run.rho['phi_eventually'].lower
+
+
+class Braking:
+    """A controller as the protocol has it: told of the scenario before each run."""
+
+    def begin(self, scenario):
+        self.speed_mps = scenario.speed_mps / 2
+
+    def command(self, estimate):
+        return 0.0, self.speed_mps
+
+
+class Forgetting(Braking):
+    speed_mps = 1.0
+
+    def begin(self):
+        """Take no scenario."""
+
+
+def test_given_an_object_as_controller_then_its_begin_may_take_the_scenario():
+    scenario = replace(SHORT, speed_mps=8.0)
+    assert set(tx.run(scenario, controller=Braking()).trace['speed_cmd_mps']) == {4.0}
+    assert set(tx.run(scenario, controller=Forgetting()).trace['speed_cmd_mps']) == {1.0}
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    ({'controller': type('Odd', (Braking,), {'begin': lambda self, a, b: None})()},
+     'controller: begin of .* cannot be called with the scenario or nothing'),
+    ({'perception': type('Odd', (Blinking,), {'begin': lambda self, scenario: None})()},
+     'perception: begin of .* cannot be called with no argument'),
+    ({'perception': type('Odd', (Blinking,), {'reset': 3})()}, 'perception: reset of '),
+])
+def test_given_an_object_that_cannot_be_begun_then_it_is_refused_by_name(options, words):
+    with pytest.raises(tx.UsageError, match=words):
+        tx.run(SHORT, **options)
+
+
+@pytest.mark.parametrize('scenario', [
+    replace(SHORT, speed_mps=10.0), replace(SHORT, runway_state='icy'),
+])
+def test_given_a_fast_or_slippery_run_then_it_is_not_said_that_none_can_violate(scenario, recwarn):
+    tx.run(scenario, specs='fast=always(speed <= 12)')
+    assert [str(one.message) for one in recwarn] == []
+
+
 def test_given_a_formula_on_an_estimate_that_is_missing_then_the_run_has_no_verdict():
     spec = 'always(abs(cte_estimate) <= 9)'
     run = tx.run(SHORT, perception=Blinking(), specs=spec)

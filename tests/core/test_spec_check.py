@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
@@ -22,11 +23,11 @@ GAINS = SteeringGains()
 
 
 def understood(text: str, duration_s: float = 30.0) -> str:
-    return check_specs([parse_spec(text)], duration_s, GAINS).lines[0]
+    return check_specs([parse_spec(text)], Scenario(duration_s=duration_s), GAINS).lines[0]
 
 
 def warned(text: str, duration_s: float = 30.0, gains: SteeringGains | None = GAINS) -> list[str]:
-    return list(check_specs([parse_spec(text)], duration_s, gains).warnings)
+    return list(check_specs([parse_spec(text)], Scenario(duration_s=duration_s), gains).warnings)
 
 
 @pytest.mark.parametrize(
@@ -210,9 +211,30 @@ def test_people2_given_other_gains_or_a_foreign_controller_then_its_limits_count
     assert warned(text, gains=None) == []
 
 
+@pytest.mark.parametrize('values', [
+    {'speed_mps': 10.0}, {'wind_speed_mps': 10.0, 'wind_direction_rad': 1.6}, {'gust_mps': 2.0},
+    {'runway_state': 'icy'}, {'slope_fraction': 0.05},
+])
+def test_given_what_moves_the_aircraft_faster_or_astray_then_no_bound_of_its_motion_is_claimed(
+    values: dict[str, Any],
+) -> None:
+    scenario = Scenario(**values)
+    for text in ('fast=always(speed <= 12)', 'wide=always(abs(cte) <= 250)'):
+        spec = parse_spec(text)
+        assert check_specs([spec], scenario, GAINS).warnings == ()
+    gentle = parse_spec('gentle=always(abs(steering) <= 0.3)')
+    assert len(check_specs([gentle], scenario, GAINS).warnings) == 1, 'the law clips it anyway'
+
+
+def test_given_a_longer_runway_then_its_length_bounds_the_position() -> None:
+    spec = parse_spec('ahead=always(x <= 2830)')
+    assert len(check_specs([spec], Scenario(), GAINS).warnings) == 1
+    assert check_specs([spec], Scenario(place='bikf_10'), GAINS).warnings == ()
+
+
 def test_people2_given_a_run_then_no_signal_leaves_its_range() -> None:
     scenario = Scenario(cross_track_m=-15, heading_rad=-1.5, distance_m=0, duration_s=8)
-    ranges = signal_ranges(8.0, GAINS)
+    ranges = signal_ranges(8.0, GAINS, scenario)
     seen: dict[str, list[float]] = {name: [] for name in ('cte', 'he', 'x', 'speed', 'steering')}
 
     def note(step) -> None:  # type: ignore[no-untyped-def]
@@ -249,7 +271,7 @@ def test_t17_given_a_window_without_samples_when_looked_at_then_it_is_refused(
 ) -> None:
     spec = parse_spec(text)
     with pytest.raises(UsageError) as caught:
-        check_specs([spec], duration_s, GAINS)
+        check_specs([spec], Scenario(duration_s=duration_s), GAINS)
     assert message in str(caught.value)
     assert '\n' not in str(caught.value)
 

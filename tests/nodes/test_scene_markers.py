@@ -17,8 +17,9 @@ from taxinet_msgs.msg import RunStatus
 
 from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.catalogue import default_runway, find_track
 from taxinet_ros.core.place.markings import EDGE_STRIPE_WIDTH_M, edge_stripe_y_m
+from taxinet_ros.core.place.track import PAVED_BEYOND_M
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
@@ -61,6 +62,18 @@ def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_i
     (other,) = runway.crossings
     in_crossing = np.abs(points[:, 0] - other.x_m) < other.clear_half_m - 5
     assert not in_crossing.any()
+
+
+def test_given_a_track_then_its_pavement_and_its_yellow_line_are_markers_too():
+    track = find_track('kmwh_04', 'exit_left')
+    *_, taxiway, line = runway_markers(default_runway(), track).markers
+    corners = points_of(taxiway)[:, :2].reshape(-1, 3, 2)
+    sides = corners[:, 1:] - corners[:, :1]
+    area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum() / 2
+    whole_m = track.length_m + 2 * PAVED_BEYOND_M
+    assert area == pytest.approx(whole_m * track.width_m, rel=1e-3)
+    away = [abs(track.measure(x, y).cte_m) for x, y, _ in points_of(line)]
+    assert max(away) < 1, 'on the track, or beside the centreline where it leads off'
 
 
 def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_path():

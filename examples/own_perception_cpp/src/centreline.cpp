@@ -9,21 +9,21 @@ namespace own_perception
 namespace
 {
 
-// The camera, as camera/camera_info and the transform base_link -> camera_optical give it.
+// Camera parameters from camera/camera_info and the transform base_link -> camera_optical.
 constexpr double kFx = 235.465, kFy = 308.219, kCx = 179.5, kCy = 57.034;
 constexpr double kForward = 0.085, kLeft = -2.17, kAboveGround = 2.05;  // [m]
 constexpr double kPitch = 0.18379, kYaw = -0.07243;                     // [rad] nose down, left
 
 constexpr int kFirstRow = 12, kFirstColumn = 56;  // sky above, the aircraft's own cowling beside
-constexpr int kContrast = 40;                     // codes that paint is brighter than its row
+constexpr int kContrast = 40;                     // codes by which paint is brighter than its row
 constexpr double kFarthest = 60.0, kBin = 0.25;                      // [m]
-constexpr double kEdge = 14.65;                                      // [m] of the edge lines
+constexpr double kEdge = 14.65;                                      // [m] to the edge lines
 constexpr double kMostOffset = kEdge / 2;  // further off, an edge line may be the nearer one
 constexpr double kMostHeading = 0.52, kHeadingStep = 0.01;           // [rad]
-constexpr double kHalfWidth = 0.75;                                  // [m] of what counts as on it
-constexpr int kFewest = 30;                                  // pixels that make a line
+constexpr double kHalfWidth = 0.75;                                  // [m] of a line's band
+constexpr int kFewest = 30;                                  // pixels of a valid line
 
-// A point of the ground lies on the centreline of an aircraft at this offset and this heading.
+// Cross-track offset at which an aircraft with this heading sees a ground point on the centreline.
 double offset(const GroundPoint & point, double heading)
 {
   return -(std::sin(heading) * point.x + std::cos(heading) * point.y);
@@ -67,7 +67,7 @@ std::vector<GroundPoint> paint(const std::uint8_t * rgb)
 
 Estimate centreline(const std::vector<GroundPoint> & points)
 {
-  // Hough transform: for each heading, how much paint lies at which offset.
+  // Hough transform: for each heading, amount of paint by offset.
   constexpr double kReach = kMostOffset + kEdge + 2 * kBin;
   constexpr int kBins = static_cast<int>(2 * kReach / kBin);
   double heading = 0.0, at = 0.0;
@@ -96,12 +96,12 @@ Estimate centreline(const std::vector<GroundPoint> & points)
   if (most < kFewest) {
     return {};
   }
-  // Least squares through what lies on it: y = p + q x, of which the aircraft's pose follows.
+  // Least-squares line y = p + q x through the points on the lines; it gives the aircraft's pose.
   double n = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
   for (const auto & point : points) {
     for (const double line : {-kEdge, 0.0, kEdge}) {
       if (std::abs(offset(point, heading) - at - line) < kHalfWidth) {
-        const double y = point.y + line / std::cos(heading);  // as if it lay on the centreline
+        const double y = point.y + line / std::cos(heading);  // moved onto the centreline
         n += 1;
         sx += point.x;
         sy += y;

@@ -1,4 +1,4 @@
-// Where the aircraft is on the runway, from the paint of the centreline in one camera frame.
+// Estimates the aircraft's pose on the runway from the centreline's paint in one camera frame.
 // Plain C++17, without ROS.
 
 #ifndef OWN_PERCEPTION_CENTRELINE_HPP_
@@ -26,15 +26,16 @@ struct GroundPoint
   double x, y;
 };
 
-// Where the ray of a pixel meets level ground; pixel centres are whole numbers, v below the horizon.
+// Ground point of a pixel's ray on level ground; pixel centres are whole numbers, v is below the
+// horizon.
 GroundPoint on_ground(double u, double v);
 
-// Pixels that are brighter than the pavement around them, on the ground, up to 60 m ahead.
+// Ground points, up to 60 m ahead, of pixels that are brighter than the pavement around them.
 // rgb: kFrameBytes bytes, row by row.
 std::vector<GroundPoint> paint(const std::uint8_t * rgb);
 
-// The pose in which most paint lies on the centreline and the two edge lines, of those at most 7.3 m
-// and 30 degrees off.
+// The pose, at most 7.3 m and 30 degrees off, for which most paint lies on the centreline and the
+// two edge lines.
 Estimate centreline(const std::vector<GroundPoint> & points);
 
 }  // namespace own_perception

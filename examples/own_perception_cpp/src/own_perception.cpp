@@ -1,5 +1,5 @@
-// A perception node of one's own in C++: rclcpp, sensor_msgs and taxinet_msgs. It does what
-// docs/own_nodes.md asks of a perception, as ../own_perception.py does.
+// Perception node in C++ with rclcpp, sensor_msgs and taxinet_msgs. Like ../own_perception.py, it
+// implements the contract of docs/own_nodes.md.
 
 #include <chrono>
 #include <cstdint>
@@ -42,7 +42,7 @@ public:
   }
 
 private:
-  // A run begins: a perception with a memory forgets the one before.
+  // Begins a run; a perception with state resets it here.
   void begin(const Scenario & scenario)
   {
     const std::set<std::string> present(scenario.participants.begin(), scenario.participants.end());
@@ -55,7 +55,7 @@ private:
     }
   }
 
-  // Say READY once for a run, when all ends have found each other.
+  // Reports READY once per run, when all connections are established.
   void get_ready()
   {
     if (next_run_.empty() || estimates_->get_subscription_count() < wanted_ ||
@@ -74,7 +74,7 @@ private:
     status_->publish(ready);
   }
 
-  // One frame in, one estimate out; the frame's stamp says which control step it is.
+  // Publishes one estimate per frame; the control step follows from the frame's stamp.
   void see(const Image & image)
   {
     TrackingError answer;

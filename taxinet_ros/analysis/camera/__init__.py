@@ -1,1 +1,1 @@
-"""Pictures of the camera: contact sheets, and our frames beside real ones."""
+"""Camera pictures: contact sheets, and comparisons of our frames with real ones."""

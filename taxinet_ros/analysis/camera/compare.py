@@ -22,10 +22,10 @@ from taxinet_ros.errors import UsageError
 
 PAIRS = 8
 LIGHT: Mapping[str, object] = {'time_of_day_h': 9 + 4 / 60, 'clouds': 'clear'}
-"""Light of our pictures where none is named: that of the published X-Plane frames."""
+"""Default light of our pictures: that of the published X-Plane frames."""
 
 _RESOLUTION = 1e-9
-"""Smaller differences, in metres or degrees, are none."""
+"""Smaller differences, in metres or degrees, count as zero."""
 
 _RESAMPLES = 2000
 _PAIRS_IN_A_ROW = 2
@@ -33,9 +33,9 @@ _PAIRS_IN_A_ROW = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FrameError:
-    """One frame: the label, the estimate and their difference; None where there is no estimate.
+    """One frame: the label, the estimate and their difference; None without an estimate.
 
-    Heading errors are in degrees, nose left positive; an error is the estimate less the label.
+    Heading errors are in degrees, nose left positive; an error is estimate minus label.
     """
 
     image: str
@@ -53,10 +53,10 @@ class QuantityErrors:
 
     Attributes:
         mae: mean absolute error.
-        mae_95: its 95 % interval, by bootstrap over frames as if each stood for itself.
-        bias: mean error, estimate less label.
-        correlation: of estimates and labels; None where one of them does not vary.
-        mean_predictor_mae: error of an answer that is always the mean of these labels.
+        mae_95: its 95 % interval, by bootstrap over frames as if they were independent.
+        bias: mean error, estimate minus label.
+        correlation: of estimates and labels; None if one of them does not vary.
+        mean_predictor_mae: error of a constant estimate, the mean of these labels.
     """
 
     mae: float | None
@@ -68,7 +68,7 @@ class QuantityErrors:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Comparison:
-    """Errors on all frames, together and one by one."""
+    """Errors over all frames and of each frame."""
 
     cte_m: QuantityErrors
     heading_error_deg: QuantityErrors
@@ -76,11 +76,11 @@ class Comparison:
 
     @property
     def without_estimate(self) -> int:
-        """Number of frames that the perception had no answer to."""
+        """Number of frames without an estimate."""
         return sum(frame.cte_estimate_m is None for frame in self.frames)
 
     def to_dict(self) -> dict[str, object]:
-        """Flat figures, then the frames; ready for JSON."""
+        """Summary figures, then the frames; ready for JSON."""
         flat: dict[str, object] = {
             'frame_count': len(self.frames), 'without_estimate': self.without_estimate,
         }
@@ -97,15 +97,15 @@ class Comparison:
 def compare_frames(
     frames: Iterable[LabelledFrame], perception: Perception, *, seed: int = 0
 ) -> Comparison:
-    """Let a perception look at frames and measure it against their labels.
+    """Evaluate a perception on frames against their labels.
 
     Args:
         frames: at least one.
-        perception: one that looks at pictures.
-        seed: of the bootstrap.
+        perception: perception that uses pictures.
+        seed: seed of the bootstrap.
 
     Raises:
-        UsageError: a picture that cannot be read.
+        UsageError: a picture cannot be read.
     """
     rows = tuple(_frame_error(frame, perception) for frame in frames)
     answered = [row for row in rows if row.cte_estimate_m is not None]
@@ -136,14 +136,14 @@ def _frame_error(frame: LabelledFrame, perception: Perception) -> FrameError:
 def quantity_errors(
     labels: NDArray[np.float64], estimates: NDArray[np.float64], *, seed: int = 0
 ) -> QuantityErrors:
-    """Errors of ``estimates`` (N,) of ``labels`` (N,); all None where N is 0."""
+    """Errors of ``estimates`` (N,) against ``labels`` (N,); all None if N is 0."""
     if not len(labels):
         return QuantityErrors(
             mae=None, mae_95=None, bias=None, correlation=None, mean_predictor_mae=None
         )
     errors = estimates - labels
     low, high = _interval(np.abs(errors), np.random.default_rng(seed))
-    # Differences whose squares are lost leave no correlation to speak of.
+    # Without a numerically significant variation there is no meaningful correlation.
     vary = min(float(np.ptp(labels)), float(np.ptp(estimates))) > _RESOLUTION
     return QuantityErrors(
         mae=float(np.abs(errors).mean()),
@@ -163,9 +163,9 @@ def _interval(values: NDArray[np.float64], rng: np.random.Generator) -> tuple[fl
 
 
 def spread_out(frames: Sequence[LabelledFrame], count: int = PAIRS) -> list[LabelledFrame]:
-    """Up to ``count`` frames far apart in pose, in their own order, the first frame among them.
+    """Up to ``count`` frames far apart in pose, in their own order, including the first frame.
 
-    Each next one is the farthest from all chosen so far, every coordinate in its own deviations.
+    Each next one is the farthest from all chosen so far, with standardised coordinates.
     """
     poses = np.array([(f.truth.cte_m, f.truth.he_rad, f.distance_m) for f in frames])
     poses /= np.maximum(poses.std(axis=0), 1e-9)
@@ -180,15 +180,15 @@ def spread_out(frames: Sequence[LabelledFrame], count: int = PAIRS) -> list[Labe
 def comparison_scenes(
     frames: Sequence[LabelledFrame], settings: Mapping[str, object], distance_offset_m: float
 ) -> list[tuple[LabelledFrame, Scenario]]:
-    """Frames for the sheet, each with the scene that has its pose here.
+    """Frames for the sheet, each with our scene of the same pose.
 
     Args:
-        frames: all frames; those that do not lie on our runway are passed over.
-        settings: light and weather, human keys and units, over :data:`LIGHT`.
-        distance_offset_m: what our distance past the threshold is ahead of theirs [m].
+        frames: all frames; those that are not on our runway are skipped.
+        settings: light and weather in human keys and units; they override :data:`LIGHT`.
+        distance_offset_m: our distance past the threshold minus theirs [m].
 
     Raises:
-        UsageError: bad settings, or no frame lies on our runway.
+        UsageError: settings are invalid, or no frame is on our runway.
     """
     base = {**LIGHT, **settings}
     scenario_from_human(base)
@@ -212,15 +212,15 @@ def comparison_scenes(
 def comparison_sheet(
     scenes: Sequence[tuple[LabelledFrame, Scenario]], perception: Perception, path: Path
 ) -> None:
-    """Their frames and ours of the same poses, side by side, with what the perception sees in each.
+    """Draw labelled frames beside our frames of the same poses, with the estimates in each.
 
     Args:
         scenes: from :func:`comparison_scenes`.
-        perception: one that looks at pictures.
+        perception: perception that uses pictures.
         path: PNG file to write.
 
     Raises:
-        UsageError: a picture that cannot be read.
+        UsageError: a picture cannot be read.
     """
     tiles: list[tuple[Picture, str]] = []
     for frame, scene in scenes:

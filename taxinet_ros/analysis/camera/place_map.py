@@ -1,4 +1,4 @@
-"""A place as a map: the airport's ground seen from above, and both ends of the runway enlarged."""
+"""Map of a place: the airport's ground from above, and both runway ends enlarged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import Crossing, Runway
+from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import painted_line
 
 Points = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ _GROUND, _PAVEMENT, _PAINT = '#b9b58f', '#6f7072', '#f4f2ea'
 _APRON, _CROSSING, _LINE, _ROUTE = '#8f9093', '#7b7c7f', '#e0b400', '#1f6fb4'
 _END_M, _BESIDE_M = 620.0, 30.0
 _REACH_M = 900.0
-"""How far to each side a crossing runway is drawn where its ends are not known."""
+"""Half length [m] at which a crossing runway is drawn if its ends are not known."""
 _MARGIN_M = 150.0
 _WIDTH_IN = 11.0
 
@@ -34,12 +35,16 @@ def plot_place(place: Place, path: Path) -> None:
     FigureCanvasAgg(figure)
     runway = place.runway
     outlines = [_outline(runway), *(area.outline for area in place.pavements)]
+    outlines += [track.strip(track.half_width_m) for track in place.tracks]
     corners = np.concatenate([_north_up(np.array(one), runway.bearing_rad) for one in outlines])
     width, height = np.ptp(corners, axis=0) + 2 * _MARGIN_M
     map_in = float(np.clip(_WIDTH_IN * height / width, 1.5, 9.0))
     figure.set_size_inches(_WIDTH_IN, map_in + 4.0)
     above, near, far = figure.subplots(3, 1, height_ratios=(map_in, 1.5, 1.5))
     _draw_ground(above, place, lambda points: _north_up(points, runway.bearing_rad))
+    for track in place.tracks:
+        at = _north_up(np.array([track.pose(track.length_m)[:2]]), runway.bearing_rad)[0]
+        above.annotate(track.name, at, (6, 6), textcoords='offset points', fontsize=9)
     _add_compass(above)
     above.set_title(f'{place.title}: {runway.length_m:.0f} m × {runway.width_m:g} m, '
                     f'{math.degrees(runway.bearing_rad) % 360:.1f}° true, {runway.category}')
@@ -49,7 +54,7 @@ def plot_place(place: Place, path: Path) -> None:
 
 
 def _north_up(points: Points, bearing_rad: float) -> Points:
-    """Points (N, 2) of ``map`` as metres to the east and to the north of the threshold."""
+    """Convert points (N, 2) of ``map`` to metres east and north of the threshold."""
     sin, cos = math.sin(bearing_rad), math.cos(bearing_rad)
     x, y = points.T
     return np.stack([x * sin - y * cos, x * cos + y * sin], axis=1)
@@ -66,18 +71,23 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
     axes.add_collection(PolyCollection(areas, facecolors=_APRON, linewidths=0))
     holes = turned(hole for area in place.pavements for hole in area.holes)
     axes.add_collection(PolyCollection(holes, facecolors=_GROUND, linewidths=0))
-    crossings = turned(_strip(one) for one in runway.crossings)
+    taxiways = turned(track.strip(track.half_width_m) for track in place.tracks)
+    axes.add_collection(PolyCollection(taxiways, facecolors=_APRON, linewidths=0))
+    crossings = turned(one.strip(_REACH_M) for one in runway.crossings)
     axes.add_collection(PolyCollection(crossings, facecolors=_CROSSING, linewidths=0))
     pavement = turned([_outline(runway)])
     axes.add_collection(PolyCollection(pavement, facecolors=_PAVEMENT, linewidths=0))
     paint = turned(marking.polygon for marking in markings(runway))
-    # Snapped to pixels, stripes thinner than one would vanish.
+    # With snapping to pixels, stripes thinner than a pixel would vanish.
     axes.add_collection(PolyCollection(paint, facecolors=_PAINT, linewidths=0, snap=False))
-    lines = turned(line.points for line in place.lines)
+    lines = turned([
+        *(line.points for line in place.lines),
+        *(line for track in place.tracks for line in painted_line(track, runway)),
+    ])
     axes.add_collection(LineCollection(lines, colors=_LINE, linewidths=0.5))
     routes = turned(route.points for route in place.routes if not route.on_runway)
     axes.add_collection(LineCollection(routes, colors=_ROUTE, linewidths=0.8, linestyles=':'))
-    seen = np.concatenate([*pavement, *areas])
+    seen = np.concatenate([*pavement, *areas, *taxiways])
     low, high = seen.min(axis=0) - _MARGIN_M, seen.max(axis=0) + _MARGIN_M
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -87,7 +97,7 @@ def _draw_ground(axes: Axes, place: Place, turn: Callable[[Points], Points]) -> 
 
 
 def _draw_end(axes: Axes, place: Place, end: int) -> None:
-    """One end in the runway's own frame, with what is painted there."""
+    """Draw one end in the runway's own frame, with its markings."""
     runway = place.runway
     _draw_ground(axes, place, lambda points: points)
     start = 0.0 if end == 0 else runway.length_m - _END_M
@@ -104,19 +114,8 @@ def _outline(runway: Runway) -> Polygon:
     return (0.0, -half), (length, -half), (length, half), (0.0, half)
 
 
-def _strip(crossing: Crossing) -> Polygon:
-    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
-    half = crossing.width_m / 2
-    return tuple(
-        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
-        for along, across in (
-            (-_REACH_M, -half), (_REACH_M, -half), (_REACH_M, half), (-_REACH_M, half),
-        )
-    )
-
-
 def _add_compass(axes: Axes) -> None:
-    """An arrow to the north, and a scale: a tenth to a third of the width, in round metres."""
+    """Add a north arrow and a scale bar: a tenth to a third of the width, in round metres."""
     axes.annotate(
         'N', xy=(0.97, 0.95), xytext=(0, -34), xycoords='axes fraction', ha='center', va='center',
         textcoords='offset points', arrowprops={'arrowstyle': '-|>', 'color': 'black'},

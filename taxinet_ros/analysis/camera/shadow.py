@@ -1,9 +1,9 @@
 """Visibility and darkness of the aircraft's own shadow, compared with physics.
 
 Physics: direct and diffuse irradiance of a clear day by Ineichen and Perez (Solar Energy 73, 2002,
-pp. 151-157) for a Linke turbidity, and what of either is light to an eye or a camera by Perez,
-Ineichen, Seals, Michalsky and Stewart (Solar Energy 44, 1990, pp. 271-289; their clearest sky). The
-sky's light is bluer than the sun's, and brighter for the same energy.
+pp. 151-157) for a Linke turbidity, and the luminous efficacy of each by Perez, Ineichen, Seals,
+Michalsky and Stewart (Solar Energy 44, 1990, pp. 271-289; their clearest sky). Skylight is bluer
+than sunlight, and brighter for the same energy.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from taxinet_ros.core.camera.light import GAMMA, LUMINANCE, air_mass, scenario_l
 from taxinet_ros.core.scenario import scenario_from_human
 
 LINKE_TURBIDITY = 3.3
-"""Of Grant County in March (monthly map of Remund, Wald, Lefèvre, Ranchin and Page, ISES Solar
+"""For Grant County in March (monthly map of Remund, Wald, Lefèvre, Ranchin and Page, ISES Solar
 World Congress 2003: 3.27)."""
 
 _SOLAR_CONSTANT = 1367.0
 _ALTITUDE_M = 360.0
 _WATER_CM = 1.0
-"""Precipitable water, of a dry spring day."""
+"""Precipitable water on a dry spring day [cm]."""
 
 _CORE = 0.9
-"""Part of the greatest darkening from which a pixel counts as full shade, not as penumbra."""
+"""Share of the greatest darkening above which a pixel counts as full shade, not penumbra."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,13 +39,13 @@ class ShadowAppearance:
 
     Attributes:
         hour: local time [h].
-        elevation_deg: of the sun.
-        from_nose_deg: where the sun stands, clockwise from ahead: at 180 the shadow lies ahead.
-        share: of the picture's pixels that are in full shade; 0 where none is in view.
-        rendered: light of shaded ground over that of sunlit ground, median over these pixels; NaN
-            where there are none.
-        light: the same ratio by the renderer's light.
-        physics: the same by a clear day's light; of its energy in ``energy``.
+        elevation_deg: elevation of the sun.
+        from_nose_deg: bearing of the sun, clockwise from ahead; at 180 the shadow lies ahead.
+        share: share of the picture's pixels in full shade; 0 if none is in view.
+        rendered: luminance of shaded over that of sunlit ground, median over these pixels; NaN
+            without such pixels.
+        light: the same ratio from the renderer's light model.
+        physics: the same ratio on a clear day; ``energy`` is that of irradiance.
         energy: diffuse over global irradiance.
     """
 
@@ -63,8 +63,8 @@ def clear_day(elevation_rad: float, turbidity: float = LINKE_TURBIDITY) -> tuple
     """Direct and diffuse irradiance of level ground on a clear day [W/m^2].
 
     Args:
-        elevation_rad: of the sun, above 0.
-        turbidity: Linke's, above 1, at an air mass of 2.
+        elevation_rad: elevation of the sun, above 0.
+        turbidity: Linke turbidity at an air mass of 2, above 1.
     """
     sine = math.sin(elevation_rad)
     mass = math.exp(-_ALTITUDE_M / 8434.5) * air_mass(elevation_rad)
@@ -79,15 +79,15 @@ def clear_day(elevation_rad: float, turbidity: float = LINKE_TURBIDITY) -> tuple
 
 
 def shaded_light(elevation_rad: float, turbidity: float = LINKE_TURBIDITY) -> float:
-    """Luminance of ground in the shade over that in the sun, on a clear day, 0..1.
+    """Luminance of shaded ground over that of sunlit ground on a clear day, 0..1.
 
-    By the luminous efficacies [lm/W] of Perez et al. 1990 for their clearest sky. All of the sky is
-    supposed to be seen from the shade; the aircraft hides a part of it, so the truth is a little
-    darker.
+    Uses the luminous efficacies [lm/W] of Perez et al. 1990 for their clearest sky. It assumes that
+    shaded ground sees the whole sky; the aircraft hides a part of it, so the true value is a little
+    lower.
 
     Args:
-        elevation_rad: of the sun, above 0.
-        turbidity: Linke's.
+        elevation_rad: elevation of the sun, above 0.
+        turbidity: Linke turbidity.
     """
     direct, diffuse = clear_day(elevation_rad, turbidity)
     zenith = math.pi / 2 - elevation_rad
@@ -101,15 +101,15 @@ def shaded_light(elevation_rad: float, turbidity: float = LINKE_TURBIDITY) -> fl
 def shadow_appearances(
     settings: Mapping[str, object], hours: Sequence[float], turbidity: float = LINKE_TURBIDITY
 ) -> list[ShadowAppearance]:
-    """The shadow hour by hour.
+    """Evaluate the shadow hour by hour.
 
     Args:
-        settings: scenario values, human keys and units; a clear sky where they do not say.
+        settings: scenario values in human keys and units; the default sky is clear.
         hours: local hours at which the sun is up.
-        turbidity: Linke's, of the clear day to compare with.
+        turbidity: Linke turbidity of the clear day to compare with.
 
     Raises:
-        UsageError: a value that no scenario may have.
+        UsageError: a value is outside the range of a scenario.
     """
     return [
         _look({'clouds': 'clear', **settings, 'time_of_day_h': hour}, turbidity) for hour in hours
@@ -140,6 +140,6 @@ def _look(settings: Mapping[str, object], turbidity: float) -> ShadowAppearance:
 
 
 def _linear(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Luminance of display codes, as far as the camera's shoulder is not reached."""
+    """Luminance of display codes, valid below the shoulder of the camera's tone curve."""
     found: NDArray[np.float64] = (picture / 255.0) ** GAMMA @ LUMINANCE
     return found

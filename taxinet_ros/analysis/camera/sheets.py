@@ -15,7 +15,7 @@ from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
 _GAP_PX = 6
@@ -23,7 +23,7 @@ _APART_PX = 18
 _PAPER = (255, 255, 255)
 _INK = (20, 20, 20)
 _FONT_SHARE = 22
-"""A tile is as wide as so many times the caption's letters are high: readable in a report."""
+"""Tile width over the height of caption letters, chosen to be readable in a report."""
 _HEADING_SHARE = 85
 """The same for the headings of a whole table of pictures."""
 
@@ -32,20 +32,20 @@ def contact_sheet(
     tiles: Sequence[tuple[Picture, str]], columns: int, path: Path,
     *, title: str = '', group: int = 0,
 ) -> None:
-    """Lay out pictures row by row, each with its caption below.
+    """Arrange pictures row by row, each with its caption below.
 
     The same tiles give the same bytes. Every tile gets the size of the largest picture; a smaller
     one is centred in it, not stretched. A caption wraps at spaces and keeps its line breaks.
 
     Args:
         tiles: pictures ((H, W, 3) uint8, RGB) and their captions.
-        columns: pictures in a row.
+        columns: number of pictures in a row.
         path: PNG file to write.
-        title: a line above all.
-        group: so many pictures of a row belong together and stand a little apart from the next.
+        title: title line.
+        group: number of adjacent pictures in a row that form a group, set apart from the next.
 
     Raises:
-        ValueError: no tiles, no columns, or a picture that is not (H, W, 3) uint8.
+        ValueError: there are no tiles or columns, or a picture is not (H, W, 3) uint8.
     """
     if not tiles or columns < 1:
         raise ValueError(f'{len(tiles)} tiles in {columns} columns make no sheet')
@@ -80,17 +80,17 @@ def grid_sheet(
     tiles: Sequence[Sequence[Picture]], rows: Sequence[str], columns: Sequence[str], path: Path,
     *, title: str,
 ) -> None:
-    """Lay out pictures as a table with a heading for every row and every column.
+    """Arrange pictures as a table with a heading for every row and every column.
 
     Args:
         tiles: one sequence of pictures ((H, W, 3) uint8, RGB) per row.
-        rows: headings at the left; they keep their line breaks.
-        columns: headings above.
+        rows: row headings; they keep their line breaks.
+        columns: column headings.
         path: PNG file to write.
-        title: a line above all.
+        title: title line.
 
     Raises:
-        ValueError: no tiles, headings that do not fit them, or a picture that is not such.
+        ValueError: there are no tiles, headings do not match them, or a picture has another shape.
     """
     if not rows or not columns or [len(row) for row in tiles] != [len(columns)] * len(rows):
         raise ValueError(f'{len(rows)} rows and {len(columns)} columns of headings fit no tiles')
@@ -101,7 +101,7 @@ def grid_sheet(
     ]
     _check(flat)
     height, width = _largest(flat)
-    # A sheet is looked at as a whole: its headings grow with it, not with its pictures.
+    # A sheet is viewed as a whole, so its headings scale with it, not with its pictures.
     px = max(_title_px(width), len(columns) * width // _HEADING_SHARE)
     font = _font(px)
     draw = ImageDraw.Draw(Image.new('RGB', (1, 1)))
@@ -139,7 +139,7 @@ def _largest(tiles: Sequence[tuple[Picture, str]]) -> tuple[int, int]:
 def _paste(
     sheet: Image.Image, image: Picture, corner: tuple[int, int], size: tuple[int, int]
 ) -> None:
-    """Put a picture into the middle of a place of ``size`` (height, width)."""
+    """Centre a picture in a cell of ``size`` (height, width)."""
     left, top = corner
     at = (left + (size[1] - image.shape[1]) // 2, top + (size[0] - image.shape[0]) // 2)
     sheet.paste(Image.fromarray(image), at)
@@ -167,7 +167,7 @@ def _line_height(width: int) -> int:
 
 @cache
 def _font(px: int) -> ImageFont.FreeTypeFont:
-    # matplotlib brings DejaVu Sans along: the same letters on every machine, degrees included.
+    # matplotlib ships DejaVu Sans: the same glyphs on every machine, including the degree sign.
     file = Path(matplotlib.get_data_path(), 'fonts', 'ttf', 'DejaVuSans.ttf')
     return ImageFont.truetype(file, px)
 
@@ -188,9 +188,9 @@ def _wrap_line(text: str, width: int) -> list[str]:
 
 
 HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)
-"""Local hours of a sheet where none are named: dawn and dusk closer together than the day."""
+"""Default local hours of a sheet, more closely spaced at dawn and dusk."""
 POSE = {'cross_track_m': 1.0, 'heading_deg': 4.0, 'distance_m': 900.0}
-"""Pose of a sheet where none is named: centreline, both edges and, after noon, our own shadow."""
+"""Default pose of a sheet: it shows the centreline, both edges and our shadow after noon."""
 
 
 def scene_picture(scene: Scenario) -> Picture:
@@ -202,14 +202,14 @@ def sheet_scenes(
     settings: Mapping[str, object], hours: Sequence[float], clouds: Sequence[str],
     rains: Sequence[float],
 ) -> list[list[Scenario]]:
-    """Scenes of one pose: a row per weather, in it a scene per hour.
+    """Scenes of one pose: one row per weather with one scene per hour.
 
     Args:
-        settings: scenario values that all share, human keys and units; the pose is :data:`POSE`
-            where they do not say.
+        settings: scenario values shared by all, in human keys and units; the default pose is
+            :data:`POSE`.
         hours: local hours.
         clouds: cloud kinds.
-        rains: rain [%]; a row for each under each kind of cloud.
+        rains: rain [%]; one row for each under each kind of cloud.
 
     Raises:
         UsageError: a value that no scenario may have.
@@ -244,9 +244,9 @@ def _weather(scene: Scenario) -> str:
 
 
 def pose_words(scene: Scenario) -> str:
-    """The start pose of a scene in the units people read."""
+    """The start pose of a scene in display units."""
     human = scene.to_human()
     return (
-        f'{human["distance_m"]:.0f} m past the threshold, CTE {human["cross_track_m"]:+.1f} m, '
-        f'heading {human["heading_deg"]:+.0f}°'
+        f'{human["distance_m"]:.0f} m {along_words(scene.track)}, '
+        f'CTE {human["cross_track_m"]:+.1f} m, heading {human["heading_deg"]:+.0f}°'
     )

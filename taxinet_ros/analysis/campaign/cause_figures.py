@@ -1,4 +1,4 @@
-"""Causes, features and clusters of failures as pictures."""
+"""Pictures of causes, features and clusters of failures."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def causes_picture(findings: Findings) -> Picture:
 
 
 def ranking_picture(ranking: tuple[RankedFeature, ...]) -> Picture:
-    """How much each feature tells, as bars."""
+    """Information of each feature about failing, as bars."""
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
@@ -89,7 +89,7 @@ def ranking_picture(ranking: tuple[RankedFeature, ...]) -> Picture:
 
 
 def clusters_picture(findings: Findings) -> Picture:
-    """The failures over time of day and distance, by cluster; there is one or more."""
+    """The failures over time of day and distance, by cluster; at least one cluster is needed."""
     clusters = findings.clusters
     columns = min(len(clusters.found), _MOST_COLUMNS)
     rows = math.ceil(len(clusters.found) / columns)
@@ -141,7 +141,7 @@ def _scatter(axes: Axes, findings: Findings, clusters: Clusters, theme: Theme) -
 
 
 def _wrapped(region: Region) -> str:
-    """The region's words, on two lines where they are long."""
+    """Display text of a region, broken into two lines if long."""
     first, *others = [part.words() for part in region.parts]
     whole = ', '.join([first, *others])
     return whole if len(whole) <= _LONGEST else f'{first},\n{", ".join(others)}'.rstrip(',\n')

@@ -1,7 +1,7 @@
 """Figures of a campaign: failure rates and robustness over the features of the scenes.
 
-Rates in bins of each feature, with intervals, and over two features at once; robustness as the
-paper's Figures 4 to 7 show it; and the axes and colours that they share.
+Rates in bins of each feature, with intervals, and over two features at once; robustness as in the
+paper's Figures 4 to 7; and the axes and colours that they share.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ DOTS_AT_ONCE = 600
 
 
 def network_colours(networks: int, theme: Theme) -> list[str]:
-    """A colour for each network, different from those of passed and failed runs while they last."""
+    """A colour for each network, unlike those of passed and failed runs as long as they suffice."""
     colours = (*theme.others, theme.passed, theme.failed)
     return [colours[number % len(colours)] for number in range(networks)]
 
 
 def dot_style(runs: int) -> dict[str, Any]:
-    """Size and opacity of dots, so that few can be seen and many do not hide each other."""
+    """Size and opacity of dots, chosen so that few are visible and many do not hide each other."""
     crowd = min(1.0, DOTS_AT_ONCE / max(runs, 1))
     return {'s': 5 + 13 * crowd, 'alpha': 0.35 + 0.5 * crowd, 'linewidths': 0}
 
 
 def rho_axis(axis_of: Axes, rho: Floats, theme: Theme, *, vertical: bool = True) -> None:
-    """Make an axis that shows robustness: linear near zero, logarithmic far from it.
+    """Set up an axis for robustness: linear near zero, logarithmic far from it.
 
     Args:
         axis_of: the plot.
-        rho: all values that it shows.
-        theme: its colours.
+        rho: all values shown.
+        theme: colours.
         vertical: whether it is the vertical axis.
     """
     known = rho[np.isfinite(rho)]
@@ -87,7 +87,7 @@ def rho_axis(axis_of: Axes, rho: Floats, theme: Theme, *, vertical: bool = True)
 
 
 def feature_axis(axes: Axes, feature: Feature, values: Floats) -> None:
-    """Make the horizontal axis show a feature in people's units."""
+    """Set up the horizontal axis for a feature in display units."""
     axes.set_xlabel(feature.axis)
     low, high = float(values.min()), float(values.max())
     pad = 0.02 * (high - low) or 0.5
@@ -112,7 +112,7 @@ def all_rho(campaigns: Sequence[CampaignRuns]) -> Floats:
 
 
 def _rho_ticks(low: float, high: float) -> list[float]:
-    """Round values: every whole one near zero, a few in every decade far from it."""
+    """Round values: every integer near zero, a few in every decade far from it."""
     decades = [part * 10**power for power in range(4) for part in _TICKS]
     far = [value for value in decades if value > _LINEAR]
     values = [-value for value in far if -value >= low * 1.3]
@@ -132,7 +132,7 @@ _RUNS_PER_CELL = 12
 
 
 def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
-    """The failure rate in bins of each feature, a panel for each."""
+    """Failure rates in bins of each feature, one panel per feature."""
     rows = math.ceil(len(PAPER_FEATURES) / _COLUMNS)
     pooled = campaigns[0].frame
 
@@ -162,7 +162,7 @@ def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
 
 
 def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> Picture:
-    """The failure rate over two features, as a map with the rate in each cell."""
+    """Failure rate over two features, as a map with the rate in each cell."""
     cells = max(1, len(runs.frame) // _RUNS_PER_CELL)
     rows = bins(up, runs.frame, min(10, max(1, round(math.sqrt(cells / 2)))))
     columns = bins(across, runs.frame, min(12, max(1, cells // len(rows))))
@@ -190,7 +190,7 @@ def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> 
 
 
 def distribution_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
-    """The share of runs with at most so much robustness."""
+    """Cumulative distribution of robustness."""
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
@@ -218,7 +218,7 @@ def distribution_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
 
 
 def _rate_in(runs: CampaignRuns, feature: Feature, one: Bin) -> GroupRate:
-    """The rate of a campaign in a bin that was cut for another, maybe."""
+    """The rate of a campaign in a bin, which may be that of another campaign."""
     if len(one.mask) == len(runs.frame) and bool((one.mask == _within(runs, feature, one)).all()):
         return runs.rate(one.mask)
     return runs.rate(_within(runs, feature, one))
@@ -250,7 +250,7 @@ def _bars(
 
 
 def _name_bins(axes: Axes, feature: Feature, cut: Sequence[Bin]) -> None:
-    """Words below their bins; of numbers the values between them."""
+    """Label the bins: words below them, numbers at their edges."""
     axes.set_xlabel(feature.axis)
     axes.set_xlim(-0.6, len(cut) - 0.4)
     places, labels = _labels(feature, cut)
@@ -314,12 +314,12 @@ _MARKS = ('o', 's', '^', 'v', 'D', 'P')
 
 
 def rho_picture(campaigns: Sequence[CampaignRuns], feature: Feature, name: str) -> Picture:
-    """Runs as dots over a feature, with medians; before and after where there are several networks.
+    """Runs as dots over a feature, with medians; for several networks, before and after.
 
     Args:
-        campaigns: the one that is analysed, and those it is compared with.
-        feature: numeric.
-        name: of the file.
+        campaigns: the analysed campaign, then its baselines.
+        feature: a numeric feature.
+        name: name of the file.
     """
     caption = f'A dot for each run; lines are medians of {_BIN_WORDS[feature]}. '
     caption += 'Runs in the shaded half violate the formula.'
@@ -346,7 +346,7 @@ def rho_picture(campaigns: Sequence[CampaignRuns], feature: Feature, name: str) 
 
 
 def clouds_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
-    """Medians over the time of day, for each kind of clouds; a panel for each network."""
+    """Medians over the time of day, for each kind of clouds; one panel per network."""
     dry = any(not _rain(runs).all() for runs in campaigns)
 
     def draw(figure: Figure, theme: Theme) -> None:
@@ -416,7 +416,7 @@ def _median_line(
     if np.isfinite(values).sum() < 1 or len(x) < 4:
         return []
     style = (0, (3, 1.4)) if dashed else 'solid'
-    # A rim in the paper's colour keeps the line apart from the dots below it.
+    # An outline in the background colour separates the line from the dots below it.
     axes.plot(middles, values, color=theme.paper, linewidth=4.2, alpha=0.8, zorder=3,
               solid_capstyle='round')
     return axes.plot(middles, values, color=colour, linewidth=2.0, linestyle=style, label=label,

@@ -43,9 +43,9 @@ class ChangedScenes(NamedTuple):
 
     Attributes:
         scenes: how many there are.
-        worse: number failed here and satisfied by the baseline.
-        better: number satisfied here and failed by the baseline.
-        p: of so uneven a change if both fail alike (McNemar's test, exact).
+        worse: number failed here but satisfied by the baseline.
+        better: number satisfied here but failed by the baseline.
+        p: p value of the hypothesis that both fail equally often (McNemar's exact test).
     """
 
     scenes: int
@@ -62,7 +62,7 @@ class BaselineComparison:
         baseline: the other campaign.
         rate: its failure rate.
         difference: the campaign's failure rate minus the baseline's.
-        changed: in scenes that both have, or None if there are none.
+        changed: changes in common scenes, or None if there are none.
         in_causes: failure rate of the baseline in each of the campaign's causes.
         off_causes: its failure rate outside all of them.
     """
@@ -78,7 +78,7 @@ class BaselineComparison:
         """Text of the comparison.
 
         Args:
-            label: of the campaign.
+            label: label of the campaign.
             rate: its failure rate.
         """
         gap = self.difference
@@ -108,7 +108,7 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
 
 
 def _changed(one: pd.DataFrame, other: pd.DataFrame) -> ChangedScenes | None:
-    """The scenes of both, each once: the same features to the last digit that is kept."""
+    """Compare common scenes, each once: those with the same features to the last stored digit."""
     here, there = (
         frame[[*_SCENE, 'failed']].round(_DIGITS).drop_duplicates(_SCENE) for frame in (one, other)
     )
@@ -126,10 +126,10 @@ class Findings:
     """Results of an analysis.
 
     Attributes:
-        runs: of the campaign.
-        alpha: level of the causes.
+        runs: runs of the campaign.
+        alpha: significance level of the causes.
         ranking: features by how well they predict failure.
-        causes, clusters, axes, tree: of the failures.
+        causes, clusters, axes, tree: analyses of the failures.
         comparisons: with the baselines, in their order.
     """
 
@@ -155,7 +155,7 @@ def analyse(
     """Analyse a campaign; the same runs give the same findings.
 
     Args:
-        runs: of the campaign.
+        runs: runs of the campaign.
         baselines: other campaigns to compare with.
         alpha: probability of naming a cause if there is none.
         on_progress: called with the name of each step.
@@ -182,7 +182,7 @@ _NONE = 0
 def explained_runs(findings: Findings) -> pd.DataFrame:
     """All judged runs with the cause and the group of each failure, 0 for none.
 
-    A failure that lies in several causes has the number of the first.
+    A failure in several causes has the number of the first.
     """
     frame = findings.runs.frame.copy()
     cause = np.full(len(frame), _NONE)
@@ -217,12 +217,12 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
     """The folders of the first failures whose bags are there, by run id.
 
     Args:
-        runs: of the campaign.
-        failures: in order of inspection.
-        most: how many.
+        runs: runs of the campaign.
+        failures: failures in order of inspection.
+        most: maximum number of folders.
 
     Raises:
-        UsageError: a bag is of another run.
+        UsageError: a bag belongs to another run.
     """
     found: dict[str, Path] = {}
     for run_id, bag in zip(failures['run_id'], failures['bag'], strict=True):

@@ -1,4 +1,4 @@
-"""The folder of an analysis: tables, pictures, programs of causes, ``analysis.json``, the page."""
+"""Output folder of an analysis: tables, pictures, programs of causes, ``analysis.json``, page."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ SCHEMA, VERSION = 'taxinet-analysis', 1
 
 
 def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
-    """All findings; shares are fractions 0..1, and what is not known or not finite is None.
+    """All findings as plain values; shares are fractions 0..1, unknown or non-finite ones None.
 
     Args:
-        findings: of an analysis.
-        report: on it.
+        findings: findings of an analysis.
+        report: report on them.
     """
     values = {
         'schema': SCHEMA, 'version': VERSION, 'title': report.title, 'facts': dict(report.facts),
@@ -117,7 +117,7 @@ def check_folder(out: Path) -> None:
     """Check that an analysis may be written to ``out``.
 
     Raises:
-        UsageError: it holds files that are not from an analysis.
+        UsageError: it contains files that are not from an analysis.
     """
     if out.is_dir():
         if any(out.iterdir()) and _written_before(out) is None:
@@ -134,16 +134,16 @@ def write_analysis(
     """Write all results, replacing those of an earlier analysis.
 
     Args:
-        findings: of the analysis.
-        report: on them.
-        out: folder, for which :func:`check_folder` has nothing to say.
+        findings: findings of the analysis.
+        report: report on the findings.
+        out: folder that passes :func:`check_folder`.
         on_progress: called with the name of each output.
 
     Returns:
         The values of ``analysis.json``.
 
     Raises:
-        UsageError: the folder cannot be made.
+        UsageError: the folder cannot be created.
         OSError: a file cannot be written.
     """
     from taxinet_ros.analysis.report.page import write_report_page
@@ -168,7 +168,7 @@ def write_analysis(
 
 
 def csv_text(table: Table) -> str:
-    """A table as CSV with a header; empty cells are unknown."""
+    """A table as CSV with a header; unknown cells are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow([column.name for column in table.columns])
@@ -182,7 +182,7 @@ def json_text(values: dict[str, Any]) -> str:
 
 
 def _begin(out: Path) -> None:
-    """Make the folder, remove what an earlier analysis has written, and claim it."""
+    """Create the folder, remove the files of an earlier analysis, and mark it."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name in _written_before(out) or ():
@@ -203,7 +203,7 @@ def _write_runs(findings: Findings, out: Path) -> None:
 
 
 def _written_before(out: Path) -> list[str] | None:
-    """The files that an earlier analysis has written there; None if there was none."""
+    """The files written there by an earlier analysis; None if there was none."""
     try:
         values = read_sealed(out / JSON_NAME).values
     except (OSError, UsageError):

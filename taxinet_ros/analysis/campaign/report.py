@@ -50,7 +50,7 @@ _WEAK = 0.25
 
 
 def summary(findings: Findings) -> tuple[str, ...]:
-    """What was found: rates, causes, and how baselines compare."""
+    """Main findings: rates, causes, and comparisons with baselines."""
     return (
         *rate_sentences(findings.runs), *cause_sentences(findings),
         *stack_sentences(findings.campaigns),
@@ -60,7 +60,7 @@ def summary(findings: Findings) -> tuple[str, ...]:
 
 
 def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
-    """How often runs fail, and how many have no verdict."""
+    """Failure rate, and number of runs without a verdict."""
     rate, off = runs.rate(), runs.off_runway()
     unit = 'run' if rate.runs == 1 else 'runs'
     count = f'{rate.runs:,} {unit} of {runs.program} with {runs.label}'
@@ -87,7 +87,7 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
 
 
 def stack_sentences(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
-    """A warning where runs that are held together come from different machines or versions."""
+    """A warning if the compared runs come from different machines or versions."""
     sentences = []
     if found := differences(*(stack for one in campaigns for stack in one.stacks)):
         sentences.append(
@@ -104,7 +104,7 @@ def stack_sentences(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
 
 
 def cause_sentences(findings: Findings) -> tuple[str, ...]:
-    """The causes, one sentence each, and what they leave."""
+    """The causes, one sentence each, and the rate outside them."""
     causes = findings.causes
     if causes.why_not:
         return (f'{causes.why_not[0].upper()}{causes.why_not[1:]}.',)
@@ -124,7 +124,7 @@ def cause_sentences(findings: Findings) -> tuple[str, ...]:
 
 
 def cluster_sentence(clusters: Clusters) -> str:
-    """How many groups there are, and how clear they are."""
+    """Number of groups, and how clearly they are separated."""
     if clusters.why_not:
         return f'{clusters.why_not[0].upper()}{clusters.why_not[1:]}.'
     clear = 'clearly' if clusters.silhouette >= CLEAR else (
@@ -159,11 +159,11 @@ VIEWERS = 20
 
 
 def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
-    """Put findings into words, tables and pictures.
+    """Present findings as sentences, tables and pictures.
 
     Args:
-        findings: of :func:`~taxinet_ros.analysis.campaign.findings.analyse`.
-        viewers: most failed runs to look at step by step.
+        findings: result of :func:`~taxinet_ros.analysis.campaign.findings.analyse`.
+        viewers: maximum number of failed runs to include step by step.
     """
     failures = failures_to_inspect(findings)
     count = len(findings.runs.frame)

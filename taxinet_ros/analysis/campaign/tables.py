@@ -1,4 +1,4 @@
-"""The findings about a campaign as tables."""
+"""Tables of the findings about a campaign."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def bins_table(runs: CampaignRuns) -> Table:
 
 
 def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
-    """The causes, with the worst run of each and what the baselines do in them."""
+    """The causes, with the worst run of each and the rates of the baselines in them."""
     rows: list[tuple[Cell, ...]] = []
     for number, cause in enumerate(findings.causes.found):
         worst = failures[failures[CAUSE] == cause.rank].sort_values('rho')['run_id']
@@ -108,7 +108,7 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
 
 
 def ranking_table(findings: Findings) -> Table:
-    """Features by how much they tell."""
+    """Features by their information about failing."""
     return Table(
         name='feature_ranking', title='Features', caption='One at a time; p after Holm.',
         columns=(
@@ -123,7 +123,7 @@ def ranking_table(findings: Findings) -> Table:
 
 
 def failures_table(failures: pd.DataFrame, most: int) -> Table:
-    """The first failures to look at."""
+    """The first failures to inspect."""
     rows = tuple(_failure(run) for run in failures.head(most).to_dict('records'))
     return Table(
         name='counterexamples', title='Counterexamples', rows=rows, run_id_column='run_id',
@@ -133,7 +133,7 @@ def failures_table(failures: pd.DataFrame, most: int) -> Table:
             Column(name='time_of_day', title='time'), Column(name='clouds', title='clouds'),
             Column(name='rain_percent', title='rain [%]', decimals=0),
             Column(name='cross_track_m', title='left of the line [m]', decimals=1),
-            Column(name='distance_m', title='along the runway [m]', decimals=0),
+            Column(name='distance_m', title='along the track [m]', decimals=0),
             Column(name='heading_deg', title='nose left [°]', decimals=0),
             Column(name='left_runway', title='off the runway'),
             Column(name='cause', title='cause'), Column(name='group', title='group'),
@@ -142,7 +142,7 @@ def failures_table(failures: pd.DataFrame, most: int) -> Table:
 
 
 def clusters_table(findings: Findings) -> Table:
-    """Groups of failures in words."""
+    """Groups of failures."""
     return Table(
         name='clusters', title='Groups', run_id_column='typical_run',
         caption='Properties shared by nine in ten of its runs, but not by many others.',
@@ -178,7 +178,7 @@ def axes_table(findings: Findings) -> Table:
 
 
 def tree_table(findings: Findings) -> Table:
-    """The tree's leaves as rules."""
+    """Leaves of the tree as rules."""
     rules = findings.tree.rules if findings.tree is not None else ()
     return Table(
         name='tree_rules', title='Rules of the tree',

@@ -1,14 +1,13 @@
 """Find causes of failures one by one until the remaining failures are consistent with chance.
 
-The most telling region of failures (:mod:`.scan`) gets sharper limits, to the run and then on
-round values, and its runs are taken out; then the next one is looked for among the rest. A step
-is taken only if the step before found something that was not chance, so where there are no
-causes one is named no oftener than ``alpha``.
+The most significant region of failures (:mod:`.scan`) has its limits refined, to single runs and
+then to round values, and its runs are removed; then the next one is sought among the rest. A step
+is taken only if the previous one found a significant region, so if there are no causes, one is
+named with a probability of at most ``alpha``.
 
-All that is looked for, and all figures of a cause, are of the runs as they were made, each
-scene once: a region is named for what its figures say. Where a sampler chose the scenes they
-are no rates of the program; these, and fresh figures of any cause, are to be had by
-:mod:`.program`.
+The search and all figures of a cause use the runs as made, each scene once. If a sampler chose the
+scenes, the figures are not rates of the program; :mod:`.program` gives these, and fresh figures of
+any cause.
 """
 
 from __future__ import annotations
@@ -48,11 +47,11 @@ _ROUNDS = 6
 
 
 def refine_limits(region: Region, frame: pd.DataFrame) -> Region:
-    """The region with the limits that tell most, changed in turn until none can be bettered.
+    """Refine the region's limits in turn until none improves its score.
 
     Args:
-        region: with limits on a coarse grid.
-        frame: runs with features and ``failed``; the region is held against all others of them.
+        region: region with limits on a coarse grid.
+        frame: runs with features and ``failed``; the region is compared with all others.
     """
     for _ in range(_ROUNDS):
         before = region
@@ -69,10 +68,10 @@ def refine_limits(region: Region, frame: pd.DataFrame) -> Region:
 
 
 def round_limits(region: Region, frame: pd.DataFrame) -> Region:
-    """The region with its limits on round values, and open where no run lies beyond.
+    """Round the region's limits, and drop limits beyond which no run lies.
 
     Args:
-        region: any.
+        region: any region.
         frame: all runs of the campaign.
     """
     order = list(BY_NAME)
@@ -81,7 +80,7 @@ def round_limits(region: Region, frame: pd.DataFrame) -> Region:
 
 
 def _best_part(part: Part, others: Region, frame: pd.DataFrame) -> Part | None:
-    """The part with the limits that tell most together with others; None where it is idle."""
+    """The part with the best limits in combination with ``others``; None if it adds nothing."""
     if isinstance(part, Either):
         return _best_halves(part, frame)
     among = others.mask(frame)
@@ -119,7 +118,7 @@ def _best_kinds(feature: str, among: Mask, frame: pd.DataFrame) -> Part | None:
     failures = np.array([(column[among & failed] == kind).sum() for kind in kinds])
     ratio = _ratio(members @ failures, members @ runs, failed)
     best = int(ratio.argmax())
-    # A word without a run there says nothing.
+    # A word without a run in it carries no information.
     chosen = tuple(kind for kind, one, count in zip(kinds, members[best], runs, strict=True)
                    if one and count)
     everywhere = len(chosen) == int((runs > 0).sum())
@@ -127,7 +126,7 @@ def _best_kinds(feature: str, among: Mask, frame: pd.DataFrame) -> Part | None:
 
 
 def _best_halves(part: Either, frame: pd.DataFrame) -> Either:
-    """Two halves of which a run lies in one only, cut where that tells most."""
+    """Two halves cut at the best values; a run lies in exactly one of them."""
     failed = frame['failed'].to_numpy(dtype=bool)
     firsts, seconds = (list(_halves(name, frame)) for name in part.names)
     one, other = (np.array([half.mask(frame) for half in halves]) for halves in (firsts, seconds))
@@ -141,7 +140,7 @@ def _best_halves(part: Either, frame: pd.DataFrame) -> Either:
 
 
 def _halves(name: str, frame: pd.DataFrame) -> Iterator[Interval | Kinds]:
-    """Below and above each of some values, or words up to and from each."""
+    """Yield the parts below and above each candidate value, or the words up to and from each."""
     feature = BY_NAME[name]
     if not feature.numeric:
         kinds = kinds_present(feature, frame)
@@ -184,21 +183,21 @@ def _rounded(part: Part, frame: pd.DataFrame) -> Part:
 
 LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
 _TIMES_DENSER = 2.0
-"""A region is narrowed where failures are this much denser within the narrower one."""
+"""A region is narrowed if its failure rate rises by this factor within the narrower one."""
 _OF_ALL = 1.92
-"""Half the 95 % quantile of chi-square: for the rate of all runs, where nothing was picked."""
+"""Half the 95 % quantile of chi-square: for the rate of all runs, without any selection."""
 _OUTCOME_BLIND_SAMPLERS = {'', 'random', 'halton', 'sobol', 'grid'}
 """Samplers that choose scenes without regard to outcomes."""
 
 
 class FoundRate(NamedTuple):
-    """How often runs fail in a group that was chosen because of how its runs ended.
+    """Failure rate of a group that was selected by the outcomes of its runs.
 
     Attributes:
-        runs, failures: of the group, of runs as they were made.
-        rate: share of failures among these; of a region that was found, too high as a rule.
-        low, high: ends of an interval that holds in 95 % of cases for all regions that were
-            compared together, so also for the one that was picked; NaN where outcomes chose scenes.
+        runs, failures: numbers in the group, of the runs as made.
+        rate: share of failures among these; usually biased upwards for a found region.
+        low, high: simultaneous 95 % interval over all compared regions, so valid for the selected
+            one; NaN if outcomes influenced the choice of scenes.
     """
 
     runs: int
@@ -217,18 +216,18 @@ class Cause:
     """A region in which runs fail more often than elsewhere.
 
     Attributes:
-        region: of the scenes.
-        rank: 1 for the one that was found first.
-        inside, outside: failure rates of the runs that causes before it have left, in the region
-            and elsewhere.
-        whole: failure rate of all runs in the region, whatever other causes hold.
-        share: of all failures, those in the region.
-        added: of all failures, those in the region and in none of the causes before it.
-        attributable: share of all failures that there would not be if the region's runs failed as
-            often as all others; with its interval. It depends on no other cause (Levin, Acta Unio
-            Internationalis contra Cancrum 9, 1953).
-        p: of so telling a region somewhere among the runs left, if nothing mattered there.
-        p_is_bound: whether the true p value may be smaller.
+        region: region of the scenes.
+        rank: 1 for the cause found first.
+        inside, outside: failure rates inside and outside the region, among the runs that lie in no
+            earlier cause.
+        whole: failure rate of all runs in the region, including those in earlier causes.
+        share: share of all failures that lie in the region.
+        added: share of all failures that lie in the region and in no earlier cause.
+        attributable: share of all failures that would not occur if the region's runs failed as
+            often as all others, with its interval. It is independent of other causes (Levin, Acta
+            Unio Internationalis contra Cancrum 9, 1953).
+        p: p value of the region among the remaining runs, under the hypothesis of no cause.
+        p_is_bound: whether ``p`` is an upper bound of the true p value.
     """
 
     region: Region
@@ -262,15 +261,15 @@ class Cause:
 
 
 class Causes(NamedTuple):
-    """What was found.
+    """Result of a search for causes.
 
     Attributes:
-        found: causes, the most telling first.
+        found: causes, the most significant first.
         rest: failure rate of the runs outside all of them.
-        why_not: why none were looked for, or ''.
-        candidates: regions that were compared in the first step.
-        searched: whether outcomes may have chosen scenes, so that there are no intervals.
-        again: runs that were left out because they had the very scene of another.
+        why_not: reason why none were sought, or ''.
+        candidates: number of regions compared in the first step.
+        searched: whether outcomes may have influenced the scenes, so that there are no intervals.
+        again: number of runs left out because they repeat the scene of another.
     """
 
     found: tuple[Cause, ...]
@@ -282,18 +281,18 @@ class Causes(NamedTuple):
 
     @property
     def explained(self) -> float:
-        """Share of all failures in some cause."""
+        """Share of all failures that lie in some cause."""
         return sum(cause.added for cause in self.found)
 
 
 def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
-    """Name the causes of a campaign's failures.
+    """Find the causes of a campaign's failures.
 
     Args:
-        runs: of the campaign.
-        alpha: how often causes may be named where there are none.
+        runs: runs of the campaign.
+        alpha: maximum probability of naming a cause if there is none.
     """
-    # The same scene ends the same way, and is no second witness.
+    # A repeated scene has the same outcome, so it is not an independent sample.
     scene = [feature.name for feature in ALL_FEATURES if feature.name in runs.frame]
     frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
     again = len(runs.frame) - len(frame)
@@ -336,7 +335,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
 def _narrowed(
     region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
 ) -> Region:
-    """The region with one condition more, where most of its failures have it; else as it is.
+    """The region with one more condition if most of its failures satisfy it; else unchanged.
 
     There is at most one such step, and only from one condition to two.
     """
@@ -369,7 +368,7 @@ def _rate(failed: Mask, deviance: float) -> FoundRate:
 
 
 def _attributable(failed: Mask, within: Mask, deviance: float) -> tuple[float, float, float]:
-    """Share of the failures that go with a region, and its interval, from those of both rates."""
+    """Share of failures attributable to a region, with an interval from those of both rates."""
     part = float(within.mean())
 
     def share(inside: float, outside: float) -> float:
@@ -382,7 +381,7 @@ def _attributable(failed: Mask, within: Mask, deviance: float) -> tuple[float, f
 
 
 def _why_not(failed: Mask) -> str:
-    """Why no cause can be told from chance, or ''."""
+    """Why no cause can be distinguished from chance, or ''."""
     runs, failures = len(failed), int(failed.sum())
     counts = f'{runs:,} {"run" if runs == 1 else "runs"}, '
     counts += 'no failure' if not failures else f'{failures:,} ' + (

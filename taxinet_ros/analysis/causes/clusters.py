@@ -1,4 +1,4 @@
-"""How failures lie among the scenes: groups that are alike, and principal axes."""
+"""Structure of the failures among the scenes: clusters and principal axes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from taxinet_ros.analysis.runs.features import (
 
 LEAST_FAILURES = 12
 CLEAR = 0.5
-"""Silhouette of groups that are clearly apart (Kaufman and Rousseeuw, Finding Groups, 1990)."""
+"""Silhouette of clearly separated groups (Kaufman and Rousseeuw, Finding Groups, 1990)."""
 _MOST_FAILURES = 1500
 _MOST_CLUSTERS = 8
 _LEAST_SHARE, _TWO = 0.02, 2
@@ -35,16 +35,16 @@ _PURE, _FEW, _BEYOND = 0.9, 0.7, 0.03
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cluster:
-    """Failures that are alike.
+    """A group of similar failures.
 
     Attributes:
         number: from 1, the largest cluster first.
-        failures: how many it has.
-        share: of all failures that were compared.
+        failures: number of failures in it.
+        share: their share of all compared failures.
         typical: run whose mean distance to the others is the least (the medoid).
-        common: what nearly all of them have in common (nine in ten), beside all failures.
-        median_rho: of its runs.
-        runs: their ids.
+        common: conditions that nine in ten of its runs satisfy but many other failures do not.
+        median_rho: median robustness of its runs.
+        runs: ids of its runs.
     """
 
     number: int
@@ -56,20 +56,20 @@ class Cluster:
     runs: tuple[str, ...]
 
     def words(self) -> str:
-        """What it is, for people."""
+        """Display text of the cluster."""
         return self.common.words() or 'all over the scenes'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Clusters:
-    """All of them.
+    """Result of clustering the failures.
 
     Attributes:
-        found: the largest first; empty where there are too few failures.
-        silhouette: how well they are told apart, from 0 (not at all) to 1 (Rousseeuw 1987).
-        compared: number of failures that were compared, drawn from all where those are too many.
-        failures: number of all of them.
-        why_not: why there is none, or ''.
+        found: clusters, the largest first; empty if there are too few failures.
+        silhouette: how well they are separated, from 0 (not at all) to 1 (Rousseeuw 1987).
+        compared: number of compared failures, a random sample if there are too many.
+        failures: number of all failures.
+        why_not: reason why there is no cluster, or ''.
     """
 
     found: tuple[Cluster, ...]
@@ -82,15 +82,15 @@ class Clusters:
 def find_clusters(frame: pd.DataFrame, telling: Collection[str] = ()) -> Clusters:
     """Group the failures of a campaign.
 
-    Their distance is Gower's (Biometrics 27, 1971): for numbers, and kinds of clouds by their rank,
-    the difference over the range of all runs, for other words 0 or 1, and the mean of these. Groups
-    are joined by their average distance; there are as many as give the best silhouette, but more
-    than two where that is any good.
+    The distance is Gower's (Biometrics 27, 1971), a mean over features: for numbers, and for kinds
+    of clouds by their rank, the difference over the range of all runs; for other words 0 or 1.
+    Clustering is by average linkage. The number of groups maximises the silhouette, but more than
+    two are preferred if they are clear enough.
 
     Args:
         frame: all runs, with features and ``failed``.
-        telling: names of features to compare by; failures do not differ in others for a reason.
-            All features where none of these varies.
+        telling: names of the informative features to compare by; all features if none of these
+            varies.
     """
     failures = frame[frame['failed']]
     features = varied(frame, PAPER_FEATURES)
@@ -117,7 +117,7 @@ def find_clusters(frame: pd.DataFrame, telling: Collection[str] = ()) -> Cluster
 def gower(
     some: pd.DataFrame, features: tuple[Feature, ...], frame: pd.DataFrame
 ) -> Floats:
-    """Distance between any two of ``some`` runs, 0..1; ranges are those of ``frame``."""
+    """Pairwise distances of ``some`` runs, 0..1, with the ranges of ``frame``."""
     total = np.zeros((len(some), len(some)))
     for feature in features:
         if feature.numeric or feature is CLOUDS_KIND:
@@ -131,10 +131,10 @@ def gower(
 
 
 def _best_labels(distances: Floats) -> tuple[float, Ints]:
-    """Silhouette and labels of the number of groups that tells most.
+    """Silhouette and labels of the best number of groups.
 
-    Two groups nearly always have the best silhouette and tell the least, so unless they are clearly
-    apart they are taken only where more of some size are less than half as clear.
+    Two groups nearly always have the best silhouette but the least information. So unless they are
+    clearly separated, they are chosen only if more groups of some size are less than half as clear.
     """
     tried: list[tuple[float, Ints]] = []
     for number in range(2, min(_MOST_CLUSTERS, len(distances) - 1) + 1):
@@ -152,7 +152,7 @@ def _best_labels(distances: Floats) -> tuple[float, Ints]:
 
 
 def _of_some_size(labels: Ints) -> list[int]:
-    """The labels of groups that are not mere strays, the largest first."""
+    """Labels of the groups that are more than outliers, the largest first."""
     sizes = np.bincount(labels)
     least = max(2, _LEAST_SHARE * len(labels))
     return [int(one) for one in np.argsort(-sizes, kind='stable') if sizes[one] >= least]
@@ -173,7 +173,7 @@ def _cluster(
 
 
 def _common(feature: Feature, runs: pd.DataFrame, frame: pd.DataFrame) -> Part | None:
-    """What nine in ten of the runs have of a feature, where many others do not have it."""
+    """Condition on a feature that nine in ten of the runs satisfy but many others do not."""
     part: Part
     if not feature.numeric:
         counts = runs[feature.name].value_counts(normalize=True)
@@ -184,7 +184,7 @@ def _common(feature: Feature, runs: pd.DataFrame, frame: pd.DataFrame) -> Part |
         values, everywhere = runs[feature.name], frame[feature.name]
         low, high = BY_NAME[feature.name].rounded(
             *(float(values.quantile(share)) for share in _MIDDLE))
-        # An end that hardly a run lies beyond is none.
+        # An end with hardly any run beyond it is dropped.
         part = Interval(
             feature=feature.name, low=low if (everywhere < low).mean() > _BEYOND else None,
             high=high if (everywhere > high).mean() > _BEYOND else None,
@@ -199,11 +199,11 @@ CLOUD_RANK = 'cloud_rank'
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PrincipalAxis:
-    """A direction.
+    """A principal axis.
 
     Attributes:
         explained: share of the failures' variance along it.
-        loadings: part of each standardised feature, by column.
+        loadings: loading of each standardised feature, by column.
     """
 
     explained: float
@@ -211,10 +211,10 @@ class PrincipalAxis:
 
 
 def principal_axes(frame: pd.DataFrame) -> tuple[PrincipalAxis, ...]:
-    """Principal axes of the failures, the longest first; none where there are too few.
+    """Principal axes of the failures, the longest first; none if there are too few failures.
 
-    Each feature is divided by its standard deviation over all runs, so a feature in which failures
-    are as spread as scenes are has variance 1, and one that failures agree in has little.
+    Each feature is divided by its standard deviation over all runs. So a feature in which failures
+    spread like all scenes has variance 1, and one in which failures agree has little variance.
 
     Args:
         frame: all runs, with features and ``failed``.

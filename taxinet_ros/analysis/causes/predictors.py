@@ -1,4 +1,4 @@
-"""Which features predict failure: each by itself, and together in a small decision tree."""
+"""Prediction of failure from features: each by itself, and together in a small decision tree."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ _CELLS, _RUNS_PER_CELL = 10, 10
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RankedFeature:
-    """A feature's part.
+    """How well a feature predicts failure.
 
     Attributes:
-        feature: which.
-        information_bit: mutual information of the feature, cut into cells, and failing, less what
-            shuffled outcomes show on average; that of a coin is 1 bit.
-        explained: the same as a share of all that there is to know (of the deviance), 0..1.
-        p: of so much information if the feature did not matter, by shuffling; after Holm
-            (Scandinavian Journal of Statistics 6, 1979), so that all p values hold together.
+        feature: the feature.
+        information_bit: mutual information of the feature, cut into cells, and the outcome, minus
+            its mean over shuffled outcomes; a fair coin has 1 bit.
+        explained: the same as a share of the deviance, 0..1.
+        p: p value by permutation, with Holm's correction (Scandinavian Journal of Statistics 6,
+            1979) over all features.
     """
 
     feature: Feature
@@ -51,7 +51,7 @@ class RankedFeature:
 
 
 def rank_features(frame: pd.DataFrame) -> tuple[RankedFeature, ...]:
-    """The features that vary, the most telling first; none where all runs ended alike.
+    """Rank the features that vary, the most informative first; none if all outcomes are equal.
 
     Args:
         frame: runs with features and ``failed``.
@@ -106,7 +106,7 @@ def _information(cells: Ints, rows: Mask, entropy: float) -> Floats:
 
 
 def _entropy(share: Floats) -> Floats:
-    """Of a coin with this share of heads [bit]."""
+    """Entropy of a coin with this share of heads [bit]."""
     heads, tails = np.clip(share, 1e-300, 1), np.clip(1 - share, 1e-300, 1)
     return -(share * np.log2(heads) + (1 - share) * np.log2(tails))
 
@@ -120,8 +120,8 @@ class Rule:
     """A leaf of the tree.
 
     Attributes:
-        region: the scenes in it.
-        rate: how often its runs fail, of those that the tree was grown from.
+        region: its scenes.
+        rate: failure rate of its runs among those that the tree was grown from.
     """
 
     region: Region
@@ -130,13 +130,13 @@ class Rule:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CauseTree:
-    """The tree.
+    """A decision tree that predicts failure.
 
     Attributes:
-        rules: its leaves, those with the highest rate first.
-        depth: questions to the deepest leaf, chosen by cross-validation.
-        accuracy: share of held-back runs that it gets right, the mean of five folds.
-        guess: share that the commoner outcome would get right.
+        rules: its leaves, the highest rate first.
+        depth: depth of the deepest leaf, chosen by cross-validation.
+        accuracy: share of held-out runs that it predicts correctly, mean of five folds.
+        guess: share that the more frequent outcome would predict correctly.
     """
 
     rules: tuple[Rule, ...]
@@ -146,9 +146,9 @@ class CauseTree:
 
 
 def grow_tree(runs: CampaignRuns) -> CauseTree | None:
-    """Grow the tree; None where there are too few runs or failures, or nothing to split by.
+    """Grow the tree; None if there are too few runs or failures, or nothing to split by.
 
-    The depth is the smallest whose log loss on held-back runs is within one standard error of the
+    The depth is the smallest whose log loss on held-out runs is within one standard error of the
     best (Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984).
     """
     failed = runs.failed
@@ -185,7 +185,7 @@ def _tree(depth: int, runs: int) -> DecisionTreeClassifier:
 
 
 def _columns(frame: pd.DataFrame) -> pd.DataFrame:
-    """Numbers as they are, kinds of clouds by their rank."""
+    """Feature columns: numbers unchanged, kinds of clouds by their rank."""
     columns = {
         feature.name: ordered_values(feature, frame)
         for feature in varied(frame, (*PAPER_FEATURES, *PUSHING_FEATURES))
@@ -207,7 +207,7 @@ def _leaves(tree: Any, names: list[str], frame: pd.DataFrame) -> Iterator[Region
 
 
 def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFrame) -> Region:
-    """The part of a region on one side of a question."""
+    """The part of a region on one side of a split."""
     feature = BY_NAME[name]
     old = next((part for part in region.parts if part.feature == name), None)
     others = tuple(part for part in region.parts if part.feature != name)
@@ -217,7 +217,7 @@ def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFr
         new = Kinds(feature=name, kinds=tuple(
             kind for kind in kinds if (feature.kinds.index(kind) > limit) is above))
     else:
-        # The ends of an interval are values of runs: no run lies between one and the limit.
+        # Interval ends are values of runs; no run lies between an end and the limit.
         values = frame[name].to_numpy(dtype=np.float64)
         low, high = (old.low, old.high) if isinstance(old, Interval) else (None, None)
         if above:

@@ -1,24 +1,29 @@
-"""A cause as a Scenic program, by which it is tested on fresh scenes.
+"""A cause as a Scenic program, to test it on fresh scenes.
 
-The program is the one whose runs were analysed, with one requirement more: that a scene lies in the
-region. Scenic draws until it does, so the scenes are those of the program itself in the region,
-whatever sampler chose the runs that the cause was found in.
+It is the program of the analysed runs with an additional requirement: that a scene lies in the
+region. Scenic uses rejection sampling, so the scenes follow the program's own distribution within
+the region, whatever sampler chose the analysed runs.
 """
 
 from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
+from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
 from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, other_form
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import DATE, PLACE, SCENARIO_FIELDS
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
@@ -27,7 +32,10 @@ _VALUES = {
     field.key: f'ego.{field.key}' if field.plane else f'scene_{field.key}'
     for field in SCENARIO_FIELDS
 }
-"""How a requirement of a program names what is in a column of the table."""
+"""Expression of a program's requirement for each column of the table."""
+_SCENE = re.compile(r'\bscene_(\w+)')
+_STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
+_PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
 _SWITCHES = {'on': True, 'off': False}
 
 
@@ -37,19 +45,17 @@ def program_name(cause: Cause) -> str:
 
 
 def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
-    """Text of a cause's program; None where the text of the runs' own program is not known.
+    """Text of a cause's program; None if the text of the runs' own program is not known.
 
     Args:
-        runs: that it was found in.
-        cause: which.
+        runs: runs in which it was found.
+        cause: the cause.
     """
     source = _source(runs)
     if source is None:
         return None
     required = [f'require {_condition(part)}' for part in cause.region.parts]
-    # A requirement knows the names of a program, but not the parameters of the world.
-    named = sorted({word for text in required for word in re.findall(r'\bscene_\w+', text)})
-    required[:0] = [f'{word} = globalParameters.{_parameter(word, source)}' for word in named]
+    required = _adapted(required, source, runs.facts.get('overrides', {}))
     return '\n'.join([
         source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
@@ -57,12 +63,12 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
 
 
 def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str | None:
-    """The command that runs fresh scenes of a cause; None where its program cannot be written.
+    """Command that runs fresh scenes of a cause; None if its program cannot be written.
 
     Args:
-        runs: that it was found in.
-        cause: which.
-        folder: that its program is in.
+        runs: runs in which it was found.
+        cause: the cause.
+        folder: folder of its program.
     """
     if _source(runs) is None:
         return None
@@ -80,7 +86,7 @@ def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()
 
 
 def _source(runs: CampaignRuns) -> str | None:
-    """The program's own text, of the campaign's record or as it is shipped."""
+    """Text of the program, from the campaign's record or as shipped."""
     record = str(runs.facts.get('program_text', ''))
     files = _FILE.split(record)[1:]
     texts = dict(zip(files[::2], files[1::2], strict=True))
@@ -91,16 +97,49 @@ def _source(runs: CampaignRuns) -> str | None:
     return find_program(word).read_text(encoding='utf-8') if word in known_programs() else None
 
 
-def _parameter(word: str, source: str) -> str:
-    """The parameter that a requirement calls ``word``, in the form in which the program sets it."""
-    key = word.removeprefix('scene_')
-    short = other_form(key)
-    said = short and re.search(rf'^[ \t]*param\b.*\b{short}[ \t]*=', source, re.MULTILINE)
-    return short if said else key
+def _parameters(source: str) -> list[str]:
+    """Names that the program's ``param`` statements set."""
+    lines = _STATEMENT.findall(source)
+    return [name for line in lines for name in _PARAMETER.findall(line)]
+
+
+def _parameter(key: str, source: str) -> str:
+    """The parameter that sets a key, under the name by which the program sets it."""
+    said = _parameters(source)
+    return next((name for name in said if key_of(name, said) == key), key)
+
+
+def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> list[str]:
+    """Requirements with what they call ``scene_KEY`` defined, in the table's units and words."""
+    said = _parameters(source)
+    names = {key: _parameter(key, source) for key in _named(required)}
+    of_paper = {key: name for key, name in names.items() if paper_name(name, said)}
+    values = {
+        key: f'our_value({name!r}, scene_{key}, scene_{PLACE.key}, scene_{DATE.key})'
+        for key, name in of_paper.items()
+    }
+    if PLACE.key in names:
+        values[PLACE.key] = f'typed_place(scene_{PLACE.key}).reference'
+    lines = [f'from {our_value.__module__} import our_value'] * bool(of_paper)
+    lines += [f'from {typed_place.__module__} import typed_place'] * (PLACE.key in names)
+    # A requirement knows the names of a program, but not the parameters of the world.
+    lines += [f'scene_{key} = globalParameters[{name!r}]' for key, name in sorted(names.items())]
+    for key, usual in ((PLACE.key, DEFAULT_PLACE), (DATE.key, Scenario().date)) * bool(of_paper):
+        if key in overrides:
+            lines.append(f'scene_{key} = {overrides[key]!r}')
+        elif key not in names:
+            lines.append(f'scene_{key} = globalParameters.get({key!r}, {usual!r})')
+    return lines + [
+        _SCENE.sub(lambda found: values.get(found[1], found[0]), text) for text in required
+    ]
+
+
+def _named(required: list[str]) -> set[str]:
+    return {key for text in required for key in _SCENE.findall(text)}
 
 
 def _value(name: str) -> str:
-    """What a requirement calls a feature."""
+    """Expression for a feature in a requirement."""
     source = BY_NAME[name].source
     return _VALUES[source] if name == source else f'abs({_VALUES[source]})'
 

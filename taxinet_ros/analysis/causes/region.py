@@ -1,6 +1,6 @@
 """A region of the space of scenes, such as a clear sky between 13:20 and 15:40.
 
-A scan cuts features into cells with about equally many runs and makes regions of the cells.
+A scan cuts features into cells with about equal numbers of runs and combines cells into regions.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ Floats32 = npt.NDArray[np.float32]
 
 
 def interval_cells(values: Floats, most: int) -> tuple[Floats, Floats, Ints]:
-    """Cut a feature into cells with about equally many runs each.
+    """Cut a feature into cells with about equal numbers of runs.
 
     Equal values stay together. The ends of a cell are values of runs.
 
     Returns:
-        The least and the greatest value of each cell, and the cell of each value.
+        Minimum and maximum of each cell, and the cell of each value.
     """
     ordered = np.sort(values)
     firsts = np.unique(ordered[(np.arange(most) * len(ordered)) // most])
-    # A value that many runs share is a cell of its own, such as no rain.
+    # A value shared by many runs, such as no rain, is a separate cell.
     common, counts = np.unique(ordered, return_counts=True)
     many = common[counts > len(ordered) / most]
     after = common[np.minimum(np.searchsorted(common, many) + 1, len(common) - 1)]
@@ -43,7 +43,7 @@ def interval_cells(values: Floats, most: int) -> tuple[Floats, Floats, Ints]:
 
 @functools.cache
 def neighbours(cells: int) -> Floats32:
-    """All runs of neighbouring cells, but not all cells: (candidates, cells)."""
+    """All ranges of adjacent cells except the full range: (candidates, cells)."""
     pairs = [(low, high) for low in range(cells) for high in range(low + 1, cells + 1)
              if high - low < cells]
     numbers = np.arange(cells)
@@ -53,7 +53,7 @@ def neighbours(cells: int) -> Floats32:
 
 @functools.cache
 def around_the_clock(cells: int) -> Floats32:
-    """All runs of neighbouring cells where the last is a neighbour of the first too."""
+    """Like :func:`neighbours`, with the last cell adjacent to the first."""
     inner = neighbours(cells)
     without_ends = inner[(inner[:, 0] == 0) & (inner[:, -1] == 0)]
     return np.concatenate([inner, 1 - without_ends])
@@ -61,14 +61,14 @@ def around_the_clock(cells: int) -> Floats32:
 
 @functools.cache
 def subsets(kinds: int) -> Floats32:
-    """All subsets but none and all: (candidates, kinds)."""
+    """All subsets except the empty and the full one: (candidates, kinds)."""
     chosen = list(itertools.product((0, 1), repeat=kinds))[1:-1]
     return np.array(chosen, dtype=np.float32).reshape(-1, kinds)
 
 
 @functools.cache
 def beginnings(cells: int) -> Floats32:
-    """The first cell, the first two, and so on, but not all: (candidates, cells)."""
+    """The first cell, the first two and so on, except all: (candidates, cells)."""
     return np.tri(cells, dtype=np.float32)[:-1]
 
 
@@ -82,10 +82,10 @@ _SWITCH_WORDS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Interval:
-    """Values of a numeric feature, the ends included; None for an end that no run lies beyond.
+    """Closed interval of a numeric feature; None for an end beyond which no run lies.
 
-    Where ``low`` is above ``high`` it is what lies above the one or below the other, such as a
-    night, which goes over midnight.
+    If ``low`` is above ``high``, it contains values above ``low`` or below ``high``, such as a
+    night, which extends over midnight.
     """
 
     feature: str
@@ -93,7 +93,7 @@ class Interval:
     high: float | None
 
     def mask(self, frame: pd.DataFrame) -> Mask:
-        """Which runs lie within."""
+        """Mask of the runs within."""
         values = frame[self.feature].to_numpy(dtype=np.float64)
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
@@ -103,7 +103,7 @@ class Interval:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Features that it is about."""
+        """Features that it restricts."""
         return (self.feature,)
 
     def to_json(self) -> dict[str, Any]:
@@ -111,7 +111,7 @@ class Interval:
         return {'feature': self.feature, 'low': self.low, 'high': self.high}
 
     def words(self) -> str:
-        """For people."""
+        """Display text."""
         feature = BY_NAME[self.feature]
         if self.low is not None and self.high is not None and self.low > self.high:
             above, below = (feature.interval_words(self.low, None),
@@ -122,18 +122,18 @@ class Interval:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Kinds:
-    """Some of a feature's words."""
+    """A subset of a feature's words."""
 
     feature: str
     kinds: tuple[str, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Features that it is about."""
+        """Features that it restricts."""
         return (self.feature,)
 
     def mask(self, frame: pd.DataFrame) -> Mask:
-        """Which runs have one of them."""
+        """Mask of the runs that have one of them."""
         return np.isin(frame[self.feature].to_numpy(dtype=object), self.kinds)
 
     def to_json(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ class Kinds:
         return {'feature': self.feature, 'kinds': list(self.kinds)}
 
     def words(self) -> str:
-        """For people."""
+        """Display text."""
         if len(self.kinds) == 1 and (self.feature, self.kinds[0]) in _SWITCH_WORDS:
             return _SWITCH_WORDS[self.feature, self.kinds[0]]
         feature = BY_NAME[self.feature]
@@ -155,7 +155,7 @@ class Kinds:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Slant:
-    """Values of a numeric feature and a multiple of another one, added up; the ends included."""
+    """Closed interval of the sum of a numeric feature and a multiple of another one."""
 
     feature: str
     other: str
@@ -165,7 +165,7 @@ class Slant:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Features that it is about."""
+        """Features that it restricts."""
         return (self.feature, self.other)
 
     def values(self, frame: pd.DataFrame) -> Floats:
@@ -175,7 +175,7 @@ class Slant:
         return total
 
     def mask(self, frame: pd.DataFrame) -> Mask:
-        """Which runs lie within."""
+        """Mask of the runs within."""
         values = self.values(frame)
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
@@ -187,7 +187,7 @@ class Slant:
                 'low': self.low, 'high': self.high}
 
     def words(self) -> str:
-        """For people."""
+        """Display text."""
         first, other = (BY_NAME[name].axis for name in self.names)
         sign = '−' if self.factor < 0 else '+'
         total = f'{first} {sign} {abs(self.factor):g} × {other}'
@@ -200,23 +200,23 @@ class Slant:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Either:
-    """Runs that lie in one of two parts, each about another feature, but not in both."""
+    """Exclusive or of two parts that restrict different features."""
 
     first: Interval | Kinds
     second: Interval | Kinds
 
     @property
     def feature(self) -> str:
-        """The first feature that it is about."""
+        """The first feature that it restricts."""
         return self.first.feature
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Features that it is about."""
+        """Features that it restricts."""
         return (self.first.feature, self.second.feature)
 
     def mask(self, frame: pd.DataFrame) -> Mask:
-        """Which runs lie within."""
+        """Mask of the runs within."""
         return self.first.mask(frame) ^ self.second.mask(frame)
 
     def to_json(self) -> dict[str, Any]:
@@ -224,14 +224,14 @@ class Either:
         return {'either': [self.first.to_json(), self.second.to_json()]}
 
     def words(self) -> str:
-        """For people."""
+        """Display text."""
         return f'either {self.first.words()}, or {self.second.words()}, not both'
 
 Part = Interval | Kinds | Slant | Either
 
 
 def part_of(values: Mapping[str, Any]) -> Part:
-    """The part that ``to_json`` gave these values."""
+    """The part with these ``to_json`` values."""
     if 'either' in values:
         first, second = (part_of(each) for each in values['either'])
         assert isinstance(first, Interval | Kinds)
@@ -244,22 +244,22 @@ def part_of(values: Mapping[str, Any]) -> Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Region:
-    """The scenes that lie in all of its parts; no two are about the same feature."""
+    """Intersection of parts; no two restrict the same feature."""
 
     parts: tuple[Part, ...]
 
     def mask(self, frame: pd.DataFrame) -> Mask:
-        """Which runs lie within."""
+        """Mask of the runs within."""
         masks = [part.mask(frame) for part in self.parts]
         return np.logical_and.reduce([np.ones(len(frame), dtype=bool), *masks])
 
     def words(self) -> str:
-        """For people, such as ``clear sky, between 13:20 and 15:40``."""
+        """Display text, such as ``clear sky, between 13:20 and 15:40``."""
         return ', '.join(part.words() for part in self.parts)
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """What its parts are about."""
+        """Features that its parts restrict."""
         return tuple(BY_NAME[name] for part in self.parts for name in part.names)
 
 

@@ -1,19 +1,19 @@
 """Scan statistic: find regions of increased failure rate and test their significance.
 
-Regions are of three families: intervals of a numeric feature, over midnight too, and sets of
-words; intervals of a sum of two features, which are slanted bands; and two conditions, of which
-both hold or exactly one does. Each family's greatest score is held against the greatest ones of
-the same family in shuffled outcomes, and the family that exceeds its own by most against the
-same of the shufflings. So the p value accounts for all regions that were looked at.
+There are three families of regions: intervals of a numeric feature, including over midnight, and
+sets of words; intervals of a sum of two features, which are slanted bands; and two conditions, of
+which both hold or exactly one does. Each family's maximum score is compared with its maxima under
+permuted outcomes; the largest excess over all families is then compared with that of the
+permutations. So the p value accounts for all regions examined.
 
 The statistic of a region is the log likelihood ratio of two failure rates, inside and outside,
-against one (Kulldorff, Communications in Statistics: Theory and Methods 26, 1997). There are
-many more small regions than large ones, so the greatest of all statistics would nearly always
-be that of a small one; the score of a region is therefore compared with what regions of its
-size reach by chance (Walther and Perry, Journal of the Royal Statistical Society B 84, 2022).
+against one (Kulldorff, Communications in Statistics: Theory and Methods 26, 1997). Small regions
+are far more numerous than large ones, so the maximum statistic would nearly always be that of a
+small one; the score therefore subtracts what regions of that size reach by chance (Walther and
+Perry, Journal of the Royal Statistical Society B 84, 2022).
 
-Shuffling supposes that scenes were chosen without regard to outcomes. Where a sampler has
-learned from them, the runs are judged in their order instead, by an e-value.
+Permutation assumes that scenes were chosen independently of outcomes. If a sampler learned from
+them, the runs are tested in their order instead, by an e-value.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ from taxinet_ros.analysis.runs.features import (
 def likelihood_ratio(
     failures: npt.NDArray[Any], inside: npt.NDArray[Any], all_failures: int, runs: int
 ) -> Floats:
-    """Log likelihood ratio of two rates against one; 0 where the rate inside is not the higher.
+    """Log likelihood ratio of two rates against one; 0 unless the rate inside is the higher.
 
     Args:
-        failures: inside.
-        inside: number of runs inside, to go with ``failures``.
-        all_failures: inside and outside together.
-        runs: inside and outside together.
+        failures: number of failures inside.
+        inside: number of runs inside, broadcast with ``failures``.
+        all_failures: number of failures inside and outside.
+        runs: number of runs inside and outside.
     """
     x_log_x = _x_log_x(runs)
     k, n = np.rint(failures).astype(np.int32), np.rint(inside).astype(np.int32)
@@ -88,18 +88,18 @@ def _x_log_x(most: int) -> Floats:
 
 
 def size_penalty(inside: npt.NDArray[Any], runs: int) -> Floats:
-    """What chance alone makes of the root of twice the ratio, for regions of a size."""
+    """Value of the root of twice the ratio that regions of a given size reach by chance."""
     smaller = np.minimum(inside, runs - inside)
     penalty: Floats = np.sqrt(2 * np.log(np.e * runs / np.maximum(smaller, 1.0)))
     return penalty
 
 
 def hoeffding_bound(failed: Mask, inside: Mask) -> float:
-    """A bound on how probable it is that shuffled outcomes put as many failures inside, or more.
+    """Bound on the probability that permuted outcomes put at least as many failures inside.
 
     Args:
-        failed: of each run.
-        inside: which runs are inside, neither none nor all.
+        failed: whether each run failed.
+        inside: whether each run is inside; neither none nor all.
     """
     share = float(failed.mean())
     exponents = []
@@ -110,11 +110,11 @@ def hoeffding_bound(failed: Mask, inside: Mask) -> float:
 
 
 def interval_of(failures: int, runs: int, deviance: float) -> tuple[float, float]:
-    """Rates that the counts do not speak against by more than a log likelihood ratio.
+    """Likelihood interval of a rate.
 
     Args:
-        failures: among the runs.
-        runs: how many; with none every rate is possible.
+        failures: number of failed runs.
+        runs: number of runs; with 0 every rate is possible.
         deviance: the log likelihood ratio of the observed rate to a rate at an end.
     """
     if not runs:
@@ -135,7 +135,7 @@ def interval_of(failures: int, runs: int, deviance: float) -> tuple[float, float
 
 
 def _divergence(part: float, whole: float) -> float:
-    """Kullback and Leibler's, of two coins."""
+    """Kullback-Leibler divergence of two coins."""
     terms = ((part, whole), (1 - part, 1 - whole))
     return sum(one * math.log(one / max(other, 1e-300)) for one, other in terms if one > 0)
 
@@ -143,13 +143,13 @@ def _divergence(part: float, whole: float) -> float:
 def log_evidence(
     failures: npt.NDArray[Any], inside: npt.NDArray[Any], all_failures: int, runs: int
 ) -> Floats:
-    """Log of an e-value against 'one rate', for each of some regions fixed before the runs.
+    """Log e-value against 'one rate', for each of some regions fixed before the runs.
 
-    The likelihood of the outcomes under two unknown rates, each mixed over Jeffreys's prior, by the
-    greatest one under a single rate. Given the past and the scene, the outcome of the next run is a
-    toss of one coin if no scene fails more often than another, however the scene was chosen. So
-    the ratio to the true coin is a martingale, the ratio here is not above it, and by Ville's
-    inequality it exceeds 1 / alpha with probability alpha at most, whatever the sampler has learned
+    It is the likelihood of the outcomes under two unknown rates, each mixed over Jeffreys's prior,
+    divided by the maximum under a single rate. If all scenes fail equally often, then given the
+    past and the scene, the next outcome is a toss of one coin, however the scene was chosen. So the
+    ratio to the true coin is a martingale and the ratio here does not exceed it. By Ville's
+    inequality it exceeds 1 / alpha with probability at most alpha, whatever the sampler has learned
     from outcomes (universal inference: Wasserman, Ramdas and Balakrishnan, PNAS 117, 2020; Ramdas,
     Grünwald, Vovk and Shafer, Statistical Science 38, 2023). Means of e-values are e-values.
     """
@@ -168,33 +168,33 @@ def log_evidence(
 
 SHUFFLES = 999
 DISCOUNT = 1.2
-"""A region of two features must tell a fifth more than one of one, to be named instead."""
+"""Factor by which a region of two features must exceed one of a single feature to be preferred."""
 PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0, WIND_DIRECTION.name: 360.0}
-"""Features that begin anew."""
+"""Periods of the cyclic features."""
 _FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
 _HOPELESS = 3.0
-"""Where p is more than so many times alpha after the first shufflings, there are no more."""
+"""Multiple of alpha: if p exceeds it after the first permutations, no more are made."""
 _LEVEL = 0.05
 _LEVELS = (0.03, 0.015, 0.015)
-"""Of each family: single features are causes more often than pairs are."""
+"""Level of each family: single features are causes more often than pairs."""
 _MOST_KINDS = 8
 _SLOPES = (0.5, 1.0, 2.0)
 _SLANTED = (CROSS_TRACK, HEADING, DISTANCE, TIME_OF_DAY)
 _WRAPS = 0.2
-"""A feature goes round where no more than this share of its period has no run."""
+"""A feature is treated as cyclic if at most this share of its period contains no run."""
 _LEARNING = 0.2
-"""Share of the runs of a search that only tell where to cut, if outcomes chose the scenes."""
+"""Share of a search's runs used only to place the cuts, if outcomes influenced the scenes."""
 _NONE = -99.0
-"""Below every score."""
+"""A value below every score."""
 _ONE, _SLANT, _TWO = range(3)
 
 
 class _Axis(NamedTuple):
-    """A feature, or a sum of two, in cells: the cell of each run, and what cells make a part.
+    """A feature, or a sum of two, divided into cells, with the candidate sets of cells.
 
     Attributes:
-        part: it as a whole; its limits are put in.
-        firsts, lasts: least and greatest value of each cell; of words empty.
+        part: the unrestricted part, whose limits are replaced.
+        firsts, lasts: minimum and maximum of each cell; empty for words.
         places: cell of each run.
         members: cells of each candidate, (candidates, cells).
     """
@@ -206,12 +206,12 @@ class _Axis(NamedTuple):
     members: Floats32
 
     def chosen(self, cells: Floats32) -> Interval | Kinds | Slant:
-        """The part that some cells make."""
+        """The part formed by some cells."""
         part, inside = self.part, np.flatnonzero(cells)
         if isinstance(part, Kinds):
             return Kinds(feature=part.feature, kinds=tuple(part.kinds[cell] for cell in inside))
         first, last = int(inside[0]), int(inside[-1])
-        if last - first + 1 > len(inside):  # it goes round
+        if last - first + 1 > len(inside):  # it wraps around
             gap = np.flatnonzero(cells == 0)
             first, last = int(gap[-1]) + 1, int(gap[0]) - 1
         low, high = float(self.firsts[first]), float(self.lasts[last])
@@ -223,12 +223,12 @@ class _Axis(NamedTuple):
 
 @dataclass(frozen=True)
 class _Block:
-    """Candidates that are counted together.
+    """Candidates that are evaluated together.
 
     Attributes:
-        family: of :data:`_ONE`, :data:`_SLANT` and :data:`_TWO`.
-        axes: one, or the two that are crossed.
-        runs_of_cell: which runs each cell, or pair of cells, has: (cells, runs).
+        family: :data:`_ONE`, :data:`_SLANT` or :data:`_TWO`.
+        axes: one axis, or two crossed axes.
+        runs_of_cell: which runs each cell, or pair of cells, contains: (cells, runs).
         inside: number of runs of each candidate.
     """
 
@@ -238,11 +238,11 @@ class _Block:
     inside: Floats32
 
     def failures(self, rows: Floats32) -> Floats32:
-        """Failures of each candidate, for each row of outcomes: (candidates, rows)."""
+        """Number of failures of each candidate, per row of outcomes: (candidates, rows)."""
         return _counts(self.axes, self.runs_of_cell @ rows.T)
 
     def region(self, candidate: int) -> Region:
-        """What a candidate is."""
+        """The region of a candidate."""
         if len(self.axes) == 1:
             return Region(parts=(self.axes[0].chosen(self.axes[0].members[candidate]),))
         one, other = self.axes
@@ -266,17 +266,17 @@ class Scan:
     """The candidates of a set of runs.
 
     Attributes:
-        region: the most telling one, its limits on the grid of the scan; None where none has more
-            failures than the others.
-        candidates: that were compared.
+        region: the one with the best score, its limits on the grid of the scan; None if none has an
+            increased failure rate.
+        candidates: number of compared candidates.
     """
 
     def __init__(self, frame: pd.DataFrame, basis: pd.DataFrame | None = None) -> None:
-        """Compare them.
+        """Evaluate all candidates.
 
         Args:
             frame: runs with features and ``failed``.
-            basis: runs that tell where to cut features; these themselves where None.
+            basis: runs by which features are cut; None for ``frame``.
         """
         self._failed = frame['failed'].to_numpy(dtype=bool)
         self._blocks = list(_blocks(frame, frame if basis is None else basis))
@@ -298,20 +298,20 @@ class Scan:
         self._inside = None if self.region is None else self.region.mask(frame)
 
     def p_value(self, alpha: float, rng: np.random.Generator) -> tuple[float, bool]:
-        """How probable so telling a region is somewhere, if failing had no cause here.
+        """P value of the best region under the hypothesis of no cause.
 
         Args:
-            alpha: the shufflings end when it is clear that the value is above it.
-            rng: for the shufflings.
+            alpha: the permutations end when the value is clearly above it.
+            rng: generator for the permutations.
 
         Returns:
-            The p value, and whether it is a bound that the true one is below.
+            The p value, and whether it is an upper bound.
         """
         if self._inside is None:
             return 1.0, False
         bound = self.candidates * hoeffding_bound(self._failed, self._inside)
         if bound < 1 / (SHUFFLES + 1):
-            self._shuffle(_SHUFFLES_OF_BOUND, rng)  # for the intervals
+            self._shuffle(_SHUFFLES_OF_BOUND, rng)  # needed by the intervals
             return bound, True
         self._tabulate()
         self._shuffle(_FIRST_SHUFFLES, rng)
@@ -328,10 +328,10 @@ class Scan:
         return (1 + int((there >= here - 1e-9).sum())) / (1 + len(there))
 
     def deviance(self, inside: int) -> float:
-        """Log likelihood ratio by which, in 95 % of cases, no region's counts miss its true rate.
+        """Log likelihood ratio that bounds the error of every region's rate in 95 % of cases.
 
         Args:
-            inside: runs of the region.
+            inside: number of runs in the region.
         """
         greatest = self._shuffled.max(axis=1)
         usual = float(np.quantile(greatest, 1 - _LEVEL))
@@ -339,10 +339,10 @@ class Scan:
         return root**2 / 2 + _OF_ONE_RATE
 
     def p_of_search(self) -> float:
-        """As :meth:`p_value`, valid too where scenes were chosen by the outcomes before them.
+        """Like :meth:`p_value`, but also valid if scenes were chosen by earlier outcomes.
 
-        The regions must have been cut by runs before these. Half of the weight is on regions of
-        one feature.
+        The regions must have been cut by earlier runs. Half of the weight is on regions of one
+        feature.
         """
         families = []
         for family in range(3):
@@ -364,7 +364,7 @@ class Scan:
     def _shuffle(self, times: int, rng: np.random.Generator) -> None:
         rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
         greatest = np.full((times, 3), _NONE)
-        # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
+        # On a busy machine BLAS threads slow down matrices of this size tenfold.
         with threadpool_limits(limits=1):
             for block in self._blocks:
                 score = self._scores(block, rows).max(axis=0)
@@ -372,7 +372,7 @@ class Scan:
         self._shuffled = np.concatenate([self._shuffled, greatest])
 
     def _scores(self, block: _Block, rows: Floats32) -> Floats32:
-        """Of each candidate, for each row of outcomes: (candidates, rows)."""
+        """Score of each candidate, per row of outcomes: (candidates, rows)."""
         failures = block.failures(rows)
         if not len(self._score_of):
             return self._score(failures, block.inside[:, None])
@@ -381,7 +381,7 @@ class Scan:
         return self._score_of.take(places)
 
     def _tabulate(self) -> None:
-        """Put down every score that there can be, by runs inside and failures among them."""
+        """Tabulate all possible scores by runs inside and failures among them."""
         runs, all_failures = len(self._failed), int(self._failed.sum())
         sizes = np.unique(np.concatenate([block.inside for block in self._blocks]))
         self._first_score = np.full(runs + 1, 0, dtype=np.int32)
@@ -390,7 +390,7 @@ class Scan:
         self._score_of = self._score(failures, sizes[:, None]).ravel()
 
     def _score(self, failures: npt.NDArray[Any], inside: Floats32) -> Floats32:
-        """Root of twice the ratio, less what chance makes of it; never of too few runs."""
+        """Root of twice the ratio minus its size penalty; -inf for too few runs."""
         runs = len(self._failed)
         ratio = likelihood_ratio(failures, inside, int(self._failed.sum()), runs)
         penalty = size_penalty(inside, runs)
@@ -403,22 +403,22 @@ _OF_ONE_RATE = 1.92
 
 
 def p_of_search(frame: pd.DataFrame) -> float:
-    """P value of a cause somewhere, where outcomes may have chosen the scenes after them.
+    """P value of a cause if outcomes may have influenced the choice of later scenes.
 
     Args:
-        frame: runs with features and ``failed``, in the order in which they were asked for.
+        frame: runs with features and ``failed``, in the order in which they were requested.
     """
     first = max(1, round(_LEARNING * len(frame)))
     return Scan(frame.iloc[first:], frame.iloc[:first]).p_of_search()
 
 
 def least_runs(runs: int) -> int:
-    """Fewest runs that a candidate may have."""
+    """Minimum number of runs of a candidate."""
     return max(8, runs // 200)
 
 
 def goes_round(feature: str, values: Floats) -> bool:
-    """Whether an interval of a feature may go over its end, as a night does."""
+    """Whether an interval of a feature may wrap around, as a night does."""
     if feature not in PERIODS:
         return False
     period = PERIODS[feature]
@@ -447,7 +447,7 @@ def _axis(
     feature: Feature, frame: pd.DataFrame, basis: pd.DataFrame, most: int,
     sets: Callable[[int], Floats32],
 ) -> _Axis | None:
-    """The feature in cells of runs, or None where it has too many words, or one cell."""
+    """The feature divided into cells, or None if it has too many words or only one cell."""
     if feature.numeric:
         part = Interval(feature=feature.name, low=None, high=None)
         values, cut_by = (one[feature.name].to_numpy(dtype=np.float64) for one in (frame, basis))
@@ -457,7 +457,7 @@ def _axis(
         return None
     codes = pd.Index(kinds).get_indexer(pd.Index(frame[feature.name])).astype(np.int64)
     empty = np.zeros(0)
-    # A word that only came up later is with the last one.
+    # A word that only occurs later is assigned to the last cell.
     return _Axis(Kinds(feature=feature.name, kinds=kinds), empty, empty,
                  np.where(codes < 0, len(kinds) - 1, codes), sets(len(kinds)))
 
@@ -476,7 +476,7 @@ def _numeric(
 
 
 def _slants(frame: pd.DataFrame, basis: pd.DataFrame, most: int) -> Iterator[_Axis]:
-    """Sums of two features, on scales on which both vary about as much."""
+    """Sums of two features, scaled so that both vary about equally."""
     for one, other in itertools.combinations(varied(basis, _SLANTED), 2):
         ranges = [float(np.ptp(basis[feature.name])) for feature in (one, other)]
         for slope, sign in itertools.product(_SLOPES, (1, -1)):
@@ -499,7 +499,7 @@ def _block(family: int, axes: tuple[_Axis, ...], runs: int) -> _Block:
 
 
 def _counts(axes: Sequence[_Axis], of_cells: Floats32) -> Floats32:
-    """Sums over the cells of each candidate, of sums of each cell: (candidates, rows)."""
+    """Sums over the cells of each candidate, from sums of each cell: (candidates, rows)."""
     if len(axes) == 1:
         return np.asarray(axes[0].members @ of_cells)
     one, other = axes

@@ -1,1 +1,1 @@
-"""Arms of an experiment, compared scene by scene."""
+"""Paired comparison of the arms of an experiment."""

@@ -1,4 +1,4 @@
-"""The arms of a confirmation experiment, compared run by run."""
+"""Comparison of the arms of a confirmation experiment, run by run."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 
 Rows = Mapping[str, Sequence[RunRow]]
-"""Runs of an experiment, by the name of their arm."""
+"""Runs of an experiment by name of their arm."""
 
 _NUMBERS = (
     'time_of_day_h', 'distance_m', 'cross_track_m', 'heading_deg', 'rain_percent',
 )
-"""What a picture may be drawn over, in the order in which it is tried."""
+"""Candidate horizontal axes of a picture, in order of preference."""
 
 _SIGNIFICANT = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmComparison:
-    """One arm against the arm that it is compared to.
+    """Comparison of an arm with the base arm.
 
     Attributes:
-        base, arm: their names.
-        pairs: rows of scenes that were judged in both, base first.
-        unpaired: scenes that were not.
-        satisfied: of the formulas.
-        off_runway: of leaving the runway.
-        rho: of the headline [m, or as its predicate].
+        base, arm: names of the arms.
+        pairs: rows of scenes judged in both arms, base first.
+        unpaired: number of the other scenes.
+        satisfied: whether runs satisfy the formulas.
+        off_runway: whether runs leave the runway.
+        rho: robustness of the headline formula [m, or the unit of its predicate].
         max_cross_track_m: greatest |cross-track error| [m].
-        settle_time_s: of runs that settle in both arms [s].
-        settled: whether runs settle on the centreline at all.
+        settle_time_s: settling time of runs that settle in both arms [s].
+        settled: whether runs settle on the centreline.
     """
 
     base: str
@@ -59,25 +59,25 @@ class ArmComparison:
 
     @property
     def clear(self) -> bool:
-        """Whether the arms differ in how often they satisfy, beyond doubt."""
+        """Whether the rates of satisfied runs differ significantly."""
         return self.satisfied.p_value < _SIGNIFICANT
 
     @property
     def rho_clear(self) -> bool:
-        """Whether rho differs, beyond doubt."""
+        """Whether rho differs significantly."""
         return self.rho.p_value < _SIGNIFICANT
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairedArms:
-    """What an experiment has shown.
+    """Results of an experiment.
 
     Attributes:
-        experiment: what was done.
+        experiment: the experiment.
         rows: runs of every arm.
-        comparisons: every other arm with the one that they are compared to.
-        over: key of the scenario to draw over.
-        alone: whether nothing else varies, so that neighbours in it may be joined by a line.
+        comparisons: comparison of every other arm with the base arm.
+        over: scenario key of the horizontal axis.
+        alone: whether it is the only varied key, so that neighbours may be joined by a line.
     """
 
     experiment: Experiment
@@ -88,7 +88,7 @@ class PairedArms:
 
 
 def paired_arms(experiment: Experiment, rows: Rows) -> PairedArms:
-    """Compare the arms of an experiment whose scenes were found to be paired."""
+    """Compare the arms of an experiment whose scenes are known to be paired."""
     base = rows[experiment.compare_to]
     varied = varied_keys(base)
     numbers = [key for key in _NUMBERS if key in varied]
@@ -105,7 +105,7 @@ def paired_arms(experiment: Experiment, rows: Rows) -> PairedArms:
 def compare_arms(
     base: str, base_rows: Sequence[RunRow], arm: str, rows: Sequence[RunRow]
 ) -> ArmComparison:
-    """Compare two arms over the scenes that were judged in both."""
+    """Compare two arms over the scenes judged in both."""
     by_index = {row.index: row for row in rows if row.outcome.judged}
     pairs = tuple(
         (row, by_index[row.index])
@@ -133,13 +133,13 @@ def compare_arms(
 
 
 def varied_keys(rows: Sequence[RunRow]) -> tuple[str, ...]:
-    """Keys of the scenario that are not the same in all runs."""
+    """Scenario keys that differ between runs."""
     drawn = [row for row in rows if row.clouds]
     return tuple(key for key in HUMAN_KEYS if len({row.scene[key] for row in drawn}) > 1)
 
 
 def pairs_frame(found: PairedArms) -> pd.DataFrame:
-    """One line for each scene: its values in the arm compared to, and each arm's figures."""
+    """Table with one row per scene: its values in the base arm, and each arm's results."""
     experiment = found.experiment
     names = [experiment.compare_to, *(arm.name for arm in experiment.others)]
     by_arm = {name: {row.index: row for row in found.rows[name]} for name in names}
@@ -148,7 +148,7 @@ def pairs_frame(found: PairedArms) -> pd.DataFrame:
 
 
 def rho_of(row: RunRow) -> float:
-    """Robustness of the headline, NaN where a run has none."""
+    """Robustness of the headline formula, NaN if a run has none."""
     return row.headline[0] if row.headline else math.nan
 
 

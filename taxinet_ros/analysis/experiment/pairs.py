@@ -13,11 +13,11 @@ from scipy.stats import binomtest, norm, wilcoxon
 CONFIDENCE = 0.95
 
 _MOST_EXACT, _MOST_RANKED = 60, 4000
-"""Pairs up to which ranks are counted and not approximated, and up to which all are ranked."""
+"""Maximum numbers of pairs for exact rank counts, and for ranking all pairs."""
 
 
 class ConfidenceInterval(NamedTuple):
-    """A figure with its 95 % interval; NaN where it has none."""
+    """A value with its 95 % interval; NaN if it has none."""
 
     value: float
     low: float
@@ -26,7 +26,7 @@ class ConfidenceInterval(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairedRates:
-    """Yes or no in two arms, of the same scenes.
+    """A binary result of the same scenes in two arms.
 
     Attributes:
         both, only_first, only_second, neither: numbers of pairs.
@@ -44,19 +44,19 @@ class PairedRates:
 
     @property
     def first(self) -> int:
-        """Number of yeses in the first arm."""
+        """Number of positive results in the first arm."""
         return self.both + self.only_first
 
     @property
     def second(self) -> int:
-        """Number of yeses in the second arm."""
+        """Number of positive results in the second arm."""
         return self.both + self.only_second
 
     @property
     def p_value(self) -> float:
         """McNemar's exact test of whether the two arms differ.
 
-        Only pairs that differ tell, and without a difference each way is as likely (Psychometrika
+        Only discordant pairs count; under the null both ways are equally likely (Psychometrika
         12, 1947; exact by the binomial distribution).
         """
         differing = self.only_first + self.only_second
@@ -66,9 +66,9 @@ class PairedRates:
 
     @property
     def difference(self) -> ConfidenceInterval:
-        """Rate of the second arm less that of the first, with its 95 % interval.
+        """Rate of the second arm minus that of the first, with its 95 % interval.
 
-        The interval is put together from Wilson's of the two rates, with their correlation
+        The interval combines the Wilson intervals of the two rates, with their correlation
         (Newcombe, Statistics in Medicine 17, 1998, pp. 2635-2650, method 10).
         """
         n = self.pairs
@@ -89,7 +89,7 @@ class PairedRates:
             return 0.0
         excess: float = a * d - b * c
         if excess > 0:
-            excess = max(excess - n / 2, 0.0)  # the method's correction for continuity
+            excess = max(excess - n / 2, 0.0)  # the method's continuity correction
         return excess / math.sqrt(scale)
 
 
@@ -104,13 +104,13 @@ def paired_rates(first: Sequence[bool], second: Sequence[bool]) -> PairedRates:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairedShift:
-    """How much a figure changes from the first arm to the second.
+    """Change of a quantity from the first arm to the second.
 
     Attributes:
-        pairs: that have it in both arms.
-        change: typical difference, second less first, with its interval.
-        more, less: pairs in which it grows or shrinks; it is equal in the others.
-        p_value: of whether there is any.
+        pairs: number of pairs that have it in both arms.
+        change: typical difference, second minus first, with its interval.
+        more, less: number of pairs in which it grows or shrinks; it is equal in the others.
+        p_value: p value of the hypothesis of no change.
     """
 
     pairs: int
@@ -121,13 +121,13 @@ class PairedShift:
 
 
 def paired_shift(first: Sequence[float], second: Sequence[float]) -> PairedShift:
-    """Compare a figure over pairs; those without it (NaN) in either arm are left out.
+    """Compare a quantity over pairs; pairs without it (NaN) in either arm are left out.
 
-    By the signed ranks of the differences, so that many that are next to nothing do not outvote a
-    few that are great: the test is Wilcoxon's, the typical change is Hodges and Lehmann's, which is
-    the median of the means of all two differences, and its interval is Tukey's (Hollander, Wolfe
-    and Chicken, Nonparametric Statistical Methods, 2014, chapter 3). They suppose that where
-    nothing is changed a difference is as likely as its opposite.
+    Uses the signed ranks of the differences, so that many negligible ones do not outvote a few
+    large ones: Wilcoxon's signed-rank test, the Hodges-Lehmann estimate (the median of the means of
+    all two differences) and Tukey's interval (Hollander, Wolfe and Chicken, Nonparametric
+    Statistical Methods, 2014, chapter 3). They assume that without a change the differences are
+    symmetric about zero.
     """
     differences = np.array(second, dtype=np.float64) - np.array(first, dtype=np.float64)
     differences = differences[np.isfinite(differences)]
@@ -142,7 +142,7 @@ def _typical(differences: np.ndarray) -> ConfidenceInterval:
     count = len(differences)
     if not count:
         return ConfidenceInterval(math.nan, math.nan, math.nan)
-    if count > _MOST_RANKED:  # the means of all two would not fit into the memory
+    if count > _MOST_RANKED:  # the means of all two would not fit into memory
         differences = differences[:: -(-count // _MOST_RANKED)]
         count = len(differences)
     one, other = np.triu_indices(count)
@@ -154,9 +154,9 @@ def _typical(differences: np.ndarray) -> ConfidenceInterval:
 
 
 def _rank_cut(count: int) -> int:
-    """How many of the least means lie outside the interval; -1 where there is none.
+    """Number of the smallest means outside the interval; -1 if there is no interval.
 
-    The greatest number k with P(signed-rank statistic <= k) within the tail, less what is inside.
+    The greatest k with P(signed-rank statistic <= k) at most the tail probability.
     """
     tail = (1 - CONFIDENCE) / 2
     total = count * (count + 1) // 2
@@ -172,7 +172,7 @@ def _rank_cut(count: int) -> int:
 
 
 def _wilson(k: int, n: int) -> ConfidenceInterval:
-    """A share with Wilson's score interval."""
+    """A share with its Wilson score interval."""
     z = float(norm.ppf((1 + CONFIDENCE) / 2))
     share = k / n
     middle = (share + z * z / (2 * n)) / (1 + z * z / n)

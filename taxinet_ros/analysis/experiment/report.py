@@ -1,4 +1,4 @@
-"""The report on a confirmation experiment: pictures, sentences, tables, JSON."""
+"""Report on a confirmation experiment: pictures, sentences, tables, JSON."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
 
 _LOWEST_SHOWN = -6.0
-"""Runs that leave the centreline for good are shown at the picture's lower edge."""
+"""Lower limit of rho in the picture; runs below it are shown at the lower edge."""
 _MOST_CHANGE = 8.0
 _BINS, LEAST_IN_BIN = 12, 3
-"""Parts of what is drawn over, and the least number of runs in one that say something."""
+"""Number of bins of the horizontal axis, and minimum number of runs for a bin's median."""
 
 
 def title_of(key: str) -> str:
@@ -46,14 +46,14 @@ def title_of(key: str) -> str:
 
 
 def range_words(key: str, low: float, high: float) -> str:
-    """From where to where a key goes, for people."""
+    """Display text of the range of a key."""
     field = BY_KEY[key]
     digits = 0 if abs(high) >= 100 else 1
     return f'{field.title} {low:.{digits}f} to {high:.{digits}f}{field.unit_mark}'
 
 
 def arms_picture(found: PairedArms) -> Picture:
-    """Every arm's runs, in a colour of its own."""
+    """The runs of every arm, one colour per arm."""
     names = ' and '.join(found.rows)
     lines = (
         'neighbours are joined' if found.alone
@@ -76,7 +76,7 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
             _join_flips(axes, one, places, theme)
     others = iter(theme.others * len(experiment.arms))
     for arm in experiment.arms:
-        # The suspect in the colour of failure; two arms are told apart by anybody.
+        # The base arm in the colour of failure; two arms need no further colours.
         base = arm.name == experiment.compare_to
         colour = theme.failed if base else theme.passed if len(experiment.arms) == 2 \
             else next(others)
@@ -86,7 +86,7 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
         xlabel=title_of(found.over),
         ylabel=f'ρ of {experiment.specs[0].partition("=")[0]} [m]', ylim=(_lowest(found), None),
     )
-    # Upright lines join pairs there, and would be lost among those of a grid.
+    # Vertical lines join pairs there and would be lost among vertical grid lines.
     style_axes(axes, grid='both' if found.alone else 'y')
     axes.legend(frameon=False, loc='lower center', bbox_to_anchor=(0.5, 1.0),
                 ncols=len(experiment.arms))
@@ -130,7 +130,7 @@ def _join_flips(
 
 
 def change_picture(found: PairedArms, one: ArmComparison) -> Picture:
-    """How much rho changes from the arm compared to."""
+    """Change of rho from the base arm."""
     return Picture(
         name=f'change_{one.arm}', title=f'Change of ρ from {one.base} to {one.arm}',
         caption='A dot is a scene: the difference of its ρ between the arms; the line is the '
@@ -153,7 +153,7 @@ def _draw_change(found: PairedArms, one: ArmComparison, figure: Figure, theme: T
 
 
 def changes(found: PairedArms, one: ArmComparison) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pair is, and how much its rho changes."""
+    """Position of each pair, and the change of its rho."""
     known = [
         (float(a.scene[found.over]), rho_of(b) - rho_of(a)) for a, b in one.pairs
         if a.scene[found.over] is not None
@@ -164,14 +164,14 @@ def changes(found: PairedArms, one: ArmComparison) -> tuple[np.ndarray, np.ndarr
 
 
 def bins(x: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-    """Equal parts of the range: ends, and who is within."""
+    """Equal bins of the range: ends, and mask of the values within."""
     edges = np.linspace(x.min(), x.max(), _BINS + 1)
     part = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, _BINS - 1)
     return [(float(edges[n]), float(edges[n + 1]), part == n) for n in range(_BINS)]
 
 
 def _medians(x: np.ndarray, y: np.ndarray) -> tuple[list[float], list[float]]:
-    """Medians in equal parts of the range, without those that have too few runs."""
+    """Medians in equal bins of the range, without bins that have too few runs."""
     full = [part for part in bins(x) if part[2].sum() >= LEAST_IN_BIN]
     return (
         [(low + high) / 2 for low, high, _ in full],
@@ -183,7 +183,7 @@ _MOST_FLIPS = 30
 
 
 def experiment_report(found: PairedArms) -> Report:
-    """The whole, as a page."""
+    """Report on an experiment."""
     experiment = found.experiment
     return Report(
         title=f'Experiment {experiment.name}: {" / ".join(arm.name for arm in experiment.arms)}',
@@ -193,7 +193,7 @@ def experiment_report(found: PairedArms) -> Report:
 
 
 def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator[str]:
-    """The findings, one arm after the other; without ``details`` what matters most."""
+    """The findings, one arm after the other; without ``details`` only the main ones."""
     for comparison in found.comparisons:
         yield from _headlines(found, comparison)
         if details:
@@ -226,7 +226,7 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
 
 
 def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """What matters most: satisfied or not, rho, and where."""
+    """Main findings: satisfaction, rho, and where it changes."""
     if not one.pairs:
         yield f'{one.arm}: no scene was judged in both arms, so no conclusion is possible.'
         return
@@ -242,7 +242,7 @@ def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
 
 
 def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """What else there is to say."""
+    """Further findings."""
     if not one.pairs:
         return
     rates = one.satisfied
@@ -295,7 +295,7 @@ def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, d
 
 
 def _where_words(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """Where the change is greatest, of what the picture is drawn over."""
+    """Where on the horizontal axis the change is greatest."""
     x, change = changes(found, one)
     if len(x) < 2 * LEAST_IN_BIN or x.min() == x.max():
         return

@@ -1,1 +1,1 @@
-"""Why one run failed: track, counterfactuals, occlusion and nearest training images."""
+"""Explanation of a failed run: track, counterfactuals, occlusion, nearest training images."""

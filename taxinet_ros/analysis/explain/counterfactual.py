@@ -1,8 +1,8 @@
 """Counterfactual images: the network's estimate of the same moment without shadow, rain, etc.
 
-The camera is deterministic, so one property of the scene can be changed and nothing else. If the
-error goes with the property, the property causes it; no gradient is needed, and it holds for any
-network. It holds for the picture: what the whole run would have been, a run tells.
+The camera is deterministic, so a single property of the scene can be changed. If the error vanishes
+with the property, the property causes it; this needs no gradient and works for any network. It is
+valid for single frames; the effect on the whole run requires a rerun.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from taxinet_ros.core.types import TrackingError
 SHADOW, CROSSING, RAIN = 'shadow', 'crossing', 'rain'
 
 LEAST_SHARE = 0.25
-"""A factor that takes away less of the error than this is not named as its cause."""
+"""Minimum share of the error that a factor must remove to be named as its cause."""
 
 _CLOSE = 0.85
-"""A narrow factor is named before a wide one if it does so much of what that does."""
+"""Share of a wider factor's effect at which a narrower factor is preferred."""
 
 _TEN = 10 * 3600.0
 _EASY: dict[str, Any] = {
@@ -43,11 +43,11 @@ class Factor:
     """A property of the scene that is changed.
 
     Attributes:
-        name: in JSON.
-        words: how the scene then is, such as ``without its shadow``.
-        cause: what then is to blame, such as ``the aircraft's own shadow``.
-        rank: the narrower, the lower; factors of equal effect are named in this order.
-        scenario: with the property changed.
+        name: name in JSON.
+        words: description of the changed scene, such as ``without its shadow``.
+        cause: the cause if it has an effect, such as ``the aircraft's own shadow``.
+        rank: lower for narrower factors; factors of equal effect are named in this order.
+        scenario: scenario with the property changed.
     """
 
     name: str
@@ -59,13 +59,13 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChangedView:
-    """What the network answers at one moment with one factor changed.
+    """The network's estimate at one moment with one factor changed.
 
     Attributes:
-        image: the frame then.
-        estimate: its answer.
-        misled_rad: as :attr:`.Moment.misled_rad`.
-        changed: share of the picture's pixels that look different, 0..1.
+        image: the changed frame.
+        estimate: the estimate.
+        misled_rad: see :attr:`.Moment.misled_rad`.
+        changed: share of pixels that differ, 0..1.
     """
 
     image: Frame
@@ -76,7 +76,7 @@ class ChangedView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
-    """What a factor does at all moments.
+    """Effect of a factor at all moments.
 
     Attributes:
         factor: the factor.
@@ -92,7 +92,7 @@ class Effect:
 
 
 def factors(scenario: Scenario) -> tuple[Factor, ...]:
-    """What can be changed of a scene; left out is what is so already."""
+    """Factors of a scene, without those that would change nothing."""
     rain = scenario.rain_fraction > 0
     wanted: list[tuple[str, str, str, dict[str, Any]]] = [
         (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
@@ -117,14 +117,14 @@ def effects(
     scenario: Scenario, moments: Sequence[Moment], look: Estimator, gains: SteeringGains,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Effect, ...]:
-    """Change each factor at each moment, and let the network look.
+    """Change each factor at each moment and evaluate the network.
 
     Args:
-        scenario: of the run.
-        moments: with a state each.
+        scenario: scenario of the run.
+        moments: moments with a known state.
         look: the network.
-        gains: of the run's steering law.
-        on_progress: is told how many factors are done, of how many.
+        gains: gains of the run's steering law.
+        on_progress: called with the number of factors done and their total.
     """
     found = []
     wanted = factors(scenario)
@@ -140,7 +140,7 @@ def effects(
 
 
 def effect_to_blame(found: Sequence[Effect]) -> Effect | None:
-    """The narrowest factor that takes about as much of the error away as any does."""
+    """The narrowest factor that removes about as much of the error as any other."""
     best = max((effect.removed for effect in found), default=0.0)
     if best < LEAST_SHARE:
         return None
@@ -168,7 +168,7 @@ def _outcome(camera: Camera, moment: Moment, look: Estimator, gains: SteeringGai
 
 
 def _removed(moments: Sequence[Moment], outcomes: Sequence[ChangedView]) -> float:
-    """Share of the summed error that is gone; where there is no answer, none is."""
+    """Share of the summed error that is removed; 0 where there is no estimate."""
     before, after = 0.0, 0.0
     for moment, outcome in zip(moments, outcomes, strict=True):
         if math.isfinite(moment.misled_rad):

@@ -1,6 +1,6 @@
-"""Why a network failed in a run: where its estimates are wrong, and what makes them so.
+"""Explain why a network failed in a run: where its estimates are wrong, and the causes.
 
-The explanation, and the sentences that state it, the most important first.
+Contains the explanation and its sentences, the most important first.
 """
 
 from __future__ import annotations
@@ -35,23 +35,24 @@ from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
 Progress = Callable[[str, int, int], None]
-"""Is told stage, done and total."""
+"""Called with the stage, the number of steps done and their total."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Insight:
-    """What was found out about one moment.
+    """Findings about one moment.
 
     Attributes:
         moment: the moment.
-        occlusion: on which part of its frame the estimate depends.
-        parts: shares of the frame and of the effect on the estimate (0..1 each) that the aircraft's
-            shadow and the crossing take up, by the factor's name; only what is in the frame.
-        nearness: where it stands to the training images; None where none were given.
+        occlusion: dependence of the estimate on parts of its frame.
+        parts: shares of the frame and of the effect on the estimate (0..1 each) of the aircraft's
+            shadow and the crossing, by the factor's name, as far as they are visible.
+        nearness: comparison with the training images; None if none were given.
     """
 
     moment: Moment
@@ -62,17 +63,17 @@ class Insight:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
-    """What was found out about a run.
+    """Findings about a run.
 
     Attributes:
-        bag: where the run is.
-        run: what it was.
-        perception: word of the network that looked now.
-        fingerprint: of its weights.
+        bag: path of the run.
+        run: the recorded run.
+        perception: word of the evaluated network.
+        fingerprint: fingerprint of its weights.
         track: its estimates along the run.
-        insights: the moments that were looked into, in time's order; one at least.
-        effects: what changing the scene does to the estimates then, in the factors' order; empty
-            where the run cannot be driven again.
+        insights: the examined moments in order of time, at least one.
+        effects: effects of changing the scene at these moments, in the factors' order; empty if the
+            run cannot be rerun.
         training: the training images, or None.
     """
 
@@ -87,18 +88,18 @@ class Explanation:
 
     @property
     def own(self) -> bool:
-        """Whether the network is the one that took part in the run."""
+        """Whether the network is that of the run."""
         return self.fingerprint == self.run.fingerprint
 
     @property
     def worst(self) -> int:
-        """Number of the insight at which the network misleads the aircraft most."""
+        """Index of the insight at which the network misleads the aircraft most."""
         misled = [abs(insight.moment.misled_rad) for insight in self.insights]
         return int(np.argmax(np.nan_to_num(misled, nan=-1.0)))
 
     @property
     def blamed(self) -> Effect | None:
-        """What of the scene takes most of the error away, if it takes much."""
+        """The factor that causes most of the error, if any causes enough."""
         return effect_to_blame(self.effects)
 
 
@@ -106,17 +107,17 @@ def explain(
     recording: Recording, perception: Perception, *, frames: int,
     training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
 ) -> Explanation:
-    """Look into a run.
+    """Explain a run.
 
     Args:
-        recording: of the run.
-        perception: a network, which looks at frames.
-        frames: most moments to look into, at least 1.
-        training: images to hold the frames against.
-        on_progress: is told what is done.
+        recording: recording of the run.
+        perception: a network.
+        frames: maximum number of moments to examine, at least 1.
+        training: images to compare the frames with.
+        on_progress: called with the progress.
 
     Raises:
-        WorldDiffers: frames are missing and cannot be rendered as they were.
+        WorldDiffers: frames are missing and cannot be reproduced.
         BagError, UsageError: the bag cannot be read.
     """
     def look(image: Frame) -> TrackingError:
@@ -162,7 +163,7 @@ def _insight(
 
 
 def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
-    """Values by the names that training sets use."""
+    """Scene values by the names used in training sets."""
     human = run.request.scenario.to_human()
     return {
         'cte_m': moment.truth.cte_m,
@@ -172,7 +173,7 @@ def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
 
 
 _HARDLY_RAD = math.radians(2.0)
-"""Half a metre of cross-track error, as the steering law sees it."""
+"""Equivalent of half a metre of cross-track error in the steering law."""
 _NOT_IN_VIEW = 0.002
 PARTS = {SHADOW: "the aircraft's own shadow", 'crossing': 'the crossing'}
 
@@ -193,8 +194,8 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
 
 
 def moment_words(moment: Moment) -> str:
-    """Where and when it was, what the network saw, and what that does."""
-    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m past the threshold: '
+    """Display text: time, place, estimate, and its effect."""
+    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m {along_words(moment.line.name)}: '
     if not moment.estimate.usable:
         return f'{where}truth {error_words(moment.truth)}; the network gave no estimate'
     return (
@@ -204,25 +205,25 @@ def moment_words(moment: Moment) -> str:
 
 
 def error_words(error: TrackingError) -> str:
-    """A tracking error, as ``1.2 m left, nose 3° right``."""
+    """Display text of a tracking error, such as ``1.2 m left, nose 3° right``."""
     if not error.usable:
         return 'no estimate'
     return f'{_side(error.cte_m, " m", 1)}, nose {_side(math.degrees(error.he_rad), "°", 0)}'
 
 
 def misled_words(misled_rad: float) -> str:
-    """How far the steering law is misled."""
+    """Display text of the heading by which the steering law is misled."""
     if not math.isfinite(misled_rad):
         return 'no estimate, so the aircraft brakes'
     degrees = math.degrees(misled_rad)
     if round(abs(degrees)) == 0:
         return 'steered as with the truth'
-    # An aircraft that is thought to be, or to point, too far left is turned to the right.
+    # If the estimate is too far left, in position or heading, the aircraft turns right.
     return f'steered {abs(degrees):.0f}° too far {"right" if degrees > 0 else "left"}'
 
 
 def attention_sentences(insight: Insight) -> Iterator[str]:
-    """On which part of a frame the estimate depends."""
+    """Sentences on which part of a frame the estimate depends on."""
     region, share = insight.occlusion.region
     time = f'At {insight.moment.t_s:.1f} s'
     if share == 0:
@@ -244,7 +245,7 @@ def attention_sentences(insight: Insight) -> Iterator[str]:
 
 
 def recomputed_sentence(found: Explanation) -> str:
-    """Whether the estimates of now are those of the run."""
+    """Sentence on whether the recomputed estimates equal those of the run."""
     cte_m, he_rad = found.track.greatest_change
     if not found.own:
         who = found.run.perception or 'an unnamed perception'
@@ -260,7 +261,7 @@ def recomputed_sentence(found: Explanation) -> str:
 
 
 def effect_words(effect: Effect) -> str:
-    """What a factor does to the error."""
+    """Display text of a factor's effect on the error."""
     percent = round(100 * effect.removed)
     if not effect.changed:
         return 'the pictures stay the same'

@@ -1,11 +1,11 @@
-"""The training images that come nearest to a frame, and how far away the frame is from all.
+"""Nearest training images of a frame, and its distance from the data set.
 
-Near in the picture: by the root mean square of the differences of grey levels in what the networks
-here see, :func:`taxinet_ros.core.perception.network.shrink`, at a quarter of its size. Near in the
-scene: by labels and weather, each in units of its spread in the data set.
+Picture distance: root mean square difference of grey levels in the networks' input
+(:func:`taxinet_ros.core.perception.network.shrink`) at a quarter of its size. Scene distance: by
+labels and weather, each in units of its spread in the data set.
 
-How far is far, the data set itself says: the distance of each of its images to its nearest other
-one. A frame that lies farther out than nearly all of them resembles nothing that was trained on.
+The reference is the data set itself: the distance of each of its images to the nearest other one.
+A frame farther away than nearly all of these is out of distribution.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from taxinet_ros.analysis.explain.track import Floats, Frame
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 
 NEAREST = 3
-"""So many images are shown."""
+"""Number of images shown."""
 
 FAR = 0.99
-"""A frame beyond this share of the data set's own distances is called out of distribution."""
+"""Quantile of the data set's own distances beyond which a frame is out of distribution."""
 
 _PART = 4
 _NUMBERS = ('cte_m', 'heading_error_deg', 'time_of_day_h', 'rain_percent')
@@ -39,12 +39,11 @@ class TrainingImages:
     """A data set, or an even sample of one.
 
     Attributes:
-        name: of its folder.
-        total: images in the folder; the sample may be smaller.
-        pictures: reduced to what a network sees, (N, 64, 192) uint8.
-        scenes: a row for each: ``cte_m``, ``heading_error_deg``, and as far as the folder tells
-            ``distance_m``, ``time_of_day_h``, ``clouds``, ``rain_percent``; and
-            ``image``, its name.
+        name: name of its folder.
+        total: number of images in the folder; the sample may be smaller.
+        pictures: images reduced to a network's input, (N, 64, 192) uint8.
+        scenes: one row per image: ``cte_m``, ``heading_error_deg``, if known ``distance_m``,
+            ``time_of_day_h``, ``clouds``, ``rain_percent``; and ``image``, its name.
     """
 
     name: str
@@ -58,8 +57,8 @@ class Neighbour:
     """A training image near to a frame.
 
     Attributes:
-        row: in the data set.
-        distance: grey levels (picture), or spreads (scene).
+        row: row in the data set.
+        distance: in grey levels (picture), or in spreads (scene).
     """
 
     row: int
@@ -68,12 +67,12 @@ class Neighbour:
 
 @dataclass(frozen=True, kw_only=True)
 class Nearness:
-    """Where a frame stands to a data set.
+    """Distance of a frame from a data set.
 
     Attributes:
         by_picture, by_scene: the nearest images, the nearest first.
-        farther_than: share of the data set's images that lie nearer to their nearest other one
-            than this frame to its nearest, 0..1.
+        farther_than: share of the data set's images whose nearest other image is closer than this
+            frame's nearest image, 0..1.
         usual: median of the data set's own nearest distances [grey levels].
     """
 
@@ -84,15 +83,15 @@ class Nearness:
 
     @property
     def foreign(self) -> bool:
-        """Whether the frame is called out of distribution."""
+        """Whether the frame is out of distribution."""
         return self.farther_than >= FAR
 
 
 class NearestImages:
-    """A data set that is ready to be searched."""
+    """Search index of a data set."""
 
     def __init__(self, images: TrainingImages) -> None:
-        """Find out how far the data set's images are from each other.
+        """Compute the distances within the data set.
 
         Raises:
             ValueError: it has fewer than two images.
@@ -107,11 +106,11 @@ class NearestImages:
         self._size = known.shape[1]
 
     def near(self, image: Frame, scene: Mapping[str, float | str]) -> Nearness:
-        """Where a frame stands.
+        """Compare a frame with the data set.
 
         Args:
             image: camera frame, (200, 360, 3) uint8 RGB.
-            scene: values of the columns of :attr:`TrainingImages.scenes` that it has.
+            scene: known values of the columns of :attr:`TrainingImages.scenes`.
         """
         k = min(NEAREST, len(self._own))
         far, rows = self._search.kneighbors(_features(shrink(image)[np.newaxis]), n_neighbors=k)
@@ -148,7 +147,7 @@ def _neighbours(rows: Sequence[int], distances: Floats) -> tuple[Neighbour, ...]
 
 
 def _features(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Pictures (N, 64, 192) as rows of mean grey levels of blocks."""
+    """Mean grey levels of blocks of pictures (N, 64, 192), one row per picture."""
     size = (INPUT_SHAPE[1] // _PART, INPUT_SHAPE[0] // _PART)
     small = [cv2.resize(p, size, interpolation=cv2.INTER_AREA).ravel() for p in pictures]
     return np.array(small, dtype=np.float32)

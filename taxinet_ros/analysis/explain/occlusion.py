@@ -1,9 +1,8 @@
-"""On which part of a picture an estimate depends: cover a patch, and see how it changes.
+"""Occlusion sensitivity: change of an estimate when a patch of the picture is covered.
 
-Occlusion sensitivity (Zeiler and Fergus, Visualizing and understanding convolutional networks,
-ECCV 2014, section 4.2) asks nothing of the network but its answers. In place of their grey square
-a patch shows the blurred picture, with soft edges: the light of the place stays, what stands out
-in it goes, and no edge comes in that was not there.
+The method (Zeiler and Fergus, Visualizing and understanding convolutional networks, ECCV 2014,
+section 4.2) only needs the network's outputs. Instead of their grey square a patch shows the
+blurred picture with soft edges: it keeps the local brightness, removes details and adds no edges.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from taxinet_ros.analysis.explain.track import Estimator, Floats, Frame
 from taxinet_ros.core.controller import SteeringGains
 
 PATCH_PX = 30
-"""Side of a patch: as wide as the centreline looks from 7 m."""
+"""Side of a patch [px]: the width of the centreline at 7 m."""
 
 STRIDE_PX = 10
-"""From one patch to the next: 836 looks for a map, about a second with a network of ours."""
+"""Distance between patches [px]: 836 evaluations per map, about a second with our networks."""
 
 _SOFT_PX = 6
 _ROWS = ('upper', '', 'lower')
@@ -32,14 +31,14 @@ _COLUMNS = ('left', 'middle', 'right')
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OcclusionMap:
-    """How the estimate changes where the picture is covered.
+    """Change of the estimate by covered place.
 
     Attributes:
-        cte_m: change of the estimated cross-track error by cells of :data:`STRIDE_PX`, the mean
-            over the patches that cover a cell [m].
-        he_rad: the same of the heading error [rad].
-        weight_rad: how much of the heading that the steering law asks for hangs on a cell [rad].
-        lost: patches that, covered, leave the network without an answer.
+        cte_m: change of the estimated cross-track error per cell of :data:`STRIDE_PX`, the mean
+            over the patches that cover the cell [m].
+        he_rad: the same for the heading error [rad].
+        weight_rad: effect of a cell on the heading requested by the steering law [rad].
+        lost: number of patches whose occlusion leaves the network without an estimate.
     """
 
     cte_m: Floats
@@ -49,9 +48,9 @@ class OcclusionMap:
 
     @property
     def region(self) -> tuple[str, float]:
-        """The ninth of the picture that matters most, in words, and its share of the effect.
+        """Name of the most important ninth of the picture, and its share of the effect.
 
-        The share is 0 where nothing matters at all.
+        The share is 0 if there is no effect.
         """
         parts = {
             (row, column): float(cell.sum())
@@ -65,19 +64,19 @@ class OcclusionMap:
                 parts[row, column] / total if total > 0 else 0.0)
 
     def share(self, mask: NDArray[np.bool_]) -> float:
-        """The share of the effect that lies where ``mask`` (H, W) of the picture is set."""
+        """Share of the effect within ``mask`` (H, W) of the picture."""
         weight = _in_pixels(self.weight_rad, mask.shape)
         total = float(weight.sum())
         return float(weight[mask].sum()) / total if total > 0 else 0.0
 
 
 def occlusion_map(look: Estimator, image: Frame, gains: SteeringGains) -> OcclusionMap:
-    """Cover a frame patch by patch, and let the network look at each.
+    """Cover a frame patch by patch and evaluate the network on each.
 
     Args:
-        look: the network; equal frames have to give equal answers.
+        look: the network; equal frames must give equal estimates.
         image: camera frame, (H, W, 3) uint8 RGB.
-        gains: of the steering law that the estimate goes to; they weigh metres against radians.
+        gains: gains of the steering law, which weigh metres against radians.
     """
     whole = look(image)
     height, width = image.shape[:2]
@@ -100,14 +99,14 @@ def occlusion_map(look: Estimator, image: Frame, gains: SteeringGains) -> Occlus
 
 
 def changed_pixels(one: Frame, other: Frame, levels: int = 4) -> NDArray[np.bool_]:
-    """Where two frames differ by more than ``levels`` in some colour, (H, W)."""
+    """Mask of the pixels where frames differ by more than ``levels`` in some colour, (H, W)."""
     return np.asarray(cv2.absdiff(one, other).max(axis=2) > levels, np.bool_)
 
 
 def _cover(
     image: Frame, covered: Frame, soft: NDArray[np.float32], top: int, left: int
 ) -> Frame:
-    """The frame with a patch at (top, left), which may hang over its borders."""
+    """The frame with a patch at (top, left), which may extend beyond its borders."""
     height, width = image.shape[:2]
     rows = slice(max(top, 0), min(top + PATCH_PX, height))
     columns = slice(max(left, 0), min(left + PATCH_PX, width))
@@ -120,7 +119,7 @@ def _cover(
 
 
 def _soft_patch() -> NDArray[np.float32]:
-    """How much a patch covers, 0..1, (PATCH_PX, PATCH_PX, 1): all in its middle, less at edges."""
+    """Opacity of a patch, 0..1, (PATCH_PX, PATCH_PX, 1): 1 in the middle, less at the edges."""
     place = np.arange(PATCH_PX)
     ramp = np.minimum((np.minimum(place, place[::-1]) + 1) / _SOFT_PX, 1.0)
     return np.outer(ramp, ramp).astype(np.float32)[:, :, np.newaxis]
@@ -132,6 +131,6 @@ def _in_pixels(cells: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def patches(height: int, width: int) -> int:
-    """How many looks a map of a frame takes, the one at the whole frame not counted."""
+    """Number of evaluations for a map of a frame, excluding that of the uncovered frame."""
     span = PATCH_PX // STRIDE_PX
     return math.prod(-(-side // STRIDE_PX) + span - 1 for side in (height, width))

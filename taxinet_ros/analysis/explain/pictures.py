@@ -1,6 +1,6 @@
 """Figures on a network failure: errors, counterfactual frames, occlusion maps.
 
-In frames a solid line is where the centreline is, a dashed one where the network believes it to be.
+In frames a solid line is the true centreline, a dashed one the centreline by the estimate.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import TrackingError
 
 _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
-"""On frames, which are as bright on a dark page as on a light one."""
+"""Colours on frames, which look the same on dark and light pages."""
 
 _SHOWN_AFTER_S = 2.0
 _COLUMNS = 3
@@ -40,7 +40,7 @@ _LEAST_CTE_M, _LEAST_HE_DEG = 0.1, 0.5
 
 
 def error_picture(found: Explanation) -> Picture:
-    """Both errors and what they do, over time."""
+    """Both errors and their effect, over time."""
     return Picture(
         name='explain-errors', title='Estimates along the run',
         caption='Cross-track and heading error, true and estimated, left positive; and by how much '
@@ -50,7 +50,7 @@ def error_picture(found: Explanation) -> Picture:
 
 
 def factor_picture(found: Explanation) -> Picture:
-    """How much of the error each factor takes away."""
+    """Share of the error that each factor removes."""
     return Picture(
         name='explain-factors', title='Which change removes the error',
         caption='Share of the error over all examined moments removed by one change of the scene. '
@@ -60,7 +60,7 @@ def factor_picture(found: Explanation) -> Picture:
 
 
 def scene_picture(found: Explanation, number: int) -> Picture:
-    """The frame of one moment, as recorded and in other scenes."""
+    """The frame of one moment, as recorded and in changed scenes."""
     moment = found.insights[number].moment
     rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
     return Picture(
@@ -72,7 +72,7 @@ def scene_picture(found: Explanation, number: int) -> Picture:
 
 
 def occlusion_picture(insight: Insight) -> Picture:
-    """What the estimate depends on, drawn on the frame."""
+    """Occlusion map drawn on the frame."""
     moment = insight.moment
     return Picture(
         name=f'explain-patches-{moment.seq:04d}', title=f'What matters, at {moment.t_s:.1f} s',
@@ -83,7 +83,7 @@ def occlusion_picture(insight: Insight) -> Picture:
 
 
 def nearest_picture(insight: Insight, images: TrainingImages) -> Picture:
-    """A frame beside the training images that are nearest to it, as a network sees them."""
+    """A frame beside its nearest training images, as network inputs."""
     moment = insight.moment
     return Picture(
         name=f'explain-nearest-{moment.seq:04d}',
@@ -132,7 +132,7 @@ def _draw_errors(found: Explanation, figure: Figure, theme: Theme) -> None:
 def _shade_after(
     axes: Axes, steps: int, t_s: Floats, shown: slice, theme: Theme, *, words: bool
 ) -> None:
-    """Grey where the aircraft has left the runway, or turned away on it."""
+    """Shade the time after the aircraft has left the runway, or turned away on it."""
     if steps < len(t_s):
         axes.axvspan(float(t_s[steps]), float(t_s[shown][-1]), color=theme.faint, alpha=0.6,
                      linewidth=0, zorder=0)
@@ -169,7 +169,7 @@ def _draw_scenes(found: Explanation, number: int, figure: Figure, theme: Theme) 
         words = effect.factor.words if outcome.changed else f'{effect.factor.words} (no change)'
         tiles.append((words, outcome.image, outcome.estimate, outcome.misled_rad))
     rows = math.ceil(len(tiles) / _COLUMNS)
-    # Places are known, so nothing is laid out, which takes longer than the drawing.
+    # Positions are known, so there is no layout step, which takes longer than drawing.
     figure.set_layout_engine('none')
     height = figure.get_figheight()
     grid = figure.add_gridspec(
@@ -217,7 +217,7 @@ def _draw_occlusion(insight: Insight, figure: Figure, theme: Theme) -> None:
         )
         _frame_axes(axes)
         axes.set_title(unit, fontsize=9, loc='left')
-        # Of its own: the picture's opacity goes by the place, and a scale has none.
+        # A separate mappable: the picture's opacity varies by place, the colour bar is opaque.
         colours = ScalarMappable(norm=drawn.norm, cmap=drawn.cmap)
         bar = figure.colorbar(
             colours, cax=scale, orientation='horizontal', ticks=MaxNLocator(6, symmetric=True))
@@ -275,14 +275,14 @@ def _show(axes: Axes, image: Frame) -> None:
 
 
 def _frame_axes(axes: Axes) -> None:
-    """Limits of the frame, and no ticks: pixels mean nothing to the reader."""
+    """Set the limits of the frame, without ticks, since pixels mean nothing to the reader."""
     axes.set(xlim=(-0.5, IMAGE_WIDTH - 0.5), ylim=(IMAGE_HEIGHT - 0.5, -0.5), xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_visible(False)
 
 
 def _lines(axes: Axes, moment: Moment, estimate: TrackingError) -> None:
-    """Where the centreline is, and where an estimate puts it."""
+    """Draw the true centreline and the one by an estimate."""
     for error, colour, style in ((moment.truth, _TRUE, '-'), (estimate, _BELIEVED, '--')):
         if moment.state is not None and error.usable:
             pixels = _centreline(moment, error)
@@ -290,13 +290,14 @@ def _lines(axes: Axes, moment: Moment, estimate: TrackingError) -> None:
 
 
 def _centreline(moment: Moment, error: TrackingError) -> Floats:
-    """Pixels of the centreline as it looks from a pose with that tracking error."""
+    """Pixels of the centreline as seen from a pose with that tracking error."""
     if moment.state is None:
         raise ValueError('no state')
-    state = dataclasses.replace(moment.state, y_m=error.cte_m, yaw_rad=error.he_rad)
+    x_m, y_m, yaw_rad = moment.line.pose(moment.x_m, error.cte_m, error.he_rad)
+    state = dataclasses.replace(moment.state, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
     ahead = np.geomspace(0.5, 600, 400)
-    points = np.stack([state.x_m + np.concatenate([-ahead[:200][::-1], ahead]),
-                       np.zeros(600), np.zeros(600)], axis=1)
+    along = moment.x_m + np.concatenate([-ahead[:200][::-1], ahead])
+    points = np.array([(*moment.line.pose(at)[:2], 0.0) for at in along.tolist()])
     camera = moment.camera
     pixels, depths = project(state, points, camera)
     # Frames of every size are shown in that of the usual ones.

@@ -25,7 +25,7 @@ from taxinet_ros.analysis.explain.track import Moment
 from taxinet_ros.analysis.report.parts import Cell, Column, Report, Section, Table
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words
 from taxinet_ros.core.types import TrackingError
 
 _ESTIMATE = (
@@ -38,7 +38,7 @@ _ESTIMATE = (
 
 
 def explain_report(found: Explanation) -> Report:
-    """The whole, as a page of its own."""
+    """Report on an explanation."""
     run_id = found.run.request.run_id
     return Report(
         title=f'Network errors in {run_id}',
@@ -143,7 +143,7 @@ def _facts(found: Explanation) -> dict[str, str]:
         'scene': (
             f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}, '
             f'rain {scene["rain_percent"]:.0f} %, '
-            f'start {scene["distance_m"]:,.0f} m past the threshold'
+            f'start {scene["distance_m"]:,.0f} m {along_words(scene["track"])}'
         ),
         'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were examined',
     }
@@ -154,7 +154,7 @@ def _moment_table(found: Explanation) -> Table:
         name='explain-moments', title='The moments', caption='Left positive.',
         columns=(
             Column(name='t_s', title='time [s]', decimals=1),
-            Column(name='x_m', title='along the runway [m]', decimals=0),
+            Column(name='x_m', title='along the track [m]', decimals=0),
             Column(name='cte_m', title='true CTE [m]', decimals=2),
             Column(name='he_deg', title='true HE [°]', decimals=1), *_ESTIMATE,
         ),

@@ -1,9 +1,9 @@
-"""A run's estimates beside the truth, step by step, and the moments at which they are worst.
+"""A run's estimates compared with the truth at every step, and the moments of the worst errors.
 
-The steering law turns both errors into one heading to take (:mod:`taxinet_ros.core.controller`): a
-metre of cross-track error is worth a few degrees of heading, and beyond a limit no more. How far
-the heading that an estimate asks for lies from the one that the truth asks for, says how much the
-estimate misleads the aircraft: errors that cancel each other do no harm.
+The steering law combines both errors into one heading (:mod:`taxinet_ros.core.controller`): a metre
+of cross-track error is worth a few degrees of heading, up to a limit. The difference between the
+headings requested by the estimate and by the truth measures how much the estimate misleads the
+aircraft: errors that cancel each other do no harm.
 """
 
 from __future__ import annotations
@@ -21,35 +21,36 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 Estimator = Callable[[Frame], TrackingError]
-"""A network: a camera frame (200, 360, 3) uint8 RGB in, an estimate out."""
+"""A network: maps a camera frame (200, 360, 3) uint8 RGB to an estimate."""
 
 APART_NS = NS_PER_S
-"""Least time between two moments that are looked into."""
+"""Minimum time between two examined moments [ns]."""
 
 _TURNED_AWAY_RAD = np.radians(45.0)
-"""Led by the truth the aircraft turns no further than it approaches the centreline: 35 degrees."""
+"""Heading error that counts as turned away; with true errors it never exceeds 35 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """Estimates and truth at every control step; NaN is not known, or declared invalid.
+    """Estimates and truth at every control step; NaN if unknown or declared invalid.
 
     Attributes:
         seq: control steps.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
         cte_m, he_rad: the truth, left positive [m], [rad].
-        est_cte_m, est_he_rad: what the network sees on the frames.
+        est_cte_m, est_he_rad: the network's estimates on the frames.
         rec_cte_m, rec_he_rad: the estimates in the bag.
-        gains: of the run's steering law.
-        states: true states by control step; empty where the run cannot be driven again.
-        differs: why it cannot, or ''.
+        gains: gains of the run's steering law.
+        states: true states by control step; empty if the run cannot be rerun.
+        differs: reason why it cannot, or ''.
     """
 
     seq: NDArray[np.int64]
@@ -68,7 +69,7 @@ class Track:
 
     @property
     def misled_rad(self) -> Floats:
-        """How far the estimates lead the steering law to the left of where it should head [rad]."""
+        """Angle by which the estimates mislead the steering law, positive to the left [rad]."""
         asked = heading_asked_rad(self.est_cte_m, self.est_he_rad, self.gains)
         return asked - heading_asked_rad(self.cte_m, self.he_rad, self.gains)
 
@@ -81,9 +82,9 @@ class Track:
 
     @property
     def greatest_change(self) -> tuple[float, float]:
-        """How far estimates of now lie from those in the bag at most, [m] and [rad].
+        """Greatest difference of the estimates from those in the bag, [m] and [rad].
 
-        Infinite where only one of the two could be made; 0 and 0 are equality to the bit.
+        Infinite if only one of the two exists; 0 and 0 if they are bit-identical.
         """
         return (
             _greatest(self.est_cte_m, self.rec_cte_m), _greatest(self.est_he_rad, self.rec_he_rad)
@@ -100,16 +101,17 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moment:
-    """A frame that is looked into.
+    """An examined frame.
 
     Attributes:
-        row: its row in the track.
-        seq: its control step.
+        row: row in the track.
+        seq: control step.
         t_s: simulated time [s].
-        x_m: position along the runway [m].
+        x_m: distance along the track of the run [m].
+        line: that the run follows.
         image: the frame, (height, width, 3) uint8 RGB.
-        camera: that has taken it.
-        state: the aircraft's true state; None where the run cannot be driven again.
+        camera: the camera that took it.
+        state: the aircraft's true state; None if the run cannot be rerun.
         truth, estimate: tracking errors.
         misled_rad: see :attr:`Track.misled_rad`.
     """
@@ -118,6 +120,7 @@ class Moment:
     seq: int
     t_s: float
     x_m: float
+    line: Line
     image: Frame
     camera: CameraModel
     state: AircraftState | None
@@ -127,14 +130,14 @@ class Moment:
 
 
 def heading_asked_rad(cte_m: Floats, he_rad: Floats, gains: SteeringGains) -> Floats:
-    """The heading error that the steering law wants to take away, for tracking errors."""
+    """Heading error that the steering law corrects, for given tracking errors."""
     limit = gains.max_intercept_rad
     return he_rad + np.asarray(
         np.clip(gains.cte_gain_rad_per_m * cte_m, -limit, limit), np.float64)
 
 
 def misled_rad(estimate: TrackingError, truth: TrackingError, gains: SteeringGains) -> float:
-    """As :attr:`Track.misled_rad` for one estimate; NaN where it is not usable."""
+    """:attr:`Track.misled_rad` for one estimate; NaN if it is not usable."""
     if not estimate.usable:
         return float('nan')
     seen, true = (
@@ -148,15 +151,15 @@ def read_track(
     recording: Recording, look: Estimator,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Track:
-    """Let a network look at every frame of a run: as recorded, else rendered again.
+    """Evaluate a network on every frame of a run, recorded or else rendered again.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         look: the network.
-        on_progress: is told how many frames are done, of how many.
+        on_progress: called with the number of frames done and their total.
 
     Raises:
-        WorldDiffers: frames are missing and cannot be rendered as they were.
+        WorldDiffers: frames are missing and cannot be reproduced.
         BagError, UsageError: the bag cannot be read.
     """
     path, trace = recording.path, recording.columns
@@ -185,43 +188,43 @@ def read_track(
                        path=path)
     steps = trace['seq'].astype(np.int64)
     return Track(
-        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['x_m']),
+        seq=steps, t_s=_float(trace['t_ns']) / NS_PER_S, x_m=_float(trace['distance_m']),
         cte_m=_float(trace['cte_m']), he_rad=_float(trace['he_rad']),
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
         gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
-        half_width_m=recording.scenario.runway.half_width_m,
+        half_width_m=recording.scenario.line.half_width_m,
     )
 
 
 def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
-    """Rows of the frames to look into: where the network misleads the aircraft most, and the start.
+    """Rows of the frames to examine: where the network misleads the aircraft most, and the start.
 
-    Those after the aircraft has left the runway or turned away say nothing of why it did, and are
-    not taken.
+    Frames after the aircraft has left the runway or turned away are excluded, since they do not
+    explain why it did.
 
     Args:
         track: the estimates.
-        frames: how many; fewer come out where they would be less than a second apart.
+        frames: maximum number of rows; there are fewer if they would be less than a second apart.
     """
     misled = np.abs(track.misled_rad[:max(track.steps_on_runway, 1)])
     stamps_ns = track.seq * CONTROL_PERIOD_NS
     chosen: list[int] = []
-    # A stable order: of equals the earliest.
+    # A stable sort: the earliest of equal ones first.
     for row in np.argsort(-np.nan_to_num(misled, nan=-1.0), kind='stable').tolist():
         if len(chosen) == frames:
             break
         if all(abs(stamps_ns[row] - stamps_ns[other]) >= APART_NS for other in chosen):
             chosen.append(row)
     if 0 not in chosen and frames > 1:
-        # The start stands for the scene as it was asked for, however well it was seen.
+        # The start represents the requested scene, however good its estimate is.
         near = [row for row in chosen if stamps_ns[row] - stamps_ns[0] < APART_NS]
         chosen = [*[row for row in chosen if row not in near][:frames - 1], 0]
     return tuple(sorted(chosen))
 
 
 def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator[Moment]:
-    """The frames of some rows, with all that is known of them.
+    """Yield the moments of some rows.
 
     Raises:
         BagError: the bag cannot be read.
@@ -237,10 +240,11 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
         image = images.get(seq)
         if image is None:
             if state is None:
-                continue  # a run that broke down may have left a step without a state
+                continue  # a failed run may have a step without a state
             image = camera.render(state, seq * CONTROL_PERIOD_NS)
         yield Moment(
-            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]), image=image,
+            row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
+            line=recording.scenario.line, image=image,
             camera=camera.model, state=state, truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]),
         )

@@ -1,7 +1,7 @@
-"""A recorded run as a film, MP4 or GIF: the camera's view, and under it errors and robustness.
+"""A recorded run as a film, MP4 or GIF: the camera's view, with errors and robustness below.
 
-A frame of the film is a control step. The curves are drawn once for the whole run; in each
-frame what lies ahead of the cursor is covered by the same axes without curves.
+Each frame of the film is a control step. The curves are drawn once for the whole run; in each
+frame the part beyond the cursor is covered by the same axes without curves.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()
     Args:
         frames: (H, W, 3) uint8 RGB.
         path: new file.
-        accents: colours such as ``#0072B2`` that few pixels have and that must not be lost.
+        accents: rare but important colours such as ``#0072B2`` that must not be lost.
 
     Returns:
         Number of frames.
@@ -82,7 +82,7 @@ def _encode(frames: Iterable[Picture], path: Path) -> int:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
         count += 1
     writer.release()
-    # OpenCV does not tell when the disk is full.
+    # OpenCV does not report a full disk.
     if (stored := _frames_in(path)) != count:
         raise OSError(errno.ENOSPC, f'{stored} of {count} frames reached the disk')
     return count
@@ -114,7 +114,7 @@ def _animate(pictures: Iterator[Image.Image], path: Path) -> int:
 
 
 def _small(frames: Iterable[Picture], accents: Sequence[str]) -> Iterator[Image.Image]:
-    """Every second frame, half as large, with the colours that it has most of, and the accents."""
+    """Every second frame at half size, with its most frequent colours and the accents."""
     fixed = [channel for accent in accents for channel in _fading(accent)]
     palette = Image.new('P', (1, 1))
     for frame in itertools.islice(frames, 0, None, _GIF_EVERY):
@@ -128,7 +128,7 @@ def _small(frames: Iterable[Picture], accents: Sequence[str]) -> Iterator[Image.
 
 
 def _fading(colour: str) -> list[int]:
-    """Red, green, blue of a colour, and of the shades in which it fades into white."""
+    """RGB values of a colour and of its shades towards white."""
     pure = np.array(ImageColor.getrgb(colour)[:3])
     return [
         int(channel)
@@ -138,26 +138,26 @@ def _fading(colour: str) -> list[int]:
 
 
 SCALE = 3
-"""The camera's 360 x 200 pixels are shown this much larger."""
+"""Magnification of the camera's 360 x 200 pixels."""
 PANEL_HEIGHT_PX = 360
 _DPI = 100
 _MOST_STEERING_DEG = 30.0
-# Okabe and Ito's colours: told apart with every common colour blindness.
+# Okabe-Ito colours, distinguishable with all common colour vision deficiencies.
 _TRUTH, _ESTIMATE, _RHO, _BAND = '#0072B2', '#D55E00', '#7A4D9E', '#009E73'
 _STEERING = '#F0E442'
 ACCENTS = (_TRUTH, _ESTIMATE, _RHO, _BAND, _STEERING)
-"""Colours that mean something, though few pixels have them."""
+"""Colours with a meaning, although few pixels have them."""
 _WHITE, _SHADE, _CURSOR = (255, 255, 255), (0, 0, 0, 150), (40, 40, 40)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Panel:
-    """The plots, with and without curves, and where their time axes lie.
+    """The plots, with and without curves, and the positions of their time axes.
 
     Attributes:
         empty, full: (H, W, 3) uint8.
-        spec: name of the formula whose robustness is drawn, or ''.
-        axes: left and right end of each plot's time axis [px], and its top and bottom.
+        spec: name of the formula whose robustness is shown, or ''.
+        axes: left, right, top and bottom of each plot [px].
         span_s: time at the two ends [s].
     """
 
@@ -168,7 +168,7 @@ class _Panel:
     span_s: tuple[float, float]
 
     def at(self, row: Mapping[str, Any]) -> Picture:
-        """The panel with its curves up to a row of the trace, a cursor there, and its numbers."""
+        """The panel with curves up to a row of the trace, a cursor there, and its values."""
         picture = self.empty.copy()
         low, high = self.span_s
         t_s = row['t_ns'] / NS_PER_S
@@ -199,11 +199,11 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
     """The frames of a run's film, (960, 1080, 3) uint8 RGB, ten to a simulated second.
 
     Raises:
-        UsageError: the bag holds no camera frames.
-        BagError: it is damaged, foreign, or holds no truth.
+        UsageError: the bag contains no camera frames.
+        BagError: it is damaged, not ours, or contains no truth.
     """
     bag, trace, facts = recording.path, recording.columns, recording.facts
-    panel = _draw_panel(trace, recording.scenario.runway.half_width_m)
+    panel = _draw_panel(trace, recording.scenario.line.half_width_m)
     rows = {int(stamp): row for row, stamp in enumerate(trace['t_ns'])}
     shown = 0
     for frame in recording.frames(render=False):
@@ -220,7 +220,7 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
 
 
 def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Picture:
-    """The camera's frame, enlarged, with words and the steering on it."""
+    """The enlarged camera frame with text and the steering angle."""
     height, width = pixels.shape[:2]
     size = (width * SCALE, height * SCALE)
     large = Image.fromarray(cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC))
@@ -229,7 +229,7 @@ def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Pi
     draw.rectangle((0, 0, size[0], 46), fill=_SHADE)
     draw.text((16, 23), f't = {row["t_ns"] / NS_PER_S:4.1f} s', _WHITE, _font(22), anchor='lm')
     draw.text((size[0] // 2, 23), _title(facts), _WHITE, _font(22), anchor='mm')
-    words = f'{row["speed_mps"]:.1f} m/s at {row["x_m"]:.0f} m'
+    words = f'{row["speed_mps"]:.1f} m/s at {row["distance_m"]:.0f} m'
     draw.text((size[0] - 16, 23), words, _WHITE, _font(22), anchor='rm')
     _draw_steering(draw, size, float(np.rad2deg(row['steering_rad'])))
     large.paste(shade, mask=shade)
@@ -237,7 +237,7 @@ def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Pi
 
 
 def _draw_steering(draw: ImageDraw.ImageDraw, size: tuple[int, int], angle_deg: float) -> None:
-    """A bar from the middle towards the side that is steered to, at the lower edge."""
+    """Draw a bar at the lower edge, from the middle towards the side of the steering."""
     half, middle, y = 180, size[0] // 2, size[1] - 26
     draw.rectangle((middle - half - 20, y - 52, middle + half + 20, size[1]), fill=_SHADE)
     draw.rectangle((middle - half, y - 6, middle + half, y + 6), fill=(255, 255, 255, 60))
@@ -314,7 +314,7 @@ def _draw_errors(
 def _draw_robustness(
     plot: Axes, t_s: Column, trace: Mapping[str, Column], spec: str
 ) -> list[Any]:
-    """The interval of one formula."""
+    """Draw the robustness interval of one formula."""
     upper = np.asarray(trace[f'rho_upper.{spec}'], dtype=float)
     lower = np.asarray(trace[f'rho_lower.{spec}'], dtype=float)
     known = np.concatenate([upper, lower, [0.0]])

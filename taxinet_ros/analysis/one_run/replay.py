@@ -1,4 +1,4 @@
-"""How far a node's answers to a recorded run lie from the recorded ones: figures and a picture."""
+"""Comparison of a node's answers to a recorded run with the recorded ones: values, picture."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number that a node answers every step.
+    """A number that a node answers at every step.
 
     Attributes:
-        column: its name in a trace.
-        label: for people.
-        unit: in which people read it.
-        scale: what makes that unit out of the trace's.
-        truth: column of what it should be, or ''.
+        column: name in a trace.
+        label: display name.
+        unit: display unit.
+        scale: factor from the trace's unit to the display unit.
+        truth: column of the true value, or ''.
     """
 
     column: str
@@ -51,13 +51,13 @@ class Difference:
     """One quantity, recorded and replayed.
 
     Attributes:
-        quantity: which.
-        recorded: its values as recorded, (N,), in the unit for people; NaN where there was none.
-        replayed: its values now, likewise.
-        equal_steps: steps at which both are the same to the bit.
-        first_seq: the first step at which they are not, or None.
-        mean: mean absolute difference, over the steps at which both have a value.
-        greatest: the greatest; infinite where only one of them has a value.
+        quantity: the quantity.
+        recorded: recorded values, (N,), in the display unit; NaN where there was none.
+        replayed: replayed values, likewise.
+        equal_steps: number of steps at which both are bit-identical.
+        first_seq: first step at which they differ, or None.
+        mean: mean absolute difference over the steps at which both have a value.
+        greatest: greatest absolute difference; infinite if only one has a value somewhere.
     """
 
     quantity: Quantity
@@ -76,7 +76,7 @@ class Difference:
 
 
 def quantities(names: Mapping[str, object], per_node: tuple[str, ...]) -> list[Quantity]:
-    """The quantities of a trace whose column begins with one of ``per_node``, in its order."""
+    """The quantities of a trace whose column starts with one of ``per_node``, in this order."""
     known = {quantity.column: quantity for quantity in _KNOWN}
     return [
         known.get(name) or Quantity(column=name, label=name.replace('.', ', '), unit='')
@@ -88,7 +88,7 @@ def quantities(names: Mapping[str, object], per_node: tuple[str, ...]) -> list[Q
 def difference(
     quantity: Quantity, trace: Mapping[str, NDArray[np.generic]], answers: Mapping[str, Values]
 ) -> Difference:
-    """Compare one quantity of a recorded trace with what was answered now, step by step."""
+    """Compare one quantity of a recorded trace with the new answers, step by step."""
     seqs = trace['seq'].astype(np.int64)
     now = np.full(len(seqs), np.nan)
     if quantity.column in answers:
@@ -113,7 +113,7 @@ def difference(
     )
 
 
-# Okabe and Ito's colours; the newer one is dashed as well, for print in grey.
+# Okabe-Ito colours; the replayed curve is also dashed, for greyscale prints.
 _TRUTH: dict[str, Any] = {'color': '0.15', 'linewidth': 1.0, 'linestyle': ':', 'label': 'truth'}
 _BEFORE: dict[str, Any] = {'color': '#0072B2', 'linewidth': 2.4, 'alpha': 0.55}
 _NOW: dict[str, Any] = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 1.5))}
@@ -124,17 +124,17 @@ def plot_replay(
     differences: Sequence[Difference], trace: Mapping[str, NDArray[np.generic]], path: Path, *,
     title: str, recorded: str, replayed: str,
 ) -> None:
-    """Draw each quantity over time: recorded, replayed, and the truth where there is one.
+    """Draw each quantity over time: recorded, replayed, and the truth if known.
 
-    Below each lies the difference of the two. The same values give the same bytes.
+    Below each is the difference of the two. The same values give the same bytes.
 
     Args:
-        differences: what to draw, one row each.
+        differences: the quantities to draw, one row each.
         trace: columns of the recorded run.
         path: PNG file to write.
-        title: heads the picture.
-        recorded: what the recorded values are called in the legend.
-        replayed: what the replayed ones are called.
+        title: title of the picture.
+        recorded: name of the recorded values in the legend.
+        replayed: name of the replayed values.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -192,5 +192,5 @@ def _draw_difference(axes: Axes, one: Difference, t_s: NDArray[np.float64]) -> N
 
 
 def _dots(values: NDArray[np.float64], size: int) -> dict[str, Any]:
-    """What makes values visible that have no neighbour to draw a line to."""
+    """Style that shows isolated values, which have no neighbour to join by a line."""
     return {'marker': 'o', 'markersize': size} if np.isfinite(values).sum() < _FEW else {}

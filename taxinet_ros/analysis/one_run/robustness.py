@@ -1,4 +1,4 @@
-"""A picture of one run and its requirements: signals, bounds, and what was known of rho when."""
+"""Picture of one run and its requirements: signals, bounds, and the interval of rho over time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from taxinet_ros.core.mtl import SIGNALS, Reading, ast, atoms, signal_names
 from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.types import NS_PER_S
 
-# Okabe and Ito: told apart with every common colour blindness.
+# Okabe-Ito colours, distinguishable with all common colour vision deficiencies.
 _SIGNAL, _ALLOWED, _INTERVAL = '#0072B2', '#009E73', '#56B4E9'
 _BROKEN, _OPEN = '#D55E00', '0.35'
 _COLOURS = {BagVerdict.SATISFIED: _ALLOWED, BagVerdict.VIOLATED: _BROKEN,
@@ -31,12 +31,12 @@ _HOLDS: dict[str, Any] = {'color': _ALLOWED, 'alpha': 0.13, 'linewidth': 0}
 _STILL_POSSIBLE: dict[str, Any] = {'color': _INTERVAL, 'alpha': 0.35, 'linewidth': 0}
 _MOMENT: dict[str, Any] = {'linewidth': 1.6, 'linestyle': (0, (4, 2))}
 _MOST_ATOMS = 4
-"""More predicates of one formula are not drawn; their signals would be too small to read."""
+"""Maximum number of predicates drawn per formula; more would be too small to read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedSpec:
-    """What is drawn of one requirement: its verdict, and the reading after each sample."""
+    """A requirement to draw: its verdict, and the monitor's reading after each sample."""
 
     verdict: SpecVerdict
     readings: Sequence[Reading]
@@ -46,15 +46,15 @@ def robustness_picture(
     stamps_ns: Sequence[int], samples: Sequence[Mapping[str, float]],
     judged: Sequence[JudgedSpec], path: Path, *, title: str, end_s: float,
 ) -> None:
-    """Draw a row for each requirement: its signals with their bounds, and the interval of rho.
+    """Draw one row per requirement: its signals with their bounds, and the interval of rho.
 
     Args:
-        stamps_ns: of the samples [ns].
+        stamps_ns: stamps of the samples [ns].
         samples: signals by name.
         judged: the requirements.
         path: PNG file to write; the same values give the same bytes.
-        title: heads the picture.
-        end_s: when the run was to end [s].
+        title: title of the picture.
+        end_s: planned end of the run [s].
 
     Raises:
         ValueError: there is nothing to draw.
@@ -86,7 +86,7 @@ def _draw(
                    family='monospace')
     left, right = place.subfigures(1, 2, squeeze=False)[0]
     panels = left.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    panels[0].set_title(' ', fontsize=10)  # as high as its neighbour, which has a title
+    panels[0].set_title(' ', fontsize=10)  # same height as its neighbour, which has a title
     for axes, atom in zip(panels, shown, strict=True):
         _draw_atom(axes, atom, t_s, samples)
         axes.set_xlim(0, max(end_s, float(t_s[-1])))
@@ -106,7 +106,7 @@ def _draw_atom(
     axes: Axes, atom: ast.Compare, t_s: NDArray[np.float64],
     samples: Sequence[Mapping[str, float]],
 ) -> None:
-    """The side of a predicate that varies, and the values that the other side allows it."""
+    """Draw the varying side of a predicate, and the values that the other side allows."""
     value, low, high = _sides(atom, samples)
     name, unit = _label(value)
     curve = _curve(value, samples)
@@ -153,7 +153,7 @@ def _draw_interval(axes: Axes, one: JudgedSpec, t_s: NDArray[np.float64]) -> Non
 
 
 def _mark(axes: Axes, verdict: SpecVerdict, last_s: float) -> None:
-    """The moment of the decision, and what was decided."""
+    """Mark the time and the result of the decision."""
     colour = _COLOURS.get(verdict.verdict, _OPEN)
     if verdict.decided_s is not None:
         axes.axvline(verdict.decided_s, color=colour, clip_on=False, **_MOMENT)
@@ -181,7 +181,7 @@ def _legend() -> list[Artist]:
 def _sides(
     atom: ast.Compare, samples: Sequence[Mapping[str, float]]
 ) -> tuple[ast.Expr, NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """What a predicate is about, and the least and greatest value that satisfies it."""
+    """The varying side of a predicate, and the bounds within which it is satisfied."""
     small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
     if not _names(small):
         return large, _curve(small, samples), None

@@ -1,4 +1,4 @@
-"""Pictures of the paths that runs took, one column for each perception."""
+"""Pictures of the trajectories of runs, one column per perception."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 
 BAND_M = 1.5
-"""Half width of the band that the paper's specification asks for (paper, section 3.1)."""
+"""Half width of the band in the paper's specification [m] (paper, section 3.1)."""
 
-# Okabe and Ito's blue and vermilion: told apart with every common colour blindness, and a failed
-# run is dashed as well, for print in grey.
+# Okabe-Ito blue and vermilion, distinguishable with all common colour vision deficiencies; a failed
+# run is also dashed, for greyscale prints.
 _Style = dict[str, Any]
 _PASSED: _Style = {'color': '#0072B2', 'linestyle': '-', 'zorder': 3}
 _FAILED: _Style = {'color': '#D55E00', 'linestyle': (0, (5, 1.5)), 'zorder': 4}
@@ -28,20 +28,20 @@ _BAND: _Style = {'color': '#009E73', 'alpha': 0.18, 'linewidth': 0, 'zorder': 1}
 _EDGE: _Style = {'color': '0.25', 'linewidth': 1.4, 'zorder': 2}
 
 _BEYOND_EDGE_M = 4.0
-"""How much grass beyond the runway's edges is shown; a run that goes farther leaves the picture."""
+"""Width of grass shown beyond the runway edges [m]; runs may leave the picture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """The true path of one run.
+    """The true trajectory of one run.
 
     Attributes:
-        label: what the column is about, usually the perception's word.
+        label: name of the column, usually the perception's word.
         t_s: stamps from the start of the run [s], (N,).
-        x_m: position past the threshold [m], (N,).
+        x_m: distance along the track [m], (N,).
         cte_m: cross-track error [m], left positive, (N,).
         ok: whether the run satisfied its specification; None if it was not judged.
-        half_width_m: of its runway [m].
+        half_width_m: half width of its runway [m].
     """
 
     label: str
@@ -64,9 +64,9 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
     The same trajectories give the same bytes. Left of the centreline is up; a dot marks a start.
 
     Args:
-        trajectories: of one or more labels, whose columns come in order of appearance.
+        trajectories: runs of one or more labels, with columns in order of appearance.
         path: PNG file to write.
-        title: heads the picture.
+        title: title of the picture.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -83,7 +83,7 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
         _draw(grid[1, column], own, [one.x_m for one in own])
         grid[0, column].set_title(f'{label}: {_count(own)}', fontsize=12)
         grid[0, column].set_xlabel('time [s]')
-        grid[1, column].set_xlabel('distance past the threshold [m]')
+        grid[1, column].set_xlabel('distance along the track [m]')
     for axes in grid[:, 0]:
         axes.set_ylabel('cross-track error [m], left is up')
     _legend(figure, trajectories)
@@ -100,7 +100,7 @@ def _draw(axes: Axes, own: Sequence[Trajectory], along: Sequence[NDArray[np.floa
     axes.axhspan(-BAND_M, BAND_M, **_BAND)
     for side in (-edge, edge):
         axes.axhline(side, **_EDGE)
-    # Many passed runs must let one another show through; a failed one must not pale among them.
+    # Many passed runs are translucent; a failed run must stand out among them.
     alpha = float(np.clip(8 / max(len(own), 1), 0.4, 1.0))
     for one, x in zip(own, along, strict=True):
         style = _style(one)

@@ -1,1 +1,1 @@
-"""The kit of every report: pages, tables, text, pictures and the viewer of a run."""
+"""Building blocks of reports: pages, tables, text, pictures and the viewer of a run."""

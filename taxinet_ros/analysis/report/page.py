@@ -1,6 +1,6 @@
-"""A report as one HTML file that needs no network and nothing beside it.
+"""A report as a self-contained HTML file that needs no network and no other files.
 
-Nothing foreign can run in it: words are escaped, data are JSON that no browser executes, and a
+Injected code cannot run in it: text is escaped, data are JSON that no browser executes, and a
 content security policy admits only our own style and script, by their digests.
 """
 
@@ -20,7 +20,7 @@ from taxinet_ros.analysis.report.parts import Report, Section
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
-from taxinet_ros.analysis.report.viewer import RunView, ground_shapes, read_run_view
+from taxinet_ros.analysis.report.viewer import RunView, read_run_view
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
@@ -36,7 +36,7 @@ _SCRIPTS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Runs:
-    """The runs that can be looked at, and why others cannot."""
+    """The runs that have a viewer, and the reasons why others have none."""
 
     views: Mapping[str, RunView]
     troubles: Mapping[str, str]
@@ -47,16 +47,16 @@ def write_report_page(
 ) -> None:
     """Write a report as a page; the same report gives the same bytes.
 
-    A run whose bag cannot be read has no viewer, and the page says why.
+    If a run's bag cannot be read, the page shows the reason instead of a viewer.
 
     Args:
-        report: what to show.
+        report: the report.
         path: HTML file to write, in an existing folder.
-        on_progress: is told in words what is done next.
+        on_progress: called with a description of the next step.
 
     Raises:
         OSError: it cannot be written.
-        ValueError: a table contradicts itself.
+        ValueError: a table is inconsistent.
     """
     html = _html(report, on_progress)
     on_progress(f'writing {path.name}')
@@ -108,10 +108,10 @@ def _section(
 
 
 def _grounds(runs: _Runs) -> dict[str, Any]:
-    """The runway as each run found it, once for all that found it so."""
+    """The runways of the runs, each distinct one once."""
     views = {view.ground_name: view for view in runs.views.values()}
     return {
-        name: ground_shapes(views[name].place.runway, crossing=views[name].crossing)
+        name: views[name].ground_shapes()
         for name in sorted(views)
     }
 
@@ -121,7 +121,7 @@ def _joined(names: tuple[str, ...]) -> str:
 
 
 def _theme_style() -> str:
-    """The colours that page and pictures share, as properties of the page."""
+    """The colours shared by page and pictures, as CSS properties."""
     pairs = {
         name: (getattr(LIGHT, name), getattr(DARK, name))
         for name in ('ink', 'faint', 'paper', 'passed', 'failed')

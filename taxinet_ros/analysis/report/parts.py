@@ -1,6 +1,6 @@
-"""The parts of a report: sections, tables, and pictures with their theme and style of axes.
+"""Parts of a report: sections, tables, and pictures with their theme and axes style.
 
-An analysis answers in these values; whoever draws or writes decides on the form.
+An analysis returns these values; their presentation is up to the writer of a report.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 Cell = str | int | float | bool | None
-"""A table's cell; None and NaN stand for what is not known."""
+"""A table's cell; None and NaN mean unknown."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -21,11 +21,11 @@ class Theme:
     """Colours of a drawing, for a light or a dark page.
 
     Attributes:
-        ink: of text, axes and ticks.
-        faint: of grids and of what stands behind.
-        paper: of the ground.
-        passed, failed: of runs that satisfied their formula, or did not.
-        others: of further networks or arms, in turn.
+        ink: colour of text, axes and ticks.
+        faint: colour of grids and background elements.
+        paper: background colour.
+        passed, failed: colours of runs that satisfied their formula, or did not.
+        others: colours of further networks or arms, in turn.
     """
 
     ink: str
@@ -38,13 +38,13 @@ class Theme:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Picture:
-    """A drawing that is made when it is wanted.
+    """A picture that is drawn on demand.
 
     Attributes:
-        name: of its file, without a suffix; unique within a report.
-        title: heads it.
-        caption: what it shows and what to see in it, in one or two sentences.
-        draw: puts it on an empty figure, in a theme's colours; equal each time.
+        name: file name without a suffix, unique within a report.
+        title: title above it.
+        caption: explanation in one or two sentences.
+        draw: draws it on an empty figure in a theme's colours; deterministic.
         size_in: width and height of the figure [inch].
     """
 
@@ -60,9 +60,9 @@ class Column:
     """A column of a table.
 
     Attributes:
-        name: as in JSON and files, the unit included, such as ``rain_percent``.
-        title: for people, such as ``rain [%]``.
-        decimals: digits after the point for numbers; None for text and whole numbers.
+        name: name in JSON and files, including the unit, such as ``rain_percent``.
+        title: display name, such as ``rain [%]``.
+        decimals: number of decimals; None for text and integers.
     """
 
     name: str
@@ -72,14 +72,14 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """Rows of values.
+    """A table of a report.
 
     Attributes:
-        name: of its file, without a suffix; unique within a report.
-        title, caption: as with a picture.
-        columns: what the cells of a row are, in order.
+        name: file name without a suffix, unique within a report.
+        title, caption: see :class:`Picture`.
+        columns: the columns in order.
         rows: the cells.
-        run_id_column: the column that names runs, so that a page can link to their viewers.
+        run_id_column: column with run ids, which a page links to their viewers.
     """
 
     name: str
@@ -92,13 +92,13 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Section:
-    """A heading with what belongs below it.
+    """A heading with its content.
 
     Attributes:
-        name: unique within the report, for links.
-        heading: for people.
+        name: unique name within the report, for links.
+        heading: display text.
         sentences: paragraphs of plain text.
-        pictures, tables: in the order in which they are shown.
+        pictures, tables: in display order.
     """
 
     name: str
@@ -110,14 +110,14 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Report:
-    """An analysis of a campaign, for people.
+    """A report on an analysis.
 
     Attributes:
-        title: such as ``s_falsif, 4,000 runs of original``.
-        facts: what was run, by what: shown small below the title.
-        summary: the findings in words, the most important first.
+        title: title, such as ``s_falsif, 4,000 runs of original``.
+        facts: facts of the campaign, shown small below the title.
+        summary: sentences on the findings, the most important first.
         sections: the evidence.
-        runs: folders of runs to look at step by step, by run id, the worst first.
+        runs: folders of runs to inspect step by step, by run id, the worst first.
     """
 
     title: str
@@ -128,7 +128,7 @@ class Report:
 
 
 def style_axes(axes: Axes, *, grid: str = 'both') -> None:
-    """A grid behind the drawing, and no frame where no scale is."""
+    """Put a grid behind the plot, and remove the frame at sides without a scale."""
     for side in ('top', 'right'):
         axes.spines[side].set_visible(False)
     if grid != 'none':

@@ -1,4 +1,4 @@
-"""Pictures of a report as PNG and inside its page, for light and dark.
+"""Pictures of a report as PNG and embedded in its page, for light and dark themes.
 
 The same picture and theme give the same bytes each time they are drawn.
 """
@@ -20,8 +20,8 @@ from PIL import Image
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.files.atomic import write_atomically
 
-# Blue and vermilion are Okabe and Ito's, as in the other pictures; on a dark ground lighter ones
-# of the same hues, for each must stand out from the paper by 3 : 1 (WCAG 2.2, 1.4.11).
+# Okabe-Ito blue and vermilion, as in the other pictures; on dark pages lighter shades of these
+# hues, since each needs a contrast of 3 : 1 with the background (WCAG 2.2, 1.4.11).
 LIGHT = Theme(
     ink='#1f2328', faint='#d5d9de', paper='#ffffff', passed='#0072B2', failed='#D55E00',
     others=('#007a5a', '#7A4D9E', '#8a6d00', '#b0487a'),
@@ -31,17 +31,17 @@ DARK = Theme(
     others=('#3fc79a', '#b794e0', '#F0E442', '#e58fb6'),
 )
 DOTS_PER_INCH = 144
-"""Of all pictures: sharp on a screen with two dots to a CSS pixel, and small."""
+"""Resolution of all pictures: sharp on screens with two dots per CSS pixel, but small."""
 
 
 def png_bytes(picture: Picture, theme: Theme) -> bytes:
     """Draw a picture as PNG; the same picture and theme give the same bytes.
 
-    The figure comes to ``picture.draw`` with a constrained layout and with the theme's colours as
-    defaults of text, axes, ticks, grid, legend and ground, whatever a ``matplotlibrc`` says.
+    ``picture.draw`` receives a figure with a constrained layout and the theme's colours as defaults
+    of text, axes, ticks, grid, legend and background, independent of any ``matplotlibrc``.
     """
     buffer = io.BytesIO()
-    # Ticks and legends that are made only while it is saved take their colours then.
+    # Ticks and legends created during saving take their colours then.
     with style_context(['default', _defaults(theme)]):
         figure = Figure(
             figsize=picture.size_in, dpi=DOTS_PER_INCH, layout='constrained',
@@ -86,7 +86,7 @@ class PictureView:
 
     Attributes:
         name, title, caption: as in the report.
-        light, dark: addresses that hold the whole file.
+        light, dark: ``data:`` addresses with the whole file.
         width, height: size on the page [CSS px].
     """
 
@@ -100,7 +100,7 @@ class PictureView:
 
 
 def view_picture(picture: Picture) -> PictureView:
-    """Draw a picture for light and for dark pages."""
+    """Draw a picture for light and dark pages."""
     width, height = (round(inches * _CSS_PIXELS_PER_INCH) for inches in picture.size_in)
     return PictureView(
         name=picture.name, title=picture.title, caption=picture.caption,

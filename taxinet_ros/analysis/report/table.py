@@ -1,4 +1,4 @@
-"""A table of a report as a page shows it: the first rows as HTML, all of them as data."""
+"""A table of a report in a page: the first rows as HTML, all rows as data."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.report.values import clean, data_block, plain_number
 
 ROWS_AT_ONCE = 25
-"""Rows of one page of a long table."""
+"""Rows per page of a long table."""
 
 _EXACT = 2**53
-"""Larger whole numbers are no longer told apart by JavaScript."""
+"""Largest range of integers that JavaScript represents exactly."""
 
 _LONG = 40
-"""Characters of a cell that may stand on one line."""
+"""Maximum number of characters of a cell on one line."""
 
 _DIGITS = 6
 """Significant digits of fractions in columns without a number of decimals."""
@@ -28,11 +28,11 @@ _DIGITS = 6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CellView:
-    """What stands in a cell.
+    """A cell, ready for the template.
 
     Attributes:
-        text: the words.
-        kind: how it is set: ``number``, ``long`` for words in several lines, or ''.
+        text: display text.
+        kind: style: ``number``, ``long`` for text on several lines, or ''.
         link: address of a run's viewer, or ''.
     """
 
@@ -47,10 +47,10 @@ class TableView:
 
     Attributes:
         name, title, caption: as in the report.
-        columns: title of each, and whether it holds numbers.
+        columns: title of each column, and whether it contains numbers.
         rows: the first :data:`ROWS_AT_ONCE`.
-        count: number of all rows.
-        data: everything, as JSON.
+        count: total number of rows.
+        data: all rows, as JSON.
     """
 
     name: str
@@ -68,7 +68,7 @@ class TableView:
 
     @property
     def state(self) -> str:
-        """Which rows are shown, in words."""
+        """Display text of the range of rows shown."""
         part = f'1–{ROWS_AT_ONCE} of ' if self.long else ''
         return f'{part}{self.count:,} {"row" if self.count == 1 else "rows"}'
 
@@ -78,10 +78,10 @@ def view_table(table: Table, viewers: Collection[str]) -> TableView:
 
     Args:
         table: the table.
-        viewers: ids of the runs that have a viewer, as :func:`.report_text.clean` leaves them.
+        viewers: ids of the runs that have a viewer, as :func:`.values.clean` leaves them.
 
     Raises:
-        ValueError: a row has another length than the columns, or there is no ``run_id_column``.
+        ValueError: a row and the columns differ in length, or there is no ``run_id_column``.
     """
     names = [column.name for column in table.columns]
     if table.run_id_column is not None and table.run_id_column not in names:
@@ -115,7 +115,7 @@ def _values(table: Table, row: tuple[Cell, ...]) -> list[Cell]:
 
 
 def _plain(cell: Cell, column: Column) -> Cell:
-    """The value that the page knows: rounded as shown, so that both sides write the same digits."""
+    """The value for the page, rounded as shown, so that HTML and script give the same digits."""
     value = cell.item() if isinstance(cell, np.generic) else cell
     if isinstance(value, str):
         return clean(value)

@@ -1,6 +1,6 @@
-"""Values and text on their way into JSON or a page.
+"""Conversion of values and text for JSON and pages.
 
-JSON has no NaN and no infinity; and nothing in a page's text can become markup or code.
+JSON has no NaN and no infinity, and text in a page must not become markup or code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 
 def plain_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The same in JSON's own types; None where a number is not finite."""
+    """Convert to JSON types; None for a number that is not finite."""
     return {str(key): _plain(one) for key, one in values.items()}
 
 
@@ -32,38 +32,38 @@ def _plain(value: Any) -> Any:
     return value
 
 
-# What HTML cannot hold: control characters other than tab and line ends, lone surrogates, and the
-# two non-characters that end the first plane.
+# Characters that HTML cannot contain: control characters other than tab and line ends, lone
+# surrogates, and the last two non-characters of the first plane.
 _UNFIT = re.compile('[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]')
 _IN_SCRIPT = str.maketrans({'<': r'\u003c', '>': r'\u003e', '&': r'\u0026'})
 
 
 def clean(text: str) -> str:
-    """``text`` with U+FFFD, the replacement character, for each character that HTML cannot hold."""
+    """``text`` with U+FFFD, the replacement character, for characters that HTML cannot contain."""
     return _UNFIT.sub('\ufffd', text)
 
 
 def cleaned(value: Any) -> Any:
-    """As :func:`clean` for whatever a template shows; what is known to be HTML stays as it is."""
+    """Like :func:`clean` for any value of a template; HTML markup is left unchanged."""
     return clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def data_block(value: Any) -> Markup:
     """JSON for the inside of a ``<script type="application/json">``.
 
-    Signs that could end the element, or open a comment in it, are written as escapes, and so is
-    everything beyond ASCII.
+    Characters that could end the element or open a comment in it, and all non-ASCII characters, are
+    escaped.
 
     Raises:
         ValueError: a number is not finite; see :func:`plain_number`.
     """
     text = json.dumps(_all_clean(value), separators=(',', ':'), allow_nan=False)
-    # It holds no sign of HTML any more.
+    # It no longer contains HTML characters.
     return Markup(text.translate(_IN_SCRIPT))
 
 
 def plain_number(value: float, decimals: int) -> float | int | str | None:
-    """A number for JSON, rounded; NaN is null, and infinities are words that the page knows."""
+    """A rounded number for JSON; NaN is null, and infinities are words that the page knows."""
     if math.isnan(value):
         return None
     if math.isinf(value):

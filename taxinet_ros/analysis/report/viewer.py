@@ -1,4 +1,4 @@
-"""A recorded run as plain data for the page's viewer: facts, curves, camera frames, the ground."""
+"""A recorded run as data for the page's viewer: facts, curves, camera frames, ground."""
 
 from __future__ import annotations
 
@@ -23,23 +23,36 @@ from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import Crossing, Runway
+from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import RUNWAY_TRACK, Track, painted_line
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
 
 _CROSSING_REACH_M = 400.0
-"""How far to each side the crossing runway is drawn; runs stay nearer."""
+"""Half length at which the crossing runway is drawn [m]; runs stay within."""
 
 
-def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
-    """Polygons in ``map`` [m] as JSON values: pavement and paint, and the tolerated band's half."""
+def ground_shapes(
+    runway: Runway, track: Track | None = None, *, crossing: bool
+) -> dict[str, Any]:
+    """Polygons in ``map`` [m] as JSON values: pavement, paint, and half width of the band.
+
+    With a track that leaves the runway, also its pavement, its yellow lines and the band along it.
+    """
     length, half = runway.length_m, runway.half_width_m
     crossings = runway.crossings if crossing else ()
     pavement = (
-        ((0.0, -half), (length, -half), (length, half), (0.0, half)), *map(_crossing, crossings),
+        ((0.0, -half), (length, -half), (length, half), (0.0, half)),
+        *(one.strip(_CROSSING_REACH_M) for one in crossings),
     )
+    aside = {} if track is None or track.is_runway else {'track': {
+        'pavement': _corners(track.strip(track.half_width_m)),
+        'band': _corners(track.strip(CENTRELINE_TOLERANCE_M)),
+        'lines': [_corners(line[::4]) for line in painted_line(track, runway)],
+    }}
     return {
+        **aside,
         'pavement': [_corners(polygon) for polygon in pavement],
         'paint': [_corners(marking.polygon) for marking in markings(runway, crossing=crossing)],
         'tolerance': CENTRELINE_TOLERANCE_M,
@@ -48,38 +61,26 @@ def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
     }
 
 
-def _crossing(crossing: Crossing) -> Polygon:
-    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
-    half = crossing.width_m / 2
-    return tuple(
-        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
-        for along, across in (
-            (-_CROSSING_REACH_M, -half), (_CROSSING_REACH_M, -half),
-            (_CROSSING_REACH_M, half), (-_CROSSING_REACH_M, half),
-        )
-    )
-
-
 def _corners(polygon: Polygon) -> list[list[Any]]:
     return [[plain_number(x, 2), plain_number(y, 2)] for x, y in polygon]
 
 
 STEPS_APART = 5
-"""Every fifth control step has a frame on the page: two to a second."""
+"""Control steps per frame on the page: two frames per second."""
 MOST_FRAMES = 120
-"""Longer runs than a minute have theirs farther apart, to keep the page small."""
+"""Maximum number of frames; runs over a minute have them farther apart, for a small page."""
 _QUALITY = 70
-"""Of WebP: stripes stay sharp, and a frame has about 4 kB."""
+"""WebP quality: stripes stay sharp, and a frame has about 4 kB."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Frames:
-    """What the camera saw.
+    """Camera frames of a run.
 
     Attributes:
-        steps: row of the trace that each frame belongs to, ascending.
+        steps: row of the trace of each frame, ascending.
         files: a WebP file for each.
-        missing: why there are fewer than wanted, or ''.
+        missing: reason why there are fewer than intended, or ''.
     """
 
     steps: tuple[int, ...]
@@ -87,7 +88,7 @@ class Frames:
     missing: str
 
     def data(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """Frames as JSON values."""
         return {
             'steps': list(self.steps), 'missing': self.missing,
             'webp': [base64.b64encode(file).decode('ascii') for file in self.files],
@@ -95,7 +96,7 @@ class Frames:
 
 
 def read_frames(recording: Recording) -> Frames:
-    """Frames of some of a run's control steps, as recorded, else rendered now.
+    """Frames of some of a run's control steps, as recorded or else rendered now.
 
     Raises:
         BagError: a recorded frame is damaged.
@@ -120,7 +121,7 @@ def read_frames(recording: Recording) -> Frames:
 
 
 def _webp(pixels: NDArray[np.uint8]) -> bytes:
-    """One frame, (H, W, 3) uint8 RGB, as a file."""
+    """One frame, (H, W, 3) uint8 RGB, as a WebP file."""
     parameters = [cv2.IMWRITE_WEBP_QUALITY, _QUALITY]
     _, data = cv2.imencode('.webp', cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), parameters)
     return data.tobytes()
@@ -131,30 +132,33 @@ _COLUMNS = {
     'cteEstimate': ('est_cte_m', 1.0), 'he': ('he_rad', 180 / math.pi),
     'heEstimate': ('est_he_rad', 180 / math.pi), 'steering': ('steering_rad', 180 / math.pi),
 }
-"""Curves by their name on the page: column of the trace, and factor to metres and degrees."""
+"""Curves by name on the page: column of the trace, and factor to metres or degrees."""
 _DECIMALS = 3
 _TELLING = ('cross track', 'heading', 'distance', 'clouds', 'rain', 'time of day')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunView:
-    """What the viewer of one run needs.
+    """Data of the viewer of one run.
 
     Attributes:
-        run_id: names it.
+        run_id: id of the run.
         outcome: one of the five words, or ''.
-        place: where it took place.
-        crossing: whether what crosses the runway was there.
-        facts: what was asked and what came of it, for people.
+        place: place of the run.
+        track: track of the run.
+        crossing: whether the crossing runway was present.
+        facts: display text of the request and the result.
         t_s: time of each control step since the start [s].
-        curves: by name, a value for each step: metres, m/s, degrees; left positive.
+        curves: by name, a value for each step: metres, m/s, degrees; left positive. ``yaw``, where
+            it is not the heading error.
         intervals: robust satisfaction interval by formula: lower and upper end for each step.
-        frames: what the camera saw, thinned out.
+        frames: a selection of the camera frames.
     """
 
     run_id: str
     outcome: str
     place: Place
+    track: Track
     crossing: bool
     facts: Mapping[str, str]
     t_s: Column
@@ -164,18 +168,23 @@ class RunView:
 
     @property
     def summary(self) -> str:
-        """Where and in what weather it was, on one line."""
+        """Place and weather, on one line."""
         return ', '.join(f'{name} {self.facts[name]}' for name in _TELLING if name in self.facts)
 
     @property
     def ground_name(self) -> str:
-        """What runs call the ground that they took place on."""
+        """Name by which runs refer to their ground."""
         kind = 'crossed' if self.crossing else 'plain'
+        kind = kind if self.track.is_runway else f'{self.track.name} {kind}'
         place = self.place.reference
         return kind if place == DEFAULT_PLACE else f'{place} {kind}'
 
+    def ground_shapes(self) -> dict[str, Any]:
+        """The ground that it took place on, see :func:`ground_shapes`."""
+        return ground_shapes(self.place.runway, self.track, crossing=self.crossing)
+
     def data(self) -> dict[str, Any]:
-        """All of it as JSON values, rounded."""
+        """Everything as rounded JSON values."""
         return {
             'id': self.run_id,
             'outcome': self.outcome,
@@ -195,25 +204,31 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     """Read a run for its viewer.
 
     Args:
-        run_id: what the page calls it.
+        run_id: id of the run on the page.
         bag: a run folder or an ``.mcap`` file.
 
     Raises:
-        BagError, UsageError: the bag cannot be read; that frames cannot be had again is no error.
+        BagError, UsageError: the bag cannot be read; frames that cannot be rendered are no error.
     """
     recording = open_recording(bag)
     trace, facts = recording.columns, recording.facts
     specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
+    place = typed_place(DEFAULT_PLACE if facts is None else facts.scene['place'])
+    track = place.track(RUNWAY_TRACK if facts is None else facts.scene['track'])
+    curves = {
+        name: np.asarray(trace[column], dtype=np.float64) * factor
+        for name, (column, factor) in _COLUMNS.items()
+    }
+    if not track.is_runway:
+        directions = [track.pose(at)[2] for at in np.nan_to_num(trace['distance_m']).tolist()]
+        curves['yaw'] = curves['he'] + np.degrees(directions)
     return RunView(
         run_id=run_id, outcome='' if facts is None else facts.outcome,
-        place=typed_place(DEFAULT_PLACE if facts is None else facts.scene['place']),
+        place=place, track=track,
         crossing=facts is None or bool(facts.scene.get('crossing', True)),
         facts={} if facts is None else _words(facts),
         t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,
-        curves={
-            name: np.asarray(trace[column], dtype=np.float64) * factor
-            for name, (column, factor) in _COLUMNS.items()
-        },
+        curves=curves,
         intervals={
             spec: (trace[f'rho_lower.{spec}'], trace[f'rho_upper.{spec}']) for spec in specs
         },
@@ -226,7 +241,7 @@ def _rounded(values: Column) -> list[float | int | str | None]:
 
 
 def _words(facts: RunFacts) -> dict[str, str]:
-    """What a person wants to know of a run, in the order in which they ask."""
+    """Display text of the facts of a run, the most important first."""
     words = {'outcome': ' '.join(w for w in (facts.outcome, facts.kind, facts.detail) if w)}
     for name, judged in facts.judged.items():
         lower, upper = judged.interval

@@ -1,1 +1,1 @@
-"""The runs of a campaign as tables: features, groups, bins."""
+"""Tables of the runs of a campaign: features, groups, bins."""

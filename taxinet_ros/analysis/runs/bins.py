@@ -39,10 +39,10 @@ class Bin:
 
 
 def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[Bin]:
-    """Cut a feature into bins: as many as there are runs for, none without runs for words.
+    """Cut a feature into bins, as many as the number of runs allows; words without runs have none.
 
     Args:
-        feature: any.
+        feature: any feature.
         frame: the runs.
         most: maximum number of bins.
     """
@@ -56,7 +56,7 @@ def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[B
     found = []
     dry = values == 0
     if feature.name == RAIN.name and dry.any():
-        # Two thirds of the runs have no rain: they get their own bin.
+        # Two thirds of the runs have no rain; they get a separate bin.
         found.append(Bin(label='0', low=0.0, high=0.0, mask=dry))
         if dry.all():
             return found
@@ -75,13 +75,13 @@ def medians(
     """Median of ``y`` in bins of ``x``.
 
     Args:
-        x: of the runs.
-        y: of the runs; NaN is left out.
-        width: of a bin; their ends are multiples of it.
-        least: runs that a bin must have; None for 5, or 1 where there are few runs in all.
+        x: values of the runs.
+        y: values of the runs; NaN is left out.
+        width: width of a bin; bin ends are multiples of it.
+        least: minimum number of runs per bin; None for 5, or 1 if there are few runs in all.
 
     Returns:
-        Middles of the bins, their medians (NaN for a gap) and numbers of runs.
+        Centres of the bins, their medians (NaN for a gap) and numbers of runs.
     """
     known = ~np.isnan(y)
     x, y = x[known], y[known]

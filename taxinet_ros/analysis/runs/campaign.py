@@ -38,11 +38,11 @@ class GroupRate(NamedTuple):
     """Failure rate of a group of runs.
 
     Attributes:
-        runs, failures: as they were made.
+        runs, failures: numbers of runs and failures as made.
         rate, low, high: share of failures under the program's own distribution with its 95 %
-            interval, of the runs that the program itself drew. Where none was, the share of the
-            runs as they were made, and NaN for the ends.
-        effective: number of runs that the interval is of; NaN where there is none.
+            interval, from the runs drawn by the program itself. If there are none, the share among
+            the runs as made, with NaN for the ends.
+        effective: number of runs that the interval is based on; NaN if there is none.
     """
 
     runs: int
@@ -67,12 +67,12 @@ def rate_words(runs: int, rate: float, low: float, high: float) -> str:
 
 
 def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupRate:
-    """Failure rate of a group that was chosen independently of the results.
+    """Failure rate of a group chosen independently of the outcomes.
 
     Args:
-        failed: of each run.
+        failed: whether each run failed.
         weight: 1 if the program itself drew the run, else 0, or NaN if unknown.
-        anytime: the number of runs was not fixed beforehand (:mod:`taxinet_ros.campaign.rates`).
+        anytime: whether the number of runs was open (:mod:`taxinet_ros.campaign.rates`).
     """
     runs, failures = len(failed), int(np.count_nonzero(failed))
     drawn = weight == 1
@@ -134,17 +134,16 @@ class CampaignRuns:
     Attributes:
         label: unique name: its network, and the folder if needed.
         path: folder or file that it was read from.
-        program, perception, sampler: what was run, with what, who chose the scenes.
-        spec: name of the formula that says which runs failed.
-        facts: of ``campaign.json``, where there is one.
+        program, perception, sampler: scenario program, perception, and sampler of the scenes.
+        spec: name of the formula that defines failure.
+        facts: contents of ``campaign.json``, if there is one.
         stacks: machines, libraries and code of the runs; empty if not recorded.
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
-            ``rho`` (NaN where nothing is known of its size), ``rho_exact`` (False where the run was
-            stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
-            the features.
-        others: number of runs by outcome, of those without a verdict.
+            ``rho`` (NaN if its size is unknown), ``rho_exact`` (False if the run was stopped early
+            and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and the features.
+        others: number of runs without a verdict, by outcome.
         kinds: number of infrastructure errors by kind.
-        undecided: judged runs that were stopped before this formula was decided.
+        undecided: number of judged runs stopped before this formula was decided.
         weighting: interpretation of shares of these runs.
         anytime: whether the number of runs was not fixed before the first one.
         blind: number of runs that passed though more of their frames had no usable estimate than
@@ -200,7 +199,7 @@ class CampaignRuns:
         return int((~self.frame['rho_exact']).sum())
 
     def rate(self, among: Mask | None = None) -> GroupRate:
-        """Failure rate of all runs, or of the given ones."""
+        """Failure rate of all runs, or of those in ``among``."""
         among = np.ones(len(self.frame), dtype=bool) if among is None else among
         return group_rate(self.failed[among], self.weight[among], anytime=self.anytime)
 
@@ -217,7 +216,7 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
 
     Args:
         path: folder, or ``.parquet`` file.
-        spec: formula that says which runs failed; None for the headline.
+        spec: formula that defines failure; None for the headline.
 
     Raises:
         UsageError: there is no such table or formula, or no run was judged.
@@ -226,7 +225,7 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
 
 
 def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:
-    """The judged runs of a table that was read from ``path``; as :func:`read_runs`."""
+    """The judged runs of a table that was read from ``path``; see :func:`read_runs`."""
     missing = [name for name in _NEEDED if name not in table.columns]
     if missing:
         raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
@@ -295,7 +294,7 @@ def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
 
 
 def _frame(judged: pd.DataFrame, spec: str, counted: float) -> pd.DataFrame:
-    """Features and outcome of judged runs; ``failed`` is missing where the sign is not known."""
+    """Features and outcome of judged runs; ``failed`` is missing if the sign is not known."""
     rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
     empty = np.full(len(rho), np.nan)
     lower, upper = (
@@ -368,7 +367,7 @@ def _blind(judged: pd.DataFrame) -> int:
 
 
 def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:
-    """The records that came with the table, or with its campaign."""
+    """The provenance stored with the table, or with its campaign."""
     with_table = {str(name): value for name, value in table.attrs.items()}
     told = recorded_stacks(with_table) or recorded_stacks(facts_beside(path))
     return tuple(told.values())
@@ -384,7 +383,7 @@ def _network(perception: str) -> str:
 
 
 def facts_beside(path: Path) -> dict[str, Any]:
-    """Read ``campaign.json`` beside a campaign's table; empty if there is none.
+    """Read ``campaign.json`` in the folder of a campaign's table; empty if there is none.
 
     Raises:
         UsageError: it is damaged.

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
+from taxinet_ros.core.place.catalogue import SHIPPED_TRACKS
 from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
@@ -34,12 +35,12 @@ class Feature:
     Attributes:
         name: column of the table of runs; of an offset without its sign, ``abs_`` and the column.
         title: display name without unit.
-        unit: of its values, '' for words and for the time of day.
+        unit: unit of its values, '' for words and for the time of day.
         form: display format of its values.
         step: rounding step of interval limits, for display.
-        words: of an interval with both ends, from below, and from above; ``{}`` for the ends.
-        source: column that it is made from.
-        kinds: all values in their order, of words.
+        words: templates of an interval with both, only the upper, or only the lower end.
+        source: column from which it is computed.
+        kinds: for words, all values in order.
         widths: candidate bin widths, from narrow to wide.
     """
 
@@ -77,7 +78,7 @@ class Feature:
                 math.ceil(high * steps_per_unit - 1e-9) / steps_per_unit)
 
     def interval_words(self, low: float | None, high: float | None) -> str:
-        """Display text of an interval; None for an end that no run lies beyond."""
+        """Display text of an interval; None for an end beyond which no run lies."""
         both, below, above = self.words
         if self is RAIN and low is None and high == 0:
             return 'no rain'
@@ -93,6 +94,8 @@ class Feature:
 def _kinds(field: ScenarioField) -> tuple[str, ...]:
     if field.catalogue is not None:
         return field.catalogue.shipped
+    if field is fields.TRACK:
+        return SHIPPED_TRACKS
     return ('off', 'on') if field.kind is Kind.SWITCH else field.words
 
 
@@ -100,7 +103,7 @@ def _feature(
     field: ScenarioField, *, form: Form = Form.NUMBER, step: float = 1.0,
     words: tuple[str, str, str] = ('', '', ''), widths: tuple[float, ...] = (),
 ) -> Feature:
-    """The feature that stands in a column of the table."""
+    """The feature of a column of the table."""
     return Feature(
         name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
         form=form, step=step, words=words, source=field.key, widths=widths,
@@ -130,8 +133,8 @@ CROSS_TRACK = _feature(
 )
 DISTANCE = _feature(
     fields.DISTANCE, step=10.0, widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
-    words=('start {} to {} m along the runway', 'start on the first {} m of the runway',
-           'start beyond {} m along the runway'),
+    words=('start {} to {} m along the track', 'start on the first {} m of the track',
+           'start beyond {} m along the track'),
 )
 HEADING = _feature(
     fields.HEADING, widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
@@ -179,17 +182,19 @@ PUSHING_FEATURES = (
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
-    for one in (fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE)
+    for one in (
+        fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE, fields.TRACK,
+    )
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
-"""The paper's six, as they stand in the table."""
+"""The paper's six features, as columns of the table."""
 ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
 )
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
-    field.key: field.to_human(field.absent) for field in fields.PUSHING_FIELDS
+    field.key: field.to_human(field.absent) for field in (*fields.PUSHING_FIELDS, fields.TRACK)
 }
 
 
@@ -214,7 +219,7 @@ def kinds_present(feature: Feature, frame: pd.DataFrame) -> tuple[str, ...]:
 
 
 def ordered_values(feature: Feature, frame: pd.DataFrame) -> npt.NDArray[np.float64]:
-    """A feature as numbers; of words their place among the feature's, -1 for unknown ones."""
+    """A feature as numbers; for words their index in the feature's kinds, -1 if unknown."""
     if feature.numeric:
         return frame[feature.name].to_numpy(dtype=np.float64)
     codes = pd.Categorical(frame[feature.name], categories=feature.kinds).codes
@@ -223,7 +228,7 @@ def ordered_values(feature: Feature, frame: pd.DataFrame) -> npt.NDArray[np.floa
 
 def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
     if feature.source not in table.columns:
-        # A table of before it could be varied.
+        # A table from before this feature existed.
         before = _BEFORE.get(feature.source, '')
         return np.full(len(table), before, dtype=np.float64 if feature.numeric else object)
     column = table[feature.source]

@@ -20,14 +20,14 @@ def settled_cross_track_m(folder: Path, runs: Iterable[str]) -> np.ndarray:
     """Median |cross-track error| [m] of each run after its first ten seconds, from its bag.
 
     Args:
-        folder: of the campaign.
-        runs: their ids.
+        folder: folder of the campaign.
+        runs: run ids.
 
     Returns:
-        One value for each run; NaN where the bag is gone or damaged, or the run was shorter.
+        One value per run; NaN if the bag is missing or damaged, or the run was shorter.
 
     Raises:
-        UsageError: a bag is of another run.
+        UsageError: a bag belongs to another run.
     """
     return np.array([_settled_m(folder / run) for run in runs], dtype=np.float64)
 

@@ -1,1 +1,1 @@
-"""What a search has learned, and how a failure was shrunk."""
+"""Results of searches: learned distributions, and shrunk failures."""

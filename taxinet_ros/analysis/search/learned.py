@@ -1,4 +1,4 @@
-"""Writes down where a search has found failures: as numbers, as a program, as a picture."""
+"""Output of a search's learned distribution: as JSON, as a program, as a picture."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PROGRAM_NAME, PICTURE_NAME = 'learned.scenic', 'learned.png'
 
 
 def write_learned(search: Search) -> list[str]:
-    """Write ``learned.json``, ``learned.png`` and, where it can be said in Scenic, a program.
+    """Write ``learned.json``, ``learned.png`` and, if Scenic can express it, a program.
 
     Args:
-        search: that has ended, with its Scenic child still there.
+        search: ended search whose Scenic child still runs.
 
     Returns:
-        Lines to print: what was written, or why nothing was; none where the sampler never learns.
+        Lines to print: the files written, or why there are none; empty if the sampler never learns.
     """
     probabilities = search.learned()
     if not probabilities:
@@ -50,7 +50,7 @@ def write_learned(search: Search) -> list[str]:
 
 
 def _nothing_learned(search: Search, probabilities: Probabilities) -> str:
-    """Why there is nothing to be written; empty where there is."""
+    """Reason why there is nothing to write; empty if there is something."""
     failures = sum(row.outcome is Outcome.FAIL for row in search.rows)
     judged = sum(row.outcome.judged for row in search.rows)
     if not failures:
@@ -65,7 +65,7 @@ def _nothing_learned(search: Search, probabilities: Probabilities) -> str:
 
 
 def _evidence_words(search: Search) -> list[str]:
-    """What the learned histograms rest on."""
+    """Display text of the evidence for the learned histograms."""
     evidence = _evidence(search)
     if not evidence:
         return []
@@ -78,7 +78,7 @@ def _evidence_words(search: Search) -> list[str]:
 
 
 def _evidence(search: Search) -> dict[str, Evidence]:
-    """Weighted failures by bin of each dimension; empty where the runs' weights are not known."""
+    """Weighted failures by bin of each dimension; empty if the runs' weights are not known."""
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
     found = {}
     for choice in search.space.searched:

@@ -1,4 +1,4 @@
-"""A picture of where a search has found failures: a bar for each bin of each dimension."""
+"""Picture of a search's learned distribution: a bar for each bin of each dimension."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def learned_picture(
     choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str,
     single: Sequence[Mapping[str, Sequence[float]]] = (),
 ) -> None:
-    """Draw the probability of each bin, learned beside the program's own.
+    """Draw the learned and the program's own probability of each bin.
 
     Args:
-        choices: the dimensions that were searched.
-        probabilities: of their bins, by name of the dimension.
+        choices: the searched dimensions.
+        probabilities: probabilities of their bins, by name of the dimension.
         path: PNG file to write; the same values give the same bytes.
-        title: heads the picture.
-        single: those of the single searches, where ``probabilities`` are the mean of several.
+        title: title of the picture.
+        single: those of the single searches, if ``probabilities`` are the mean of several.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -78,7 +78,7 @@ def _option_words(choice: Choice) -> list[str]:
 
 
 def _edge_words(choice: Choice) -> list[str]:
-    """Values at the bins' edges; quantiles where the values are not known."""
+    """Values at the bins' edges; quantiles if the values are not known."""
     values = [choice.value(quantile) for quantile in choice.dimension.edges]
     known = [value for value in values if value is not None]
     if len(known) < len(values):

@@ -24,7 +24,7 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.files.atomic import write_atomically
 
-# Okabe and Ito's colours, told apart with every common colour blindness; the dashes help in grey.
+# Okabe-Ito colours, distinguishable with all common colour vision deficiencies; dashes for grey.
 _STYLES: tuple[dict[str, Any], ...] = (
     {'color': '#D55E00', 'linestyle': (0, (5, 1.5)), 'linewidth': 1.6},
     {'color': 'black', 'linestyle': '-', 'linewidth': 2.2},
@@ -34,13 +34,13 @@ _LEAST_M, _BEYOND_EDGE_M = 2.5, 4.0
 
 
 def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
-    """Draw up to three runs on top of one another. The same runs give the same bytes.
+    """Draw up to three runs in one plot. The same runs give the same bytes.
 
     Args:
-        runs: the original, the shrunk and the nominal one, as far as there are; the labels are
+        runs: the original, the shrunk and the nominal run, as far as available; their labels are
             shown.
         path: PNG file to write.
-        title: heads the picture.
+        title: title of the picture.
 
     Raises:
         ValueError: there is nothing to draw, or there are too many.
@@ -65,7 +65,7 @@ def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
 
 
 def _limit(runs: Sequence[Trajectory]) -> float:
-    """Half the height shown [m]: all that the runs do, but little more grass than runway."""
+    """Half the height shown [m]: all of the runs, but little more grass than runway."""
     farthest = max(float(np.abs(run.cte_m).max()) for run in runs)
     return float(np.clip(1.1 * farthest, _LEAST_M, runs[0].half_width_m + _BEYOND_EDGE_M))
 
@@ -89,11 +89,11 @@ JSON_NAME, PROGRAM_NAME, PICTURE_NAME = 'shrink.json', 'shrunk.scenic', 'shrink.
 
 
 def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
-    """Write ``shrink.json``, ``shrunk.scenic`` and, where there are bags, ``shrink.png``.
+    """Write ``shrink.json``, ``shrunk.scenic`` and, if there are bags, ``shrink.png``.
 
     Args:
-        options: what was asked for.
-        found: what came of it, by now.
+        options: the options.
+        found: the result so far.
         runs: number of runs.
 
     Returns:
@@ -150,7 +150,7 @@ def _three(found: Report) -> dict[str, RunRow]:
 def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
     drawn = []
     for name, row in _three(found).items():
-        # A resumed shrinking rests on runs whose bags may have been deleted since.
+        # A resumed shrinking uses runs whose bags may have been deleted since.
         if not row.bag or not (options.campaign.out / row.bag).is_dir():
             continue
         recording = open_recording(options.campaign.out / row.bag)
@@ -158,8 +158,8 @@ def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
         drawn.append(Trajectory(
             label=f'{name}, rho {row.rho[options.headline]:+.2f}',
             t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-            x_m=trace['x_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
+            x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
             ok=row.outcome is Outcome.PASS,
-            half_width_m=recording.scenario.runway.half_width_m,
+            half_width_m=recording.scenario.line.half_width_m,
         ))
     return drawn

@@ -1,15 +1,16 @@
-"""Messages as bytes (CDR): decoded, compared, stripped of what is no part of them, filled in.
+"""Serialised messages (CDR): decode, canonicalise, and fill templates.
 
-Everywhere else a message is an object. Here it is bytes, for two reasons:
+Messages are processed as bytes here, not as objects, for two reasons:
 
-* *Equal runs give equal bags.* CDR aligns numbers with gaps, whose content a serialiser leaves
-  undefined. :mod:`.alignment` finds the gaps of a type once and zeroes them in place. Decoding each
-  message and serialising it anew would do the same at 45 us in place of 6 us.
-* *A run is two to three thousand messages.* rclpy converts an object field by field, a picture's
-  216,000 bytes too. :mod:`.image` puts pixels behind a header that was serialised once, and
-  :mod:`.fields` numbers into a message that was: 0.2 ms of a control step on the truth of 0.7 ms.
+* *Equal runs give equal bags.* CDR aligns numbers with gaps of undefined content.
+  :mod:`.alignment` determines the gaps of a type once and zeroes them in place; decoding and
+  serialising each message again would take 45 us instead of 6 us.
+* *A run has two to three thousand messages.* rclpy converts an object field by field, including the
+  216,000 bytes of an image. :mod:`.image` appends pixels to a serialised header, and
+  :mod:`.fields` writes numbers into a serialised message: this saves 0.2 of 0.7 ms of a control
+  step on the truth.
 
-:mod:`.decode` is the way back, by rosbags' generated code, whose objects cost a third of rclpy's.
-Nodes are unaffected: they call ``bag/run/messages.py``, one function for each message. What
-was measured is in ``docs/performance.md``, entries 3, 5, 27 and 31.
+:mod:`.decode` decodes with rosbags' generated code, whose objects cost a third of rclpy's. Nodes
+call ``bag/run/messages.py``, one function per message. Measurements are in
+``docs/performance.md``, entries 3, 5, 27 and 31.
 """

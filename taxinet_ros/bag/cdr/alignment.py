@@ -1,12 +1,11 @@
-"""Where the alignment gaps of a serialised message are, and messages with zeros in them.
+"""Alignment gaps of serialised messages, which are set to zero.
 
-CDR aligns its fields, and middleware leaves whatever was in the buffer in the gaps, so two
-equal messages may differ in bytes. Recorded messages get every gap zero, so that equal runs
-give equal bags. A message type becomes a short list of strides, as long as its fields of
-constant size can be run together; walking a message along them costs a few microseconds,
-writing it anew ten times that. Layout: OMG Common Data Representation, version 1 (CORBA 3.3,
-part 2, section 9.3), which ROS 2 uses: every field is aligned to its own size, counted from the
-end of the encapsulation.
+CDR aligns its fields, and middleware leaves old buffer content in the gaps, so equal messages may
+differ in bytes. Gaps of recorded messages are zeroed, so that equal runs give equal bags. A message
+type is converted to a short list of strides, each of which merges fields of constant size; walking
+a message takes a few microseconds, serialising it again ten times that. Layout: OMG Common Data
+Representation, version 1 (CORBA 3.3, part 2, section 9.3), which ROS 2 uses: every field is aligned
+to its own size, counted from the end of the encapsulation.
 """
 
 from __future__ import annotations
@@ -28,40 +27,40 @@ FORMATS = {
     'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'float32': 'f', 'int64': 'q', 'uint64': 'Q',
     'float64': 'd',
 }
-"""Character of a :mod:`struct` format by type of field, where that has a constant size."""
+""":mod:`struct` format character by field type of constant size."""
 _COUNT = struct.Struct('<I')
 _SIZES = {name: struct.calcsize('<' + form) for name, form in FORMATS.items()}
 _TEXT = 1
 _MAX_TAIL = 3
 """Middleware rounds the length of a message up to a multiple of four bytes."""
 MOST_LAYOUTS = 16
-"""Layouts that are remembered of the messages of one type."""
+"""Maximum number of cached layouts per message type."""
 
 T = TypeVar('T')
 
 
 class Trail:
-    """What a walk came past.
+    """Positions recorded during a walk.
 
     Attributes:
-        gaps: first byte of each alignment gap, and the first after it.
+        gaps: start and end (exclusive) of each alignment gap.
         counts: first byte of each count.
     """
 
     def __init__(self) -> None:
-        """Begin."""
+        """Start empty."""
         self.gaps: list[tuple[int, int]] = []
         self.counts: list[int] = []
 
     def aligned(self, at: int, align: int) -> int:
-        """Where a field begins at or after ``at``; the gap before it is noted."""
+        """Start of a field at or after ``at``; records the gap before it."""
         short = (BODY - at) % align
         if short:
             self.gaps.append((at, at + short))
         return at + short
 
     def counted(self, cdr: bytes, at: int) -> tuple[int, int]:
-        """The count at or after ``at``, and where it ends; both it and its gap are noted."""
+        """Read the count at or after ``at``; return it and its end, and record it and its gap."""
         at = self.aligned(at, _COUNT.size)
         self.counts.append(at)
         (count,) = _COUNT.unpack_from(cdr, at)
@@ -69,22 +68,22 @@ class Trail:
 
 
 class _Stride:
-    """Bytes of constant number, the first aligned, without gaps among them."""
+    """A block of constant size, aligned at its start, without gaps inside."""
 
     def __init__(self, align: int, size: int) -> None:
         self.align, self.size = align, size
 
     def joins(self, other: _Stride) -> bool:
-        """Whether ``other`` can follow without a gap, wherever this one begins."""
+        """Whether ``other`` can follow without a gap for any start of this one."""
         return other.align <= self.align and self.size % other.align == 0
 
     def walk(self, cdr: bytes, at: int, trail: Trail) -> int:
-        """Where it ends if it begins at or after ``at``; what it comes past goes to ``trail``."""
+        """End of the field if it starts at or after ``at``; positions are added to ``trail``."""
         return trail.aligned(at, self.align) + self.size
 
 
 class _Counted:
-    """A count, then so many elements: a text, or a sequence of fields of constant size."""
+    """A count and its elements: a string, or a sequence of fields of constant size."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -98,7 +97,7 @@ class _Counted:
 
 
 class _Repeated:
-    """A sequence, or an array, of what has no constant size."""
+    """A sequence or an array of elements of variable size."""
 
     def __init__(self, steps: Sequence[Any], count: int | None) -> None:
         self._steps, self._count = tuple(steps), count
@@ -118,10 +117,10 @@ class _Repeated:
 
 
 class _Layout:
-    """How a message of a type is laid out: its counts decide that, and nothing else does."""
+    """Layout of a message of a type; it is determined by the message's counts."""
 
     def __init__(self, cdr: bytes, trail: Trail) -> None:
-        """Learn from a message with zeros in its gaps."""
+        """Derive the layout from a message with zeros in its gaps."""
         counts = [(at, at + _COUNT.size) for at in trail.counts]
         spans = [*trail.gaps, *counts]
         self._size = max((end for _, end in spans), default=0)
@@ -137,41 +136,41 @@ class _Layout:
 
 
 class Layouts(Generic[T]):
-    """What was found out about messages of one type, by how they are laid out."""
+    """Cache of results for messages of one type, by layout."""
 
     def __init__(self) -> None:
-        """Begin."""
+        """Start empty."""
         self._known: dict[int, list[tuple[_Layout, T]]] = {}  # by length
 
     def find(self, cdr: bytes) -> T | None:
-        """What was found out about one that is laid out like ``cdr``; None where none was seen."""
+        """Result for messages with the layout of ``cdr``, or None."""
         for layout, what in self._known.get(len(cdr), ()):
             if layout.has(cdr):
                 return what
         return None
 
     def learn(self, cdr: bytes, trail: Trail, what: T) -> None:
-        """Remember ``what`` of those like ``cdr``, through which ``trail`` leads."""
+        """Store the result ``what`` for the layout of ``cdr``, with the positions of its walk."""
         if sum(map(len, self._known.values())) == MOST_LAYOUTS:
             self._known.clear()
         self._known.setdefault(len(cdr), []).append((_Layout(cdr, trail), what))
 
 
 class Walk:
-    """The way through the messages of one type."""
+    """Sequence of steps through the messages of one type."""
 
     def __init__(self, steps: Iterable[Any]) -> None:
-        """Run together what can be; ``steps`` come from :func:`walk_of`."""
+        """Merge strides; ``steps`` come from :func:`walk_of`."""
         self._steps = tuple(_joined(steps))
         self._sound = Layouts[bool]()
 
     def without_gaps(self, cdr: bytes) -> bytes:
-        """The message with zeros in its gaps, cut after its last field.
+        """Return the message with zeros in its gaps, cut after its last field.
 
         Raises:
-            ValueError, struct.error: the bytes are no message of the type.
+            ValueError, struct.error: not a message of the type.
         """
-        # Most messages are as they should be, and laid out like the one before them.
+        # Most messages are already canonical and have the layout of the previous one.
         if self._sound.find(cdr):
             return cdr
         at = BODY
@@ -191,14 +190,14 @@ class Walk:
 
 
 def walk_of(store: Any, type_name: str) -> Walk:
-    """The way through messages of a type.
+    """Create the walk of a message type.
 
     Args:
-        store: rosbags' type store that knows it.
+        store: rosbags type store with the type.
         type_name: such as ``nav_msgs/msg/Odometry``.
 
     Raises:
-        KeyError: the store does not know it, or one of its fields is of a type like wide text.
+        KeyError: the type is not in the store, or has an unsupported field such as a wstring.
     """
     return Walk(_steps(store, type_name))
 
@@ -208,7 +207,7 @@ def _steps(store: Any, type_name: str) -> list[Any]:
 
 
 def steps_of(store: Any, kind: Any) -> list[Any]:
-    """The way through one field of a kind that rosbags' ``fielddefs`` names; errors as above."""
+    """Steps of one field, given by rosbags' ``fielddefs``; errors as :func:`walk_of`."""
     node, what = kind
     if node is Nodetype.BASE:
         name = what[0]
@@ -243,14 +242,14 @@ def _joined(steps: Iterable[Any]) -> list[Any]:
 
 _TIME = struct.Struct('<iI')
 LITTLE_ENDIAN = b'\x00\x01'
-"""How a message begins whose numbers are: CDR of version 1."""
+"""Start of a little-endian message (CDR version 1)."""
 
 
 def stamp_of_cdr(cdr: bytes) -> int:
-    """Stamp [ns] of a serialised message that begins with a Header or a Time.
+    """Stamp [ns] of a serialised message that starts with a Header or a Time.
 
     Raises:
-        BagCorrupt: it is too short, or not little-endian CDR.
+        BagCorrupt: the message is too short or not little-endian CDR.
     """
     if len(cdr) < 12 or cdr[:2] != LITTLE_ENDIAN:
         raise BagCorrupt(f'message of {len(cdr)} bytes is not little-endian CDR with a stamp')
@@ -259,10 +258,10 @@ def stamp_of_cdr(cdr: bytes) -> int:
 
 
 class Canonical:
-    """Makes messages of some topics byte for byte the same for equal content."""
+    """Canonicalises messages: equal content gives equal bytes."""
 
     def __init__(self, topics: Sequence[TopicInfo]) -> None:
-        """Learn the types of ``topics`` from their definitions."""
+        """Prepare for the types of ``topics``, given by their definitions."""
         store = get_typestore(Stores.EMPTY)
         self._walks: dict[str, Walk] = {}
         for topic in topics:
@@ -271,14 +270,14 @@ class Canonical:
             self._walks[topic.name] = walk_of(store, topic.type)
 
     def message(self, topic: str, cdr: bytes) -> bytes:
-        """The same message with every alignment gap zero, and nothing after its last field.
+        """Return the message with zeros in its gaps, cut after its last field.
 
         Args:
             topic: name of one of the topics.
-            cdr: the message with its four bytes of encapsulation.
+            cdr: the message with its encapsulation of four bytes.
 
         Raises:
-            BagCorrupt: the bytes are no message of the topic's type.
+            BagCorrupt: not a message of the topic's type.
         """
         try:
             if cdr[:2] != LITTLE_ENDIAN:

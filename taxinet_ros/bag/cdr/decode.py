@@ -1,7 +1,7 @@
-"""Serialised messages as Python objects, by the definitions in the bag itself.
+"""Decode serialised messages to Python objects, using the definitions in the bag.
 
-Nothing that a bag names is ever imported. Arrays of numbers become numpy arrays; nested
-messages become plain objects with the fields of the definition.
+Nothing named in a bag is imported. Arrays of numbers become numpy arrays; nested messages become
+plain objects with the fields of the definition.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from taxinet_ros.bag.topics import TopicInfo, is_type_name
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
 MAX_DEFINITION_CHARS = 2**17
-"""Longer than any of ROS's own; reading more would take seconds."""
+"""Maximum length of a definition, more than any in ROS; longer ones would take seconds."""
 MAX_FIXED_ARRAY = 4096
-"""Elements of a fixed array, for each of which code is generated."""
+"""Maximum elements of a fixed array; code is generated for each element."""
 MAX_PARTS = 10_000
-"""Fields of a type with all within it; nested types could multiply without end."""
+"""Maximum number of fields of a type including nested ones, which could grow exponentially."""
 
 SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
 _RENAMED = {field.short: field.attribute for field in SCENARIO_FIELDS if field.short}
@@ -35,26 +35,26 @@ _BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(_RENAMED)})\b', re.MULT
 ABSENT = {
     field.attribute: field.absent for field in SCENARIO_FIELDS if field.absent is not None
 }
-"""What fields of the scenario message are worth that a recording of before does not have."""
+"""Values of scenario message fields that are missing in older recordings."""
 
 
 def decode(topic: TopicInfo, cdr: bytes) -> Any:
-    """The object that ``cdr`` on ``topic`` stands for.
+    """Decode one message of ``topic``.
 
     Raises:
-        BagForeign: the bag carries no definition that could be used.
-        BagCorrupt: the bytes do not fit the definition.
+        BagForeign: the bag has no usable definition.
+        BagCorrupt: the bytes do not match the definition.
     """
     return decoder(topic)(cdr)
 
 
 def decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
-    """From bytes on ``topic`` to the object that they stand for, for many messages.
+    """Create a decoder of messages on ``topic``.
 
-    It raises BagCorrupt where the bytes do not fit the definition.
+    The decoder raises BagCorrupt if the bytes do not match the definition.
 
     Raises:
-        BagForeign: the bag carries no definition that could be used.
+        BagForeign: the bag has no usable definition.
     """
     store = typestore(topic)
 
@@ -69,10 +69,10 @@ def decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
 
 
 def definition_hash(topic: TopicInfo) -> str:
-    """The REP-2016 hash of the definition that the bag carries for a topic, ``RIHS01_…``.
+    """REP-2016 hash of a topic's definition in the bag, ``RIHS01_…``.
 
     Raises:
-        BagForeign: there is no definition that could be used.
+        BagForeign: no usable definition.
     """
     store = _typestore(topic.type, topic.definition)
     try:
@@ -82,21 +82,21 @@ def definition_hash(topic: TopicInfo) -> str:
 
 
 def typestore(topic: TopicInfo) -> Typestore:
-    """A store that knows the topic's type, and what is within it, from its definition alone.
+    """Type store with the topic's type and nested types, from the topic's definition only.
 
     Fields have the names of :func:`with_present_names`.
 
     Raises:
-        BagForeign: there is no definition that could be used.
+        BagForeign: no usable definition.
     """
     topic = with_present_names(topic)
     return _typestore(topic.type, topic.definition)
 
 
 def with_present_names(topic: TopicInfo) -> TopicInfo:
-    """The topic as it would be defined now, where fields have only been renamed since.
+    """The topic with the current field names.
 
-    Fields of the scenario message had no unit in their names before; the bytes are the same.
+    Older fields of the scenario message have no unit in their names; the bytes are the same.
     """
     if topic.type != SCENARIO_TYPE:
         return topic
@@ -104,16 +104,16 @@ def with_present_names(topic: TopicInfo) -> TopicInfo:
 
 
 def present_bytes(topic: TopicInfo, definition: str) -> Callable[[bytes], bytes] | None:
-    """From a message's bytes to those that it would have now; None where that cannot be told.
+    """Create a conversion of older messages to the current definition; None if not possible.
 
-    Fields of the scenario message that have come since have the values of before there were any.
+    New fields of the scenario message get the values of :data:`ABSENT`.
 
     Args:
-        topic: as recorded.
-        definition: of its type now.
+        topic: topic as recorded.
+        definition: current definition of its type.
 
     Raises:
-        BagForeign: a definition could not be used.
+        BagForeign: an unusable definition.
     """
     if topic.type != SCENARIO_TYPE:
         return None
@@ -145,16 +145,16 @@ def _typestore(type_name: str, definition: str) -> Typestore:
     try:
         types = get_types_from_msg(definition, type_name)
         _check_size(types, type_name)
-        # Constants are left out: nobody needs them, and code is generated from what is registered.
+        # Without constants: they are not needed, and code is generated from registered types.
         store.register({name: ([], fields) for name, (_, fields) in types.items()})
         store.get_msgdef(type_name)
-    except Exception as error:  # A foreign parser on untrusted text: every failure is the bag's.
+    except Exception as error:  # Third-party parser on untrusted text: any failure is the bag's.
         raise BagForeign(f'{type_name}: definition not understood: {_line(error)}') from error
     return store
 
 
 def _check_size(types: Mapping[str, Any], type_name: str) -> None:
-    """Refuse what would grow beyond all bounds when code is made of it."""
+    """Reject types for which the generated code would be too large."""
     sizes: dict[str, int] = {}
 
     def parts(name: str) -> int:
@@ -183,5 +183,5 @@ def _check_size(types: Mapping[str, Any], type_name: str) -> None:
 
 
 def _line(error: BaseException) -> str:
-    """The first line of an error's text, or its kind."""
+    """First line of an error's text, or its type."""
     return next(iter(str(error).splitlines()), '') or type(error).__name__

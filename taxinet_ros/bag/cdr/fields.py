@@ -1,7 +1,7 @@
-"""Numbers filled into a serialised message, without making a message object of it.
+"""Templates: write numbers into a serialised message without creating a message object.
 
-A run's messages of a topic have the same texts, hence the same layout: where the numbers lie is
-found once.
+A run's messages of a topic have the same strings and so the same layout; the positions of the
+numbers are determined once.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from taxinet_ros.bag.topics import TopicInfo
 
 
 class Number(NamedTuple):
-    """A field of constant size: its first byte, and its character in a :mod:`struct` format."""
+    """A field of constant size: its first byte and :mod:`struct` format character."""
 
     at: int
     form: str
@@ -30,7 +30,7 @@ class Number(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Numbers with nothing but gaps among them: ``first`` to ``end`` of those asked for."""
+    """Consecutive numbers with only gaps between them: ``first`` to ``end`` of the fields."""
 
     layout: struct.Struct
     at: int
@@ -39,16 +39,16 @@ class Part(NamedTuple):
 
 
 def numbers_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> dict[str, Number]:
-    """Numbers and truth values by their names from the outside in; none within arrays, sequences.
+    """Positions of numbers and booleans by dotted name, except those in arrays and sequences.
 
     Args:
-        store: rosbags' type store that knows the type.
+        store: rosbags type store with the type.
         type_name: such as ``nav_msgs/msg/Odometry``.
-        cdr: the message with its four bytes of encapsulation, little-endian.
-        trail: is filled with what lies between the fields.
+        cdr: the message with its encapsulation of four bytes, little-endian.
+        trail: output: gaps and counts.
 
     Raises:
-        ValueError, struct.error: the bytes are no message of the type.
+        ValueError, struct.error: not a message of the type.
     """
     numbers: dict[str, Number] = {}
 
@@ -70,7 +70,7 @@ def numbers_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> dict[str
 
 
 def parts_of(numbers: Sequence[Number], trail: Trail) -> Iterator[Part]:
-    """Run together what has only gaps, as ``trail`` has them, between one number and the next."""
+    """Merge numbers with only gaps (given by ``trail``) between them."""
     first = 0
     while first < len(numbers):
         end, form = first + 1, '<' + numbers[first].form
@@ -85,21 +85,21 @@ def parts_of(numbers: Sequence[Number], trail: Trail) -> Iterator[Part]:
 
 
 class MessageTemplate:
-    """One serialised message, to be filled with other numbers."""
+    """A serialised message whose numbers can be replaced."""
 
     def __init__(self, topic: TopicInfo, cdr: bytes, fields: Sequence[str]) -> None:
-        """Find the numbers that change.
+        """Determine the positions of the numbers.
 
         Args:
-            topic: says the type of the message, whatever its name.
-            cdr: the message with its four bytes of encapsulation, little-endian.
-            fields: names of numbers and truth values, from the outside in, e.g.
-                ``header.stamp.sec``; not of those within arrays and sequences.
+            topic: topic of the message's type; its name is not used.
+            cdr: the message with its encapsulation of four bytes, little-endian.
+            fields: dotted names of numbers and booleans, e.g. ``header.stamp.sec``; not in arrays
+                or sequences.
 
         Raises:
-            BagForeign: the topic carries no definition that could be used.
+            BagForeign: the topic has no usable definition.
             KeyError: the type has no such field.
-            ValueError, struct.error: the bytes are no message of the type.
+            ValueError, struct.error: not a message of the type.
         """
         store = typestore(topic)
         self._cdr = walk_of(store, topic.type).without_gaps(cdr)
@@ -109,13 +109,13 @@ class MessageTemplate:
         self._parts = tuple((part.layout.pack_into, *part[1:]) for part in parts)
 
     def filled(self, *values: float) -> bytes:
-        """The message with other numbers, zeros in its gaps, and nothing after its last field.
+        """Return the message with new numbers, zeros in its gaps, cut after its last field.
 
         Args:
-            values: one for each of the fields, in their order.
+            values: one per field, in their order.
 
         Raises:
-            struct.error: there are too few, or one is not in its field's range.
+            struct.error: too few values, or one out of its field's range.
         """
         cdr = bytearray(self._cdr)
         for pack_into, at, first, end in self._parts:

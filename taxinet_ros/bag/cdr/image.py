@@ -1,7 +1,7 @@
-"""The serialised ``sensor_msgs/msg/Image`` of a camera frame, the same bytes that ROS makes.
+"""Serialise camera frames as ``sensor_msgs/msg/Image``, with the same bytes as ROS.
 
-Frames are most of what a run moves, so they travel as these bytes: made into a message object and
-back they would be copied six times.
+Frames are most of a run's data, so they are handled as bytes: conversion to a message object and
+back would copy them six times.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _COUNT, _PAIR = struct.Struct('<I'), struct.Struct('<II')
 
 
 def image_cdr(pixels: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> bytes:
-    """Serialise one frame, with zeros in the gaps between the fields.
+    """Serialise one frame, with zeros in the alignment gaps.
 
     Args:
         pixels: (H, W, 3) uint8 RGB.
@@ -30,16 +30,16 @@ def image_cdr(pixels: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> bytes:
     body = struct.pack('<iI', stamp_ns // NS_PER_S, stamp_ns % NS_PER_S)
     body = with_text(body, frame_id.encode())
     body = aligned(body) + struct.pack('<II', height, width)
-    body = with_text(body, _ENCODING) + b'\x00'  # the byte: not big-endian
+    body = with_text(body, _ENCODING) + b'\x00'  # is_bigendian: 0
     body = aligned(body) + struct.pack('<II', width * channels, pixels.size)
     return b''.join((ENCAPSULATION, body, np.ascontiguousarray(pixels).data))
 
 
 def frame_of_cdr(cdr: bytes) -> tuple[int, NDArray[np.uint8]]:
-    """Stamp [ns] and pixels (H, W, 3) uint8 RGB of a serialised image, a view on its memory.
+    """Stamp [ns] and pixels (H, W, 3) uint8 RGB of a serialised image; a view of its memory.
 
     Raises:
-        ValueError: the encoding is another one, or size, step and data do not agree.
+        ValueError: another encoding, or inconsistent size, step and data.
     """
     if cdr[:2] != ENCAPSULATION[:2]:
         raise ValueError('image is not little-endian CDR')
@@ -68,10 +68,10 @@ def _after_text(cdr: bytes, at: int, *, align: bool = True) -> int:
 
 
 def with_text(body: bytes, text: bytes) -> bytes:
-    """A message as far as it goes, less its encapsulation, and a text behind that."""
+    """Append a string to a partial message without encapsulation."""
     return aligned(body) + struct.pack('<I', len(text) + 1) + text + b'\x00'
 
 
 def aligned(body: bytes, size: int = 4) -> bytes:
-    """A message as far as it goes, filled up with zeros to a multiple of ``size`` bytes."""
+    """Pad a partial message with zeros to a multiple of ``size`` bytes."""
     return body + bytes(-len(body) % size)

@@ -1,1 +1,1 @@
-"""What is said of a bag: storage, lockstep, verdicts, and whether two bags are the same."""
+"""Checks of bags: storage, lockstep, verdicts, and comparison of two bags."""

@@ -1,10 +1,10 @@
-"""Two bags compared topic by topic, down to the first field that differs; and golden bags.
+"""Compare two bags topic by topic, down to the first different field; and golden bags.
 
-The messages of a topic are compared in their order. Run names are ignored, since a scene may be run
-under several names. Golden bags are runs in the repository that every change has to reproduce or to
-justify. On the stack that recorded them (processor features, C library, numeric libraries) a run is
-bit-identical. On other stacks sines and sums may round differently, and a closed loop amplifies
-this; values are then compared with a tolerance.
+The messages of a topic are compared in order. Run names are ignored, because a scene may be run
+under several names. Golden bags are reference runs in the repository; a change must reproduce them
+or justify the difference. On the stack that recorded them (processor features, C library, numeric
+libraries) a run is bit-identical. On other stacks sines and sums may round differently, and a
+closed loop amplifies this; values are then compared with a tolerance.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class FieldDifference:
     Attributes:
         number: number of the message on its topic, from 0.
         seq: control step of its stamp.
-        field: dotted path within the message.
-        values: in either bag, for people.
+        field: dotted path in the message.
+        values: display text of the value in each bag.
     """
 
     number: int
@@ -60,13 +60,13 @@ class FieldDifference:
 
 @dataclass(kw_only=True)
 class TopicComparison:
-    """How two bags compare on one topic.
+    """Comparison of two bags on one topic.
 
     Attributes:
-        topic: its name.
-        counts: messages in either bag.
-        differing: of the messages that both have, those that differ beyond the tolerance.
-        greatest: maximum difference of two numbers in them, tolerated or not.
+        topic: name of the topic.
+        counts: number of messages in each bag.
+        differing: number of common messages that differ beyond the tolerance.
+        greatest: maximum difference of two numbers in them, within the tolerance or not.
         first: the first difference beyond the tolerance, or None.
     """
 
@@ -78,7 +78,7 @@ class TopicComparison:
 
     @property
     def equal(self) -> bool:
-        """Whether both hold the same, within the tolerance."""
+        """Whether both bags are equal on the topic, within the tolerance."""
         return not self.differing and self.counts[0] == self.counts[1]
 
 
@@ -89,13 +89,13 @@ def compare_bags(
 
     Args:
         one: a run folder or an ``.mcap`` file.
-        other: the same.
+        other: a run folder or an ``.mcap`` file.
         tolerance: tolerance of floating-point values; 0: bit-identical.
-        skip: topics to leave out.
+        skip: topics to skip.
 
     Returns:
-        A comparison for every topic of either bag that has messages, in the order of the bags;
-        of transforms, only where both bags have them.
+        A comparison for every topic with messages in either bag, in the order of the bags;
+        transforms only if both bags have them.
 
     Raises:
         BagError, UsageError: a bag cannot be read.
@@ -103,7 +103,7 @@ def compare_bags(
     counts = [read_info(path).counts for path in (one, other)]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])
-        # Older bags have no transforms, which follow from odometry anyway.
+        # Older bags have no transforms; these are redundant with odometry.
         if name not in skip and not (
             is_of_frames(name) and not all(count.get(name) for count in counts))
     ]
@@ -130,7 +130,7 @@ def first_step(topics: Collection[TopicComparison]) -> int | None:
 def _pairs(
     one: Path, other: Path, topics: Collection[str]
 ) -> Iterator[tuple[StoredMessage, StoredMessage]]:
-    """Messages of equal topic and number; read side by side, so that few wait for their match."""
+    """Pairs of messages with equal topic and number; both bags are read in parallel."""
     wanted = frozenset(topics).__contains__
     waiting: list[dict[str, deque[StoredMessage]]] = [{}, {}]
     for pair in zip_longest(stored_messages(one, wanted), stored_messages(other, wanted)):
@@ -167,12 +167,12 @@ def _compare(
 def _differences(
     a: StoredMessage, b: StoredMessage
 ) -> Iterator[tuple[str, tuple[str, str], float]]:
-    """Path, values and size of every difference; the size of one that is no number is NaN."""
+    """Path, values and size of every difference; the size is NaN for non-numeric values."""
     if a.stamp_ns != b.stamp_ns:
         yield 'log time', (f'{a.stamp_ns} ns', f'{b.stamp_ns} ns'), math.nan
     one = dict(_leaves('', decode(a.topic, a.cdr)))
     other = dict(_leaves('', decode(b.topic, b.cdr)))
-    # What a recording of before could not say yet was so.
+    # Defaults of fields that older recordings lack.
     unsaid = ABSENT if a.topic.type == b.topic.type == SCENARIO_TYPE else {}
     for path in dict.fromkeys([*one, *other]):
         x, y = (leaves.get(path, unsaid.get(path, _ABSENT)) for leaves in (one, other))
@@ -197,12 +197,12 @@ def _array_difference(
         floating = np.issubdtype(x.dtype, np.floating)
         size = float(np.abs(x[away].astype(np.float64) - y[away].astype(np.float64)).max())
         values = (repr(x[place].item()), repr(y[place].item()))
-        # Whole numbers, pixels among them, are the same or they are not.
+        # For integers, such as pixels, there is no tolerance.
         yield f'{path}[{place}]', values, size if floating else math.nan
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """The numbers, texts and arrays of a message by their paths."""
+    """Numbers, strings and arrays of a message, with their paths."""
     if is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
             if field.name not in _NAMES and not field.name.startswith('__'):
@@ -223,27 +223,27 @@ def _words(value: Any) -> str:
 
 STACK_FILE = 'stack.json'
 TRUTH_TOLERANCE, NETWORK_TOLERANCE = 1e-6, 0.15
-"""How far numbers may be apart on another stack, in their own units.
+"""Tolerances on another stack, in the units of the values.
 
-Measured by switching processor features off (AVX2 and FMA, in the C library, numpy and OpenCV):
-without pictures 2e-18; with a network 0.04 at most, for pixels round to the next code here and
-there, and estimates follow.
+Measured with processor features disabled (AVX2 and FMA, in the C library, numpy and OpenCV):
+without images 2e-18; with a network at most 0.04, because some pixels round to the next code, which
+changes the estimates.
 """
 _DECISIVE = frozenset({
     'machine', 'processor_features', 'libc', 'numpy', 'opencv-python-headless', 'onnxruntime',
     'jsbsim', 'astral', 'pymap3d',
 })
-"""What the last bits of these runs depend on; the commit is what is under test."""
+"""Facts that the last bits of these runs depend on; the commit is not one, as it is under test."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GoldenResult:
-    """How a golden run came out this time.
+    """Result of repeating a golden run.
 
     Attributes:
         bag: the golden bag.
         again: the bag of the new run.
-        tolerance: within which it was compared; 0 is to the bit.
+        tolerance: tolerance of the comparison; 0: bit-identical.
         topics: the comparison.
     """
 
@@ -254,15 +254,15 @@ class GoldenResult:
 
     @property
     def equal(self) -> bool:
-        """Whether it came out the same."""
+        """Whether both runs are equal."""
         return all(topic.equal for topic in self.topics)
 
 
 def golden_bags(folder: Path) -> list[Path]:
-    """The bags in a folder of golden bags, by name.
+    """Bags in a folder of golden bags, ordered by name.
 
     Raises:
-        UsageError: there are none.
+        UsageError: the folder contains no bags.
     """
     bags = sorted(path.parent for path in folder.glob(f'*/{METADATA_FILE}'))
     if not bags:
@@ -271,7 +271,7 @@ def golden_bags(folder: Path) -> list[Path]:
 
 
 def compare_golden(bag: Path, again: Path, *, perception: str, to_the_bit: bool) -> GoldenResult:
-    """Hold a new run against its golden bag."""
+    """Compare a new run with its golden bag."""
     elsewhere = TRUTH_TOLERANCE if perception == 'truth' else NETWORK_TOLERANCE
     tolerance = 0.0 if to_the_bit else elsewhere
     topics = compare_bags(bag, again, tolerance=tolerance)
@@ -279,20 +279,20 @@ def compare_golden(bag: Path, again: Path, *, perception: str, to_the_bit: bool)
 
 
 def same_stack(folder: Path) -> bool:
-    """Whether this machine has all that the golden bags in a folder say they were recorded with."""
+    """Whether this machine has the stack on which the golden bags in a folder were recorded."""
     told = read_stack(folder)
     here = provenance()
     return bool(told) and all(here.get(name) == value for name, value in told.items())
 
 
 def stack_differences(folder: Path) -> str:
-    """What is another here than where the golden bags come from; '' where nothing is."""
+    """Differences between this stack and that of the golden bags; '' if there are none."""
     told = read_stack(folder)
     return differences(told, provenance()) if told else f'{STACK_FILE} tells nothing'
 
 
 def read_stack(folder: Path) -> dict[str, str]:
-    """The stack that the golden bags in a folder come from; empty where untold."""
+    """Stack on which the golden bags in a folder were recorded; empty if unknown."""
     try:
         values = load_json((folder / STACK_FILE).read_text(encoding='utf-8'))
         return known(values)
@@ -301,6 +301,6 @@ def read_stack(folder: Path) -> dict[str, str]:
 
 
 def write_stack(folder: Path) -> None:
-    """Note that the golden bags in a folder come from this stack."""
+    """Record this stack as that of the golden bags in a folder."""
     facts = {name: value for name, value in provenance().items() if name in _DECISIVE}
     write_atomically(folder / STACK_FILE, json.dumps(facts, indent=2) + '\n')

@@ -1,7 +1,7 @@
-"""Everything that can be checked about a bag, whoever recorded it.
+"""All checks of a bag from any recorder.
 
-Checks bytes, indexes, description and types of every bag; stamps, steps and verdict of each run in
-it; and optionally the camera frames against re-rendered ones.
+Checks bytes, indexes, metadata and types of the bag; stamps, steps and verdict of each run in it;
+and optionally the camera frames against re-rendered ones.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from taxinet_ros.files.plain_values import load_yaml
 
 
 def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
-    """Whether every checksum holds and the file has its end."""
+    """Check that all checksums are valid and the file is complete."""
     count = sum(info.counts.values())
     return Check(
         name='bytes', looked_at=f'{count} messages; {info.unchecked}' if info.unchecked else
@@ -53,7 +53,7 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
 
 
 def check_index(path: Path, *, sound: bool) -> Check:
-    """Whether the indexes lead to every message; only asked where the bytes are sound."""
+    """Check that the indexes list every message; only if the bytes are intact."""
     if not sound:
         return Check(name='index', looked_at='the bytes are damaged', skipped=True)
     files = storage_files(path)
@@ -97,7 +97,7 @@ def check_description(info: BagInfo) -> Check:
 
 
 def check_types(info: BagInfo) -> Check:
-    """Whether definitions can be used, hash to the type hashes, and QoS profiles can be read."""
+    """Check that definitions are usable and match their type hashes, and QoS profiles are valid."""
     found = [
         Finding(where=topic.name, what=what)
         for topic in info.topics for what in _topic_troubles(topic)
@@ -126,7 +126,7 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
     if not isinstance(version, int) or not 0 < version <= VERSION:
         yield f'version is {_short(version)}; known up to {VERSION}'
     files = [file.name for file in storage_files(info.path)]
-    # rosbag2 unpacks a compressed file beside itself, and its description goes on naming that.
+    # rosbag2 unpacks a compressed file next to it, but metadata.yaml still names the original.
     packed = [f'{name}.zstd' for name in files]
     there: dict[str, object] = {
         'storage_identifier': 'mcap',
@@ -146,7 +146,7 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
-    """The description without the words that stand in it alone."""
+    """The metadata without the entries that are only in ``metadata.yaml``."""
     custom = told.get('custom_data')
     if not isinstance(custom, Mapping):
         return dict(told)
@@ -171,7 +171,7 @@ def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:
         if wrong:
             yield f'topic {topic.name}: {", ".join(wrong)} differ from the bag'
     for name, entry in claimed.items():
-        if entry.get('message_count') != 0:  # The file that rosbag2 makes lacks silent topics.
+        if entry.get('message_count') != 0:  # rosbag2's file omits topics without messages.
             yield f'lists topic {_short(name)}, which is not in the bag'
 
 
@@ -180,13 +180,13 @@ def _topic_fields(topic: TopicInfo) -> dict[str, object]:
     if topic.type_hash:
         fields['type_description_hash'] = topic.type_hash
     with suppress(ValueError):
-        # rosbags and rosbag2 pair the two by them: a topic that differs here yields no messages.
+        # rosbags and rosbag2 match topics by QoS: with a difference they find no messages.
         fields['offered_qos_profiles'] = list(qos_profiles(topic.qos))
     return fields
 
 
 def _inner(info: BagInfo) -> object:
-    """The description within the storage file, or None where there is none of use."""
+    """Metadata in the storage file, or None if missing or invalid."""
     try:
         return load_yaml(info.metadata['rosbag2']['serialized_metadata'])
     except (KeyError, ValueError):
@@ -219,14 +219,14 @@ def _without_place(error: BagError) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameComparison:
-    """Recorded frames held against frames rendered anew.
+    """Comparison of recorded frames with re-rendered ones.
 
     Attributes:
-        recorded: frames in the bag.
-        equal: those whose every byte is the same.
-        first_seq: control step of the first other one, or None.
-        first_pixels: how many of its pixels are others.
-        first_difference: greatest difference of a colour value in it, 0..255.
+        recorded: number of frames in the bag.
+        equal: number of byte-identical frames.
+        first_seq: control step of the first different frame, or None.
+        first_pixels: number of different pixels in it.
+        first_difference: maximum difference of a colour value in it, 0..255.
         trouble: why frames could not be rendered, or ''.
     """
 
@@ -239,12 +239,12 @@ class FrameComparison:
 
     @property
     def ok(self) -> bool:
-        """Whether every recorded frame is the right one."""
+        """Whether all recorded frames are equal to re-rendered ones."""
         return self.equal == self.recorded and not self.trouble
 
 
 def check_recorded_frames(recording: Recording) -> Check:
-    """:func:`check_frames` as one of the questions of a checkup; it is only read."""
+    """Check the recorded frames of a bag; see :func:`compare_recorded_frames`."""
     try:
         found = compare_recorded_frames(recording)
     except (BagError, UsageError) as error:
@@ -265,7 +265,7 @@ def check_recorded_frames(recording: Recording) -> Check:
 
 
 def compare_recorded_frames(recording: Recording) -> FrameComparison:
-    """Render every recorded frame of a bag once more, and compare.
+    """Re-render all recorded frames of a bag and compare them.
 
     Raises:
         BagError, UsageError: the bag cannot be read.
@@ -302,11 +302,11 @@ def _difference(seq: int, recorded: Frame, rendered: Frame) -> dict[str, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class Checkup:
-    """A bag and all answers.
+    """Results of all checks of a bag.
 
     Attributes:
         info: its table of contents.
-        checks: in the order in which they were made.
+        checks: checks in order of execution.
     """
 
     info: BagInfo
@@ -314,15 +314,15 @@ class Checkup:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All that is wrong."""
+        """Findings of all checks."""
         return tuple(finding for check in self.checks for finding in check.findings)
 
 
 def check_bag(path: Path) -> Checkup:
-    """Check a bag; it is only read.
+    """Check a bag without modifying it.
 
     Raises:
-        BagEmpty: not one message of it can be read, and it is not whole either.
+        BagEmpty: the bag is damaged and no message can be read.
         BagForeign, UsageError: as ``reader.read_messages``.
     """
     recording = open_recording(path)
@@ -352,7 +352,7 @@ def _run_checks(recording: Recording) -> Iterator[Check]:
             Finding(where=recording.path.name, what=str(error)) for error in recording.broken
         ),
     )
-    # What the topics of others hold, and that some hold nothing, is their affair.
+    # Topics that do not belong to a run are not checked.
     records = run_records(recording)
     for run, one, record in zip(recording.runs, recording, records, strict=True):
         if not run.absent:

@@ -1,4 +1,4 @@
-"""What a check of a bag came to."""
+"""Results of bag checks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ RECOVER = 'taxinet bag recover {bag} --out NEW'
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong.
+    """One problem.
 
     Attributes:
         where: byte, step, topic or file.
-        what: what is wrong there, on one line.
+        what: one-line description.
         mend: repair command, with ``{bag}`` for the bag's path; '' if there is none.
     """
 
@@ -26,13 +26,13 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One question to a bag, and its answer.
+    """One check of a bag and its result.
 
     Attributes:
         name: one word.
         looked_at: what was checked, in one line; if ``skipped``, why not.
         findings: problems found.
-        skipped: not applicable, or cannot be checked.
+        skipped: the check is not applicable or not possible.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Check:
 
 
 def ranges(numbers: Iterable[int]) -> str:
-    """Whole numbers in a few words, e.g. ``3, 7-9``; the first of very many."""
+    """Short text of integers, e.g. ``3, 7-9``; shows only the first ranges."""
     parts: list[tuple[int, int]] = []
     for number in sorted(set(numbers)):
         if parts and parts[-1][1] == number - 1:

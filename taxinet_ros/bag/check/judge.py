@@ -1,6 +1,6 @@
-"""Bags judged, all runs of each, by the requirements of then or by others.
+"""Judge all runs of bags by their recorded requirements or by others.
 
-Several processes may judge many bags; the result does not depend on their number.
+Bags may be judged in several processes; the result does not depend on their number.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from taxinet_ros.processes.pool import process_pool
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedBag:
-    """A bag and what it says of some requirements.
+    """Verdicts of requirements on one run of a bag.
 
     Attributes:
         path: as given.
-        run: name of the run among others in the bag; '' where it is the only one.
-        verdicts: one for each requirement, in order; none where nothing could be read.
-        end_s: simulated time of the last sample [s], -1 without any.
-        duration_s: how long the run was to last [s]; NaN where the bag does not tell.
-        stopped_early: the run was ended on purpose, because its verdict was in.
-        blind: number of frames without a usable estimate where they are more than the requirement
-            ``usable`` allows, else 0; and ``frames`` of how many.
-        trouble: one line on what of the bag is damaged or missing, or ''.
-        note: one line on what else the recording tells of, or ''.
-        timing: when answers took effect, likewise in words; '' where each did at once.
-        foreign: it is no bag, or no run of this package.
+        run: name of the run if the bag has several, else ''.
+        verdicts: one per requirement, in order; empty if nothing could be read.
+        end_s: simulated time of the last sample [s]; -1 without samples.
+        duration_s: requested length of the run [s]; NaN if unknown.
+        stopped_early: the run was stopped early because its verdict was decided.
+        blind: number of frames without a usable estimate if more than the requirement ``usable``
+            allows, else 0.
+        frames: number of all frames.
+        trouble: one line about damaged or missing data, or ''.
+        note: one line about other content of the recording, or ''.
+        timing: timing of the answers in words; '' for immediate answers.
+        foreign: not a bag, or not a run of this package.
     """
 
     path: Path
@@ -56,13 +57,13 @@ class JudgedBag:
 
     @property
     def name(self) -> str:
-        """Name of the run, as far as its place tells."""
+        """Display name of the run, from its path."""
         place = self.path.stem if self.path.is_file() else self.path.name
         return f'{place} {self.run}' if self.run else place
 
     @property
     def sound(self) -> bool:
-        """Whether every requirement has a verdict, and the same that was recorded, if any was."""
+        """Whether every requirement has a verdict that matches the recorded one, if any."""
         return bool(self.verdicts) and all(
             one.verdict.judged and one.same is not False for one in self.verdicts
         )
@@ -79,7 +80,7 @@ def judge_runs(
         assumptions: assumptions; None: the recorded ones.
 
     Raises:
-        UsageError: there is nothing at ``path``.
+        UsageError: ``path`` does not exist.
     """
     try:
         with limited_reading(path):
@@ -113,23 +114,23 @@ def _judge_run(
 
 
 _CHUNK = 8
-"""Bags handed to a process at a time; fewer than two chunks are not worth starting one."""
+"""Number of bags per task; with fewer than two tasks no process is started."""
 
 
 def judge_bags(
     paths: Sequence[Path], specs: Sequence[Spec], workers: int,
     assumptions: Assumptions | None = None,
 ) -> Iterator[JudgedBag]:
-    """Judge bags, see :func:`judge_runs`, all runs of each, in their paths' order.
+    """Judge all runs of several bags, in the order of the paths; see :func:`judge_runs`.
 
     Args:
         paths: run folders or ``.mcap`` files.
         specs: requirements; empty: each run's own.
-        workers: processes to do it in; 1 is this one.
+        workers: number of processes; 1: this process only.
         assumptions: assumptions; None: the recorded ones.
 
     Raises:
-        UsageError: there is nothing at a path.
+        UsageError: a path does not exist.
         InfraError: a worker process died.
     """
     if workers == 1 or len(paths) < 2 * _CHUNK:

@@ -1,4 +1,4 @@
-"""Checks of a bag as a run of the lockstep: stamps, whole steps, and the verdict.
+"""Checks of a run in a bag: stamps, complete control steps, and the verdict.
 
 The verdict is recomputed from the recorded truth and must match bit for bit.
 """
@@ -43,19 +43,19 @@ from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
 MOST_STEPS = 100_000
-"""Steps beyond are not looked at: no run is nearly as long."""
+"""Maximum number of steps checked; runs are much shorter."""
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
 
 
 @dataclass
 class RunRecord:
-    """The numbers of a run, step by step, and what is wrong with its messages.
+    """Data of a run by step, and findings on its messages.
 
     Attributes:
-        once: messages of the topics that speak once, by relative name, in order.
-        counts: messages by relative topic name and step.
-        odometry: by step.
-        robustness: by step and name of the formula.
+        once: messages of topics that do not publish in every step, by relative name, in order.
+        counts: number of messages by topic name and step.
+        odometry: odometry by step.
+        robustness: interval by step and formula name.
         stamps: findings on stamps and contents.
     """
 
@@ -68,23 +68,23 @@ class RunRecord:
 
     @property
     def scenario(self) -> Any:
-        """The scenario message, or None: then it is no run of ours."""
+        """The scenario message, or None if this is not a run of taxinet_ros."""
         return next(iter(self.once.get(SCENARIO, ())), None)
 
     @property
     def free(self) -> bool:
-        """Whether it is a free run, of which frames may have no answer."""
+        """Whether it is a free run, in which frames may have no answer."""
         told = self.once.get(NODE_STATUS, ())
         return any(str(m.node) == SIMULATOR and is_free(str(m.implementation)) for m in told)
 
     @property
     def ending(self) -> Any:
-        """The message that told how the run ended, or None."""
+        """The message that reports the end of the run, or None."""
         told = self.once.get(RUN_STATUS, ())
         return next((m for m in told if m.state == RUN_ENDED), None)
 
     def note(self, stored: StoredMessage) -> None:
-        """Take in a message; what is wrong with it alone becomes a finding."""
+        """Process a message; problems of the message itself become findings."""
         name, stamp = stored.topic.name, stored.stamp_ns
         if stamp < self.latest.get(name, 0):
             self._wrong(name, stamp, f'{name}: stamp goes back from {self.latest[name]} ns')
@@ -119,7 +119,7 @@ class RunRecord:
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
         if is_topic(name, ODOMETRY):
             self.odometry.setdefault(step, message)
-        # It is written behind the odometry of its step, and made of that.
+        # Transforms are derived from the odometry of their step and written after it.
         odometry = self.odometry.get(step)
         if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
             self._wrong(name, stamp, f'{name}: differs from {ODOMETRY}')
@@ -131,7 +131,7 @@ class RunRecord:
 
 
 def run_record(recording: Recording) -> RunRecord:
-    """The numbers of the run that a recording holds, damage passed over."""
+    """Record of the run in a recording; damage is skipped."""
     record = RunRecord()
     for stored in recording.all_messages():
         record.note(stored)
@@ -139,7 +139,7 @@ def run_record(recording: Recording) -> RunRecord:
 
 
 def run_records(recording: Recording) -> list[RunRecord]:
-    """The same of every run in a recording, each message under the stamp in its header."""
+    """Records of all runs in a recording, with messages by their header stamps."""
     records = [RunRecord() for _ in recording.runs]
     for number, stored in recording.messages_of_runs(whole=True):
         records[number].note(stored)
@@ -147,7 +147,7 @@ def run_records(recording: Recording) -> list[RunRecord]:
 
 
 def check_stamps(record: RunRecord) -> Check:
-    """Whether time never goes back, and messages carry the stamp that they are filed under."""
+    """Check that stamps never decrease and that header stamps match log times."""
     found = record.stamps
     more = Finding(where=f'and {len(found) - 5} more', what='as these')
     return Check(
@@ -157,11 +157,11 @@ def check_stamps(record: RunRecord) -> Check:
 
 
 def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
-    """Whether every control step is whole: each topic spoke, exactly as often as it should.
+    """Check that every control step is complete, with the right number of messages per topic.
 
     Args:
-        record: of the run.
-        topics: names of those that speak.
+        record: record of the run.
+        topics: names of the published topics.
     """
     truth = any(is_topic(name, TRUTH) for name in record.counts)
     if record.scenario is None and truth:
@@ -188,10 +188,10 @@ def _unanswered(record: RunRecord, last: int) -> str:
 
 
 def last_seq(record: RunRecord) -> int:
-    """The last control step that is to be whole: the run's, or of an aborted run the one before.
+    """Last control step that must be complete: the run's last; if aborted, the one before.
 
-    Of a free run those count that were judged: which frames have no answer is settled later.
-    -1 where the bag does not tell of any.
+    In an unfinished free run, only judged steps count, because unanswered frames are settled later.
+    -1 if there is none.
     """
     if record.free and (record.ending is None or record.ending.outcome not in ('PASS', 'FAIL')):
         return max(record.robustness, default=-1)
@@ -206,7 +206,7 @@ def _once_troubles(record: RunRecord) -> Iterator[Finding]:
     judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
     expected = {SCENARIO: 1, RUN_STATUS: 1}
     if judged:
-        # The simulator reports of a run whose answers do not take effect at once.
+        # The simulator reports only in runs whose answers are not immediate.
         told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
         nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
         expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
@@ -235,7 +235,7 @@ def _step_troubles(
 
 
 def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, int]]:
-    """Topics that speak in every step, and how often."""
+    """Topics published in every step, with their number of messages per step."""
     for topic in topics:
         if not any(is_topic(topic, once) for once in ONCE):
             number = len(record.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
@@ -243,7 +243,7 @@ def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, 
 
 
 def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
-    """How many control steps of a run have all their messages."""
+    """Number of complete control steps of a run."""
     counts = [
         (record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)
         if not (record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND)))
@@ -253,11 +253,11 @@ def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
 
 
 def check_verdict(record: RunRecord, recording: Recording) -> Check:
-    """Whether judging the recorded truth once more gives the recorded robustness, bit for bit.
+    """Check that judging the recorded truth reproduces the recorded robustness bit for bit.
 
     Args:
-        record: of the run.
-        recording: of that run alone.
+        record: record of the run.
+        recording: recording of that run only.
     """
     if record.scenario is None:
         return Check(name='verdict', looked_at='no taxinet_ros scenario in it', skipped=True)
@@ -271,9 +271,9 @@ def check_verdict(record: RunRecord, recording: Recording) -> Check:
 
 
 def _check_fields(once: str, message: Any) -> None:
-    """Raise AttributeError, TypeError or ValueError where a message of a run lacks what it tells.
+    """Raise AttributeError, TypeError or ValueError if a message lacks required fields.
 
-    The definition, too, comes from the bag.
+    The definition comes from the bag, so it may lack them.
     """
     if once == SCENARIO:
         _ = len(message.participants), [str(spec) for spec in message.specs]
@@ -287,7 +287,7 @@ def _check_fields(once: str, message: Any) -> None:
 
 
 def _follows(transforms: Any, odometry: Any) -> bool:
-    """Whether a message of transforms tells the pose of odometry, and nothing else."""
+    """Whether a transforms message contains exactly the pose of the odometry."""
     told = [
         (one.header.frame_id, one.child_frame_id, stamp_of(one),
          _bits(one.transform.translation, one.transform.rotation))
@@ -309,11 +309,11 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
     """Judge the recorded samples and compare.
 
     Args:
-        record: of the run.
-        recording: of that run alone.
+        record: record of the run.
+        recording: recording of that run only.
 
     Returns:
-        Number of steps judged, and what differs from what was recorded.
+        Number of steps judged, and findings where the result differs from the recorded one.
     """
     try:
         last_step(scenario_of(record.scenario))
@@ -345,7 +345,7 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
 
 
 def _whole(samples: RunSamples, most: int) -> RunSamples:
-    """The control steps before the first that is missing or lacks a topic, ``most`` of them."""
+    """Samples of at most ``most`` steps, up to the first that is missing or incomplete."""
     count = next((
         step for step, (stamp_ns, there) in enumerate(
             zip(samples.stamps_ns, samples.there, strict=True))
@@ -359,7 +359,7 @@ def _whole(samples: RunSamples, most: int) -> RunSamples:
 
 
 def _verdict_troubles(record: RunRecord, readings: dict[str, RobustnessInterval]) -> list[Finding]:
-    """What the run's judgement says against the one made here."""
+    """Findings where the recorded judgement differs from the one computed here."""
     verdict = next(iter(record.once.get(VERDICT, ())), None)
     if verdict is None:
         return []

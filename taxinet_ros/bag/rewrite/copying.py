@@ -1,4 +1,4 @@
-"""What every new bag out of an old one has: its words and files, and a flush after each step."""
+"""Copy a bag: its metadata and attachments, with a flush after each control step."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ NamedMessage = tuple[str, int, bytes]
 def copy_of(
     info: BagInfo, folder: Path, topics: Sequence[TopicInfo], min_free_bytes: int
 ) -> Iterator[BagWriter]:
-    """A new bag with the words and files of an old one; messages are written within the ``with``.
+    """Context with a new bag that has the metadata and attachments of an old one.
 
     Args:
-        info: of the old bag.
+        info: table of contents of the old bag.
         folder: the new run folder.
-        topics: of the new bag.
-        min_free_bytes: free space to ask of the disk [bytes].
+        topics: topics of the new bag.
+        min_free_bytes: required free disk space [bytes].
 
     Raises:
         UsageError, BagWriteError: as :class:`BagWriter`.
@@ -51,10 +51,10 @@ def copy_of(
 
 
 def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[int]:
-    """Write messages, each control step in chunks of its own, as the recorder does it.
+    """Write messages with separate chunks for each control step, like the recorder.
 
     Yields:
-        The stamp of each step that is done [ns].
+        Stamp of each completed step [ns].
     """
     before: int | None = None
     for topic, stamp_ns, cdr in messages:
@@ -69,13 +69,13 @@ def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[
 
 
 def write_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> None:
-    """:func:`written_steps`, all of them."""
+    """Write all steps; see :func:`written_steps`."""
     for _ in written_steps(bag, messages):
         pass
 
 
 def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
-    """The topic with what an older or foreign recorder did not note, or None."""
+    """The topic, completed with data that older or other recorders omit; None if not storable."""
     try:
         qos_profiles(topic.qos)
     except ValueError:
@@ -91,7 +91,7 @@ def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicI
 
 
 def _attachments(source: Path) -> dict[str, bytes]:
-    """All files in the bag that are sound, but for the manifest, which the writer makes anew."""
+    """Intact attachments of the bag, except the manifest, which the writer creates."""
     found: dict[str, bytes] = {}
     for file in storage_files(source):
         for record in scan(file, lambda error: None):

@@ -1,8 +1,8 @@
 """Restore camera frames, bit for bit, in a bag recorded without them.
 
-The camera is deterministic, so a frame follows from scenario and commands, which are recorded
-(:mod:`taxinet_ros.bag.run.resimulation`). The bag that comes out has the bytes of one that was
-recorded with frames.
+The camera is deterministic, so frames can be rendered from the recorded scenario and commands
+(:mod:`taxinet_ros.bag.run.resimulation`). The resulting bag is byte-identical to one recorded with
+frames.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _DRAFT = '.with-frames'
 
 
 def missing_frames(info: BagInfo) -> int:
-    """How many control steps of a bag have no camera frame.
+    """Number of control steps of a bag without a camera frame.
 
     Raises:
         BagForeign: the bag was not recorded by this package.
@@ -45,10 +45,10 @@ def missing_frames(info: BagInfo) -> int:
 
 
 def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
-    """Yield control step and serialised frame: as recorded, else rendered now.
+    """Yield control step and serialised frame: recorded or, if missing, rendered.
 
     Raises:
-        WorldDiffers: a frame is missing, and cannot be had again.
+        WorldDiffers: a frame is missing and cannot be reproduced.
         BagError, UsageError: the bag cannot be read.
     """
     frames = _Frames(recording)
@@ -60,20 +60,20 @@ def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
 
 
 def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
-    """Write the run into the new run ``folder`` with a frame in every control step.
+    """Write the run to the new run ``folder`` with a frame in every control step.
 
-    Recorded frames stay, missing ones are rendered. A generator, so that a node can do other
-    things meanwhile: it yields the number of each control step that is done.
+    Recorded frames are kept, missing ones are rendered. A generator, so that a node can interleave
+    other work: it yields the number of each completed control step.
 
     Args:
-        recording: of the run.
-        folder: the new run folder; the bytes are those of a recording only under the same name.
-        min_free_bytes: free space to ask of the disk [bytes].
+        recording: recording of the run.
+        folder: the new run folder; byte-identical to a recording only under the same name.
+        min_free_bytes: required free disk space [bytes].
 
     Raises:
-        UsageError: it is damaged, or ``folder`` exists or has too little space.
-        WorldDiffers: the frames cannot be had again.
-        BagWriteError: the operating system refuses.
+        UsageError: the bag is damaged, or ``folder`` exists or has too little space.
+        WorldDiffers: the frames cannot be reproduced.
+        BagWriteError: an error of the operating system.
         BagError: the bag cannot be read.
     """
     source, info = recording.path, recording.info
@@ -85,15 +85,15 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
             for stamp_ns in written_steps(bag, _with_frames(recording)):
                 yield stamp_ns // CONTROL_PERIOD_NS
     except WorldDiffers:
-        shutil.rmtree(folder)  # It would be called an unfinished recording.
+        shutil.rmtree(folder)  # It would look like an unfinished recording.
         raise
 
 
 def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
-    """As :func:`restore_frames`, and put the new bag in the place of the old one.
+    """Like :func:`restore_frames`, but replaces the old bag by the new one.
 
-    However this ends, the storage file is one of the two, whole. Only between the last three
-    system calls does the folder lack its ``metadata.yaml``; a bag caught so can be recovered.
+    At any time, the storage file is completely the old or the new one. ``metadata.yaml`` is missing
+    only between the last three system calls; a bag interrupted then can be recovered.
     """
     if not folder.is_dir():
         raise UsageError(f'{folder}: is not a run folder; name one, or a new one with --out')
@@ -112,16 +112,16 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
 
 
 class _Frames:
-    """The frames that a bag lacks, rendered as its control steps go by."""
+    """Renders the missing frames of a bag, in the order of its control steps."""
 
     def __init__(self, recording: Recording) -> None:
         self.recorded = recording.recorded_steps
         self._states = recording.observations(lambda seq: seq not in self.recorded)
 
     def missing(self, camera_info: StoredMessage) -> bytes | None:
-        """The frame that this camera info belongs to; None if it is there, or not to be had.
+        """Frame of this camera info; None if it is recorded or not available.
 
-        A run that broke down may have left a step without the aircraft's state.
+        A failed run may have a step without the aircraft's state.
         """
         seq = camera_info.stamp_ns // CONTROL_PERIOD_NS
         if seq in self.recorded:
@@ -134,7 +134,7 @@ class _Frames:
 
 
 def _topics(info: BagInfo) -> list[TopicInfo]:
-    """The topics of a bag with the frames' among them: before the camera's, of the same QoS."""
+    """Topics of a bag including images, inserted before camera info with the same QoS."""
     topics = list(info.topics)
     if IMAGE not in info.counts:
         place = [topic.name for topic in topics].index(CAMERA_INFO)
@@ -144,7 +144,7 @@ def _topics(info: BagInfo) -> list[TopicInfo]:
 
 
 def _with_frames(recording: Recording) -> Iterator[NamedMessage]:
-    """Every message, a frame before its camera info."""
+    """All messages, with each frame before its camera info."""
     frames = _Frames(recording)
     for message in stored_messages(recording.path):
         topic, stamp_ns = message.topic.name, message.stamp_ns

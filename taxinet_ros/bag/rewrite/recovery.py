@@ -20,9 +20,8 @@ class Recovery:
 
     Attributes:
         bag: the new, complete bag.
-        damage: one line for each damaged place and each topic left out; empty if nothing of the
-            data was lost.
-        declared: messages that the source says it holds, or None where what would say so is lost.
+        damage: one line per damaged place and per omitted topic; empty if no data were lost.
+        declared: number of messages declared in the source, or None if that is lost.
     """
 
     bag: BagSummary
@@ -31,18 +30,18 @@ class Recovery:
 
     @property
     def saved(self) -> int:
-        """Messages in the new bag."""
+        """Number of messages in the new bag."""
         return sum(self.bag.message_counts.values())
 
 
 def recover(source: Path, folder: Path) -> Recovery:
-    """Copy every sound message, attachment and word of ``source`` into the new run ``folder``.
+    """Copy all intact messages, attachments and metadata of ``source`` to the new run ``folder``.
 
-    A damaged chunk costs that chunk, and nothing behind it: see
-    :mod:`taxinet_ros.bag.storage.scan`. ``source`` is only read.
+    Data after a damaged chunk are kept: see :mod:`taxinet_ros.bag.storage.scan`. ``source`` is not
+    modified.
 
     Raises:
-        BagEmpty: nothing could be saved; no folder is made.
+        BagEmpty: nothing could be recovered; no folder is created.
         BagForeign, UsageError: as ``reader.read_messages`` and :class:`BagWriter`.
         BagWriteError: the new bag does not fit on the disk.
     """
@@ -63,7 +62,7 @@ def recover(source: Path, folder: Path) -> Recovery:
 
 
 def _declared(source: Path) -> int | None:
-    """How many messages the bag's own end, or its folder, says that there are."""
+    """Number of messages declared by the bag's summary or its ``metadata.yaml``."""
     try:
         return sum(sum(read_statistics(file).values()) for file in storage_files(source))
     except BagError:

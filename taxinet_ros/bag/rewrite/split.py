@@ -22,19 +22,19 @@ from taxinet_ros.errors import UsageError
 
 
 def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
-    """Make a bag of each of some runs, as our recorder would have made it.
+    """Write a bag for each selected run, as by the recorder node.
 
-    The messages are the same; attachments and words are made from them, so that Scenic program,
-    versions and machine, which no message tells, are missing.
+    Messages are the same. Attachments and metadata are derived from them; Scenic program, versions
+    and machine are in no message and so are missing.
 
     Args:
-        recording: of several runs, or of another recorder.
-        folders: new run folder by the name of the run.
+        recording: recording of several runs, or by another recorder.
+        folders: new run folder by run name.
 
     Raises:
         UsageError: a folder exists, or a run has no scenario.
-        BagCorrupt, BagForeign: a message is not what its topic says.
-        BagWriteError: the operating system refuses.
+        BagCorrupt, BagForeign: a message does not match its topic's definition.
+        BagWriteError: an error of the operating system.
     """
     numbers = {i: run for i, run in enumerate(recording.runs) if run.name in folders}
     for run in numbers.values():
@@ -53,7 +53,7 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
         left[number] -= 1
         if number in held:
             held[number].append(stored)
-            if not left[number]:  # Frames are large: no run waits in memory for the others.
+            if not left[number]:  # Write each run once complete: frames take much memory.
                 _write_run(recording, numbers[number], held.pop(number), folders)
 
 
@@ -88,7 +88,7 @@ def _write_run(
 
 
 def _place(stored: StoredMessage) -> tuple[int, int, int, str]:
-    """Where our recorder writes a message: head, steps, end."""
+    """Sort key of a message in the recorder's order: head, steps, end."""
     relative = stored.topic.name.removeprefix('/')
     if relative in (SCENARIO, NODE_STATUS):
         node = str(decode(stored.topic, stored.cdr).node) if relative == NODE_STATUS else ''

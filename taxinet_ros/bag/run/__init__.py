@@ -1,1 +1,1 @@
-"""The run in a bag: its facts, samples, trace, tables and resimulation."""
+"""Runs in bags: facts, samples, trace, tables and resimulation."""

@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
-    """The run that a bag holds.
+    """Request and participants of a recorded run.
 
     Attributes:
-        request: what was asked of the graph.
-        perception: the word of the perception that took part, e.g. ``taxinet``; '' if untold.
-        fingerprint: sha256 of its weights, or ''.
-        gains: steering gains that differed from the law's defaults.
-        controller: what another controller than the steering law said of itself; '' for the law.
-        controller_fingerprint: the sha256 that it told, or ''.
-        world, world_fingerprint: name of the world that a package brought, and its sha256; '' for
-            the simulated one.
-        timing: when its answers took effect.
+        request: the run request.
+        perception: name of the perception, e.g. ``taxinet``; '' if unknown.
+        fingerprint: SHA-256 of its weights, or ''.
+        gains: steering gains that differ from the defaults.
+        controller: description reported by a controller other than the steering law; else ''.
+        controller_fingerprint: SHA-256 reported by it, or ''.
+        world, world_fingerprint: name and SHA-256 of a world from a package; '' for the simulated
+            one.
+        timing: timing of the answers.
     """
 
     request: RunRequest
@@ -112,16 +112,16 @@ def gains_text(gains: Mapping[str, float]) -> str:
 
 
 def is_steering_law(words: str) -> bool:
-    """Whether what a controller said of itself is what the steering law says: its tuned gains."""
+    """Whether a controller's description is that of the steering law: its changed gains."""
     known = SteeringGains.__dataclass_fields__
     return all(word.partition('=')[0] in known for word in words.split())
 
 
 def parse_gains(words: str) -> dict[str, float]:
-    """Steering gains out of a controller's report.
+    """Parse steering gains from a controller's report.
 
     Raises:
-        ValueError: it is none.
+        ValueError: not a report of gains.
         UsageError: a gain is out of range.
     """
     pairs = (word.split('=') for word in words.split())
@@ -151,10 +151,10 @@ class NodeFacts:
     """Facts reported by a node.
 
     Attributes:
-        implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
-        fingerprint: sha256 of its weights or package, or ''.
-        origin: ``NAME of PACKAGE VERSION`` where a package brought it (of the simulator: its
-            world); of earlier versions the world's name alone, or ''.
+        implementation: name of the implementation, e.g. ``taxinet``; or the changed gains.
+        fingerprint: SHA-256 of its weights or package, or ''.
+        origin: ``NAME of PACKAGE VERSION`` if a package provided it (for the simulator: its
+            world); in earlier versions only the world's name, or ''.
     """
 
     implementation: str
@@ -164,12 +164,12 @@ class NodeFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRobustness:
-    """The newest of what the monitor said of one formula.
+    """The newest recorded robustness of one formula.
 
     Attributes:
-        formula: fully parenthesised.
-        interval: of robustness.
-        final: the run reached its horizon, so both ends are rho.
+        formula: the formula, fully parenthesised.
+        interval: robustness interval.
+        final: the run reached its horizon, so both bounds are rho.
     """
 
     formula: str
@@ -182,15 +182,15 @@ class RunFacts:
     """Facts of a run recorded in its bag.
 
     Attributes:
-        run_id, program, seed, index: who asked for it.
-        scene: the scenario in the units people read, as :meth:`Scenario.to_human` spells them.
-        specs: formulas to judge by, as asked for.
-        nodes: by node name.
-        outcome: one of the five, or '' where the bag ends before.
-        kind, who, detail: of an outcome that is no judgement.
-        steps: control steps with a robustness.
-        judged: by name of the formula.
-        figures: further fields of the verdict by name: the run in a few figures.
+        run_id, program, seed, index: identification of the request.
+        scene: the scenario in user-facing units, see :meth:`Scenario.to_human`.
+        specs: requested formulas.
+        nodes: facts by node name.
+        outcome: one of the five outcomes, or '' if the bag ends before.
+        kind, who, detail: details of an outcome that is not a judgement.
+        steps: number of control steps with a robustness.
+        judged: robustness by formula name.
+        figures: other fields of the verdict by name (statistics of the run).
     """
 
     run_id: str
@@ -218,7 +218,7 @@ def run_facts(recording: StoredRuns) -> RunFacts | None:
 
 
 def made_on(info: BagInfo) -> Provenance:
-    """Processor, libraries and code that a bag was recorded with; empty where it does not tell."""
+    """Processor, libraries and code with which a bag was recorded; empty if unknown."""
     words = info.metadata.get(RUN_METADATA, {})
     if 'processor' not in words:
         return {}
@@ -230,10 +230,10 @@ def made_on(info: BagInfo) -> Provenance:
 
 
 def free_account(info: BagInfo) -> FreeRunAccount | None:
-    """How a free run went; None where the bag is of none, or ends before it tells.
+    """Timing record of a free run; None for other runs, or if the bag ends before it.
 
     Raises:
-        BagForeign: what it tells is no such account.
+        BagForeign: an invalid record.
     """
     told = info.metadata.get(FREE_RUN_METADATA)
     if told is None:
@@ -247,7 +247,7 @@ def free_account(info: BagInfo) -> FreeRunAccount | None:
 
 @dataclass
 class _FactsReader:
-    """What the messages have told so far."""
+    """Collects facts from the messages of a run."""
 
     path: Path
     scenario: dict[str, Any] | None = None
@@ -258,7 +258,7 @@ class _FactsReader:
     last_seq: int = -1
 
     def note(self, relative: str, stored: StoredMessage) -> None:
-        """Take in a message."""
+        """Process a message."""
         message = decode(stored.topic, stored.cdr)
         try:
             self._note(relative, message)
@@ -289,7 +289,7 @@ class _FactsReader:
             self._judge(message)
 
     def facts(self) -> RunFacts | None:
-        """All of it."""
+        """Facts collected so far, or None without a scenario."""
         if self.scenario is None:
             return None
         told = self.ending.get

@@ -1,6 +1,6 @@
 """Evaluate any requirement on a recorded run.
 
-Monitor, inputs and their order are those of the run, so the run's own formulas reproduce the
+Monitor, inputs and their order are the same as in the run, so the run's own formulas reproduce the
 recorded robustness bit for bit.
 """
 
@@ -32,41 +32,40 @@ class BagVerdict(enum.StrEnum):
     SATISFIED = 'SATISFIED'
     VIOLATED = 'VIOLATED'
     MARGINAL = 'MARGINAL'
-    """Robustness zero, or zero at best; counts as a failure."""
+    """Robustness zero, or at best zero; counts as a failure."""
     INCOMPLETE = 'INCOMPLETE'
-    """The run ends early, or the bag is damaged: there is an interval, and no verdict."""
+    """The run ends early, or the bag is damaged: there is an interval but no verdict."""
     INVALID = 'INVALID'
-    """A sample was not finite, or one is missing amid the others; the interval ends before it."""
+    """A sample is not finite or is missing between others; the interval ends before it."""
     UNCLEAR = 'UNCLEAR'
-    """The formula's windows hold no sample of this run, so nothing was judged."""
+    """The formula's windows contain no sample of this run, so nothing was evaluated."""
 
     @property
     def failed(self) -> bool:
-        """Whether the run was judged and has not satisfied the requirement."""
+        """Whether the run was judged and did not satisfy the requirement."""
         return self in (BagVerdict.VIOLATED, BagVerdict.MARGINAL)
 
     @property
     def judged(self) -> bool:
-        """Whether there is a verdict at all."""
+        """Whether there is a verdict."""
         return self.failed or self is BagVerdict.SATISFIED
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpecVerdict:
-    """One requirement, put to one bag.
+    """Verdict of one requirement on one bag.
 
     Attributes:
         spec: the requirement.
-        verdict: what the bag says of it.
-        interval: of robustness; rho where the run was whole.
-        decided_s: first moment from which zero is out of the interval [s], or None.
-        recorded: the interval that the bag itself has for this formula, or None.
-        same: whether that is the interval found here, to the last bit; None where it has none, or
-            where other assumptions make an interval that is still open another one, or a topic
-            that it reads is missing.
-        breach_s: when a sample broke what is vouched for [s], or None; from then on the interval
-            is that without assumptions.
-        why: why the verdict is UNCLEAR, in a line, or ''.
+        verdict: verdict on the bag.
+        interval: robustness interval; exact if the run is complete.
+        decided_s: time at which the sign of the robustness was decided [s], or None.
+        recorded: the recorded interval for this formula, or None.
+        same: whether it equals ``interval`` bit for bit; None if there is none, if other
+            assumptions may change an undecided interval, or if a required topic is missing.
+        breach_s: time at which a sample violated the assumptions [s], or None; from then on the
+            interval is computed without them.
+        why: reason for UNCLEAR in one line, or ''.
     """
 
     spec: Spec
@@ -80,22 +79,22 @@ class SpecVerdict:
 
 
 def signals_of_specs(specs: Sequence[Spec]) -> set[str]:
-    """Names of all signals that some requirements read."""
+    """Names of all signals that requirements read."""
     return {name for spec in specs for name in signal_names(spec.formula)}
 
 
 def judge_spec(
     samples: RunSamples, spec: Spec, assumptions: Assumptions | None = None
 ) -> tuple[SpecVerdict, list[Reading]]:
-    """What a run says of one requirement, and the readings on the way there.
+    """Judge a run by one requirement; return the verdict and the reading of each sample.
 
     Args:
-        samples: the run's.
+        samples: samples of the run.
         spec: the requirement.
-        assumptions: what is vouched for; where None, what was then.
+        assumptions: assumptions; None: the recorded ones.
 
     Raises:
-        UsageError: the run was to last no time at all.
+        UsageError: the run's duration is 0.
     """
     vouched = samples.assumptions if assumptions is None else assumptions
     samples = samples.seen_by(spec)
@@ -105,7 +104,7 @@ def judge_spec(
 
 
 def readings_of(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
-    """The reading after each sample, as during the run; one that knows nothing if there is none."""
+    """Reading after each sample, as during the run; the initial reading if there are none."""
     monitor = Monitor(
         spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
     )
@@ -118,7 +117,7 @@ def _spec_verdict(
 ) -> SpecVerdict:
     last = readings[-1]
     moments = list(zip(samples.stamps_ns, readings, strict=False))
-    # What was decided on an assumption that broke later, was not.
+    # A decision based on an assumption that was violated later does not count.
     decided = (
         stamp for stamp, reading in moments
         if reading.interval.decided and reading.trusted is last.trusted

@@ -1,6 +1,6 @@
-"""Messages of a run as values of the core, and back; whether of a bag or of the graph.
+"""Conversion between messages of a run (from a bag or the ROS graph) and core values.
 
-Floats pass unchanged, so what is judged, or run once more, has the bits of what was recorded.
+Floats are not changed, so judging or repeating a run uses the recorded bits.
 """
 
 from __future__ import annotations
@@ -14,8 +14,16 @@ from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
 from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.place.catalogue import find_track
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, SPEED, ScenarioField
+from taxinet_ros.core.scenario_fields import (
+    PLACE,
+    SCENARIO_FIELDS,
+    SPEED,
+    TRACK,
+    ScenarioField,
+)
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
@@ -23,11 +31,11 @@ _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
 
 
 def scenario_of(message: Any) -> Scenario:
-    """The scenario in a message, validated.
+    """Convert a scenario message, with validation.
 
     Raises:
         UsageError: a value is out of range.
-        AttributeError: it is no scenario message.
+        AttributeError: not a scenario message.
     """
     return Scenario(**{field.attribute: _value(message, field) for field in SCENARIO_FIELDS})
 
@@ -39,26 +47,26 @@ def _value(message: Any, field: ScenarioField) -> Any:
 
 
 def assumptions_of(message: Any) -> Assumptions:
-    """What a scenario message vouches for of the signals; nothing, in bags from before.
+    """Assumptions in a scenario message; none in older bags.
 
     Raises:
-        UsageError: it is not spelled as it should be.
+        UsageError: invalid syntax.
     """
     return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
 
 
 def stamp_of(message: Any) -> int:
-    """The stamp in a message's header [ns].
+    """Header stamp of a message [ns].
 
     Raises:
-        AttributeError, TypeError, ValueError: it has none.
+        AttributeError, TypeError, ValueError: the message has none.
     """
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def error_of(message: Any) -> TrackingError:
-    """The tracking error in a message."""
+    """Convert a tracking error message."""
     return TrackingError(
         cte_m=float(message.cross_track_error), he_rad=float(message.heading_error),
         valid=bool(message.valid),
@@ -66,7 +74,7 @@ def error_of(message: Any) -> TrackingError:
 
 
 def command_of(message: Any) -> TaxiCommand:
-    """The command in a message, or the one that it is."""
+    """Convert a command message; a :class:`TaxiCommand` is returned unchanged."""
     if isinstance(message, TaxiCommand):
         return message
     return TaxiCommand(
@@ -75,23 +83,23 @@ def command_of(message: Any) -> TaxiCommand:
 
 
 class HeldCommand:
-    """In a free run frames may have no command: the last one holds, as the monitor has it too."""
+    """Zero-order hold of commands in a free run, where frames may have none; as in the monitor."""
 
     def __init__(self, scenario: Any, *, free: bool) -> None:
-        """Begin a run.
+        """Start a run.
 
         Args:
-            scenario: its message.
-            free: it is a free run, else one of the lockstep.
+            scenario: scenario message of the run.
+            free: whether it is a free run or in lockstep.
         """
         self._free = free
         self._held: Any = rolling_on(float(_value(scenario, SPEED)))
 
     def at(self, command: Any) -> Any:
-        """What holds at a frame.
+        """Command in effect at a frame; call for each frame in order.
 
         Args:
-            command: the message that answers it, or None. To be called for each frame in order.
+            command: the command message for this frame, or None.
 
         Returns:
             A message or :class:`TaxiCommand`, or None.
@@ -102,19 +110,38 @@ class HeldCommand:
         return self._held
 
 
-def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:
-    """The monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+def track_of(message: Any) -> Track | None:
+    """The track of a scenario message; None for the runway's centreline.
+
+    Raises:
+        UsageError: its place has no such track.
+    """
+    word = _value(message, TRACK) or TRACK.absent
+    return None if word == TRACK.absent else find_track(_value(message, PLACE), word)
+
+
+def sample_of(
+    truth: Any, odometry: Any, estimate: Any, command: Any, track: Track | None = None
+) -> dict[str, float]:
+    """Monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    Signals of missing messages are NaN.
 
     Args:
-        truth: its ground-truth tracking error.
-        odometry: its odometry, or None: what would come from it is NaN, as with the next two.
-        estimate: its estimate, or None.
-        command: its command, or None.
+        truth: ground-truth tracking error.
+        odometry: odometry, or None.
+        estimate: estimate, or None.
+        command: command, or None.
+        track: that its run follows; None for the runway's centreline.
     """
+    x_m = math.nan
+    if odometry is not None:
+        at = odometry.pose.pose.position
+        x_m = track.measure(at.x, at.y).distance_m if track else float(at.x)
     return signals(
         cte_m=float(truth.cross_track_error),
         he_rad=float(truth.heading_error),
-        x_m=float(odometry.pose.pose.position.x) if odometry is not None else math.nan,
+        x_m=x_m,
         speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
         estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
         command=command_of(command) if command is not None else _NO_COMMAND,
@@ -122,7 +149,7 @@ def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[st
 
 
 def scenario_json(message: Any) -> bytes:
-    """The file ``scenario.json`` that is put into a run's bag: the scene in people's units."""
+    """Attachment ``scenario.json`` of a run's bag: the request in user-facing units."""
     values = {
         **scenario_of(message).to_human(),
         'run_id': message.run_id,
@@ -139,7 +166,7 @@ def scenario_json(message: Any) -> bytes:
 
 
 def scenario_values(request: RunRequest) -> dict[str, Any]:
-    """The fields of the scenario message that asks for a run, less its header."""
+    """Fields of the scenario message of a run request, without header."""
     return {
         'run_id': request.run_id,
         'index': request.index,
@@ -155,7 +182,7 @@ def scenario_values(request: RunRequest) -> dict[str, Any]:
 
 
 def reading_values(spec: Spec, reading: Reading, run_id: str, seq: int) -> dict[str, Any]:
-    """The fields of a robustness message, less its header."""
+    """Fields of a robustness message, without header."""
     return {
         'run_id': run_id,
         'seq': seq,
@@ -173,7 +200,7 @@ def reading_values(spec: Spec, reading: Reading, run_id: str, seq: int) -> dict[
 
 
 def verdict_values(judgement: Judgement, run_id: str) -> dict[str, Any]:
-    """The fields of a verdict, less its header and the readings."""
+    """Fields of a verdict message, without header and readings."""
     figures = judgement.statistics
     cte, he = figures.cte_error, figures.he_error
     return {

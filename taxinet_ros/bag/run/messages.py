@@ -1,8 +1,8 @@
-"""The messages of a run as bytes, made of core values without ROS.
+"""Serialise the messages of a run from core values, without ROS.
 
-Nodes publish these bytes as they are, and a run in one process saves them as its bag: floats pass
-unchanged, so graph and loop have the same bits. What ROS makes of message objects with the same
-values is the same to the byte (``tests/nodes/messages``).
+Nodes publish these bytes, and a run in one process writes them to its bag. Floats are not changed,
+so graph and loop give the same bits. The bytes equal those of ROS for messages with the same values
+(``tests/nodes/messages``).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _PROGRESS_STATE = 1
 """``NodeStatus.PROGRESS``."""
 
 Values = Mapping[str, Any]
-"""Fields of a message by name, a message within as such a mapping; what is missing is zero."""
+"""Fields of a message by name; nested messages are mappings, missing fields are zero."""
 
 
 def header_values(stamp_ns: int, frame_id: str = MAP_FRAME) -> Values:
@@ -47,7 +47,7 @@ def header_values(stamp_ns: int, frame_id: str = MAP_FRAME) -> Values:
 
 
 def message_cdr(topic: Topic, values: Values) -> bytes:
-    """Any message of a topic, serialised."""
+    """Serialise any message of a topic."""
     described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
     store = typestore(described)
     return bytes(store.serialize_cdr(_message(store, topic.type_name, values), topic.type_name))
@@ -79,17 +79,17 @@ def _field(store: Any, kind: Any, value: Any) -> Any:
 
 
 def clock_cdr(stamp_ns: int) -> bytes:
-    """Simulated time [ns]."""
+    """Serialise a clock message with simulated time [ns]."""
     return _clock().filled(*divmod(stamp_ns, NS_PER_S))
 
 
 def camera_info_cdr(stamp_ns: int, camera: CameraModel = WING) -> bytes:
-    """Intrinsics of a camera, stamped [ns]."""
+    """Serialise a camera's intrinsics, with a stamp [ns]."""
     return _camera_info(camera).filled(*divmod(stamp_ns, NS_PER_S))
 
 
 def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
-    """True state: pose in map, velocity in base_link."""
+    """Serialise the true state: pose in map, velocity in base_link."""
     return _odometry().filled(
         *divmod(stamp_ns, NS_PER_S), state.x_m, state.y_m, state.z_m,
         *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
@@ -98,21 +98,21 @@ def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
 
 
 def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """True or estimated tracking error."""
+    """Serialise a true or estimated tracking error."""
     return _error(run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
     )
 
 
 def command_cdr(command: TaxiCommand, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """A command."""
+    """Serialise a command."""
     return _command(run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq, command.steering_rad, command.speed_mps
     )
 
 
 def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """Current robustness of one formula."""
+    """Serialise the current robustness of one formula."""
     return _robustness(spec.name, spec.text, run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq, reading.lower, reading.upper, reading.verdict,
         reading.final, reading.valid, reading.samples, reading.rejected, reading.trusted,
@@ -122,15 +122,15 @@ def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns
 def progress_cdr(
     node: str, implementation: str, fingerprint: str, run_id: str, seq: int, stamp_ns: int
 ) -> bytes:
-    """Status of a lockstep node with progress up to ``seq``.
+    """Serialise the status of a lockstep node with progress up to ``seq``.
 
     Args:
-        node: its name.
+        node: name of the node.
         implementation: name of its implementation.
-        fingerprint: sha256 of the weights that decide its behaviour, or ''.
-        run_id: its run.
-        seq: the last control step it has finished.
-        stamp_ns: simulated time of that [ns].
+        fingerprint: SHA-256 of its weights, or ''.
+        run_id: id of the run.
+        seq: last completed control step.
+        stamp_ns: simulated time of that step [ns].
     """
     return _progress(node, implementation, fingerprint, run_id).filled(
         *divmod(stamp_ns, NS_PER_S), seq
@@ -144,13 +144,13 @@ def observation_messages(
 
     Args:
         now: the observation.
-        run_id: the run it belongs to.
-        camera: that it was seen by.
+        run_id: id of the run.
+        camera: the camera that took the picture.
     """
     stamp_ns = now.stamp_ns
     yield topics.CLOCK, clock_cdr(stamp_ns)
     yield topics.ODOMETRY, odometry_cdr(now.state, stamp_ns)
-    yield topics.TRUTH, error_cdr(now.state.tracking_error, run_id, now.seq, stamp_ns)
+    yield topics.TRUTH, error_cdr(now.truth, run_id, now.seq, stamp_ns)
     yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns, camera)
     if now.image is not None:
         yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)

@@ -1,20 +1,20 @@
 """A recorded run, read from its bag in one pass: request, messages and outcome.
 
-``open_recording`` takes bags of our recorder and of ``ros2 bag record``, in any namespace and with
+``open_recording`` reads bags of taxinet_ros and of ``ros2 bag record``, in any namespace and with
 any perception and controller. A bag of several runs is a sequence of recordings::
 
     recording = open_recording('bags/campaign/s_falsif-s0-00000')
     recording.scenario.heading_rad, recording.facts.outcome
     recording.trace.plot('t_s', 'cte_m')
     for frame in recording.frames():
-        frame.image  # as the camera saw it; rendered again where it was not recorded
+        frame.image  # recorded, or rendered again if it was not recorded
     recording.judge('always(abs(cte) <= 3)').verdict
 
     for run in open_recording('rosbag2_2026_11_23'):
         print(run.name, run.facts.outcome)
 
-All messages but the pictures are kept in memory, as bytes; each view decodes what it needs when it
-is first asked for. Only camera frames, and tables of others' topics, cost another pass.
+All messages except images are kept in memory, as bytes; each view decodes what it needs on first
+use. Only camera frames, and tables of topics outside the run, need another pass.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ if TYPE_CHECKING:
 _SPEC = Kind('a tx.Spec', lambda value: bool(value.formula and value.name))
 
 def open_recording(path: Path | str) -> Recording:
-    """Open a bag, of one run or of several; its messages are read, in one pass.
+    """Open a bag of one or several runs; reads its messages in one pass.
 
-    Damage is no error here: what is sound is there, see :attr:`Recording.damage`.
+    Damage does not raise: intact data are available, see :attr:`Recording.damage`.
 
     Args:
         path: a bag's folder or an ``.mcap`` file.
 
     Raises:
-        UsageError: there is nothing at ``path``, or a format that is not read.
-        BagEmpty, BagForeign: there is nothing in it, or it is no ROS 2 bag.
-        BagError: the operating system cannot read it.
+        UsageError: ``path`` does not exist or has an unsupported format.
+        BagEmpty, BagForeign: an empty bag, or not a ROS 2 bag.
+        BagError: the bag cannot be read.
     """
     return Recording(read_contents(Path(path), kept_bytes))
 
@@ -63,9 +63,9 @@ def open_recording(path: Path | str) -> Recording:
 class Recording(StoredRuns, Sequence['Recording']):
     """A bag and the runs in it; see :func:`open_recording`.
 
-    As a sequence it has one recording for each run, by number or by name. What tells of *the* run
-    (``run``, ``scenario``, ``facts``, ``trace``, ``samples``, ``frames``, ``judge``) is for a
-    recording of one; of several, ask each.
+    As a sequence it contains one recording per run, by number or by name. Members about a single
+    run (``run``, ``scenario``, ``facts``, ``trace``, ``samples``, ``frames``, ``judge``) require a
+    recording of one run; with several, use them on each item.
     """
 
     def __len__(self) -> int:
@@ -76,11 +76,11 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @takes(key=TEXT | WHOLE)
     def __getitem__(self, key: int | str) -> Recording:  # type: ignore[override]  # no slices
-        """One run of it, by its number, name or id.
+        """Recording of one run, by its number, name or id.
 
         Raises:
-            IndexError: there is none of that number.
-            UsageError: there is none of that name, or no single one.
+            IndexError: no run with that number.
+            UsageError: no run, or more than one, with that name.
         """
         if isinstance(key, str):
             return self._of(self.runs.index(self.choose(key)))
@@ -88,7 +88,7 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     def _of(self, number: int) -> Recording:
         messages = self._messages_by_run[number]
-        # Where in the bag it is damaged does not show among the messages of one run.
+        # The position of damage among the messages of one run is unknown.
         damage = [(0, error) for error in self.damaged_places]
         contents = Contents(
             self.path, messages=messages, damage=damage, checked=self.checked,
@@ -98,7 +98,7 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @cached_property
     def made_on(self) -> Provenance:
-        """Processor, libraries and code that it was recorded with; empty where it is not told."""
+        """Processor, libraries and code of the recording; empty if unknown."""
         from taxinet_ros.bag.run.facts import made_on
 
         return made_on(self.info)
@@ -107,11 +107,11 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @cached_property
     def run(self) -> RecordedRun:
-        """What was asked for and who took part: enough to run it once more.
+        """Request and participants of the run; sufficient to repeat it.
 
         Raises:
-            BagEmpty, BagTruncated, BagCorrupt: the bag does not tell, or no more.
-            BagForeign: what it tells is not of this package, or it is of several runs.
+            BagEmpty, BagTruncated, BagCorrupt: the data are missing or lost.
+            BagForeign: not a run of this package, or several runs.
             UsageError: a value of its scenario is out of range.
         """
         from taxinet_ros.bag.run.facts import recorded_run
@@ -130,21 +130,21 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @cached_property
     def facts(self) -> RunFacts | None:
-        """The run as the bag tells of it, damage passed over; None where it is of no run of ours.
+        """Recorded facts of the run, skipping damage; None if it is not a run of taxinet_ros.
 
         Raises:
-            BagCorrupt: a message that tells of the run is not what its topic says.
-            BagForeign: it is of several runs.
+            BagCorrupt: a message does not match its topic's definition.
+            BagForeign: a recording of several runs.
         """
         from taxinet_ros.bag.run.facts import run_facts
 
         return run_facts(self)
 
     def check_is(self, run_id: str) -> None:
-        """See that it is the recording of a run, before what it holds is taken for that run's.
+        """Check that the recording is of the run ``run_id``.
 
         Raises:
-            UsageError: it is of another run.
+            UsageError: a recording of another run.
             BagError: as :attr:`facts`.
         """
         told = self.facts
@@ -156,10 +156,10 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @property
     def free_account(self) -> FreeRunAccount | None:
-        """How a free run went; None where it is none, or the bag ends before it tells.
+        """Timing record of a free run; None for other runs, or if the bag ends before it.
 
         Raises:
-            BagForeign: what it tells is no such account.
+            BagForeign: an invalid record.
         """
         from taxinet_ros.bag.run.facts import free_account
 
@@ -167,11 +167,10 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """The numbers of the run, a row for every control step with a ground truth.
+        """Numbers of the run, one row per control step with a ground truth.
 
-        Messages are matched by the step that they name (``seq``), odometry by the stamp in its
-        header, whoever logged them when. What is missing is NaN, and so is an estimate that was
-        declared invalid.
+        Messages are matched by their step (``seq``), odometry by its header stamp, independent of
+        log times. Missing values and invalid estimates are NaN.
 
         Returns:
             Columns of equal length by name: ``seq`` and ``t_ns`` (simulated time) as int64,
@@ -181,8 +180,8 @@ class Recording(StoredRuns, Sequence['Recording']):
             and for each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
 
         Raises:
-            BagEmpty: there is no ground truth.
-            BagError: the bag is damaged or foreign, or holds several runs.
+            BagEmpty: no ground truth.
+            BagError: the bag is damaged or unsupported, or contains several runs.
         """
         from taxinet_ros.bag.run.trace import trace_columns
 
@@ -197,20 +196,20 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @takes(topic=TEXT)
     def table(self, topic: str) -> pd.DataFrame:
-        """The messages of one topic, see :meth:`tables`."""
+        """Messages of one topic, see :meth:`tables`."""
         return next(iter(self.tables([topic]).values()))
 
     def tables(self, topics: Collection[str] | None = None) -> dict[str, pd.DataFrame]:
-        """The messages of topics as tables, by absolute topic name; takes a pass.
+        """Messages of topics as tables, by absolute topic name; needs another pass.
 
-        Every table has ``t_s`` (simulated time [s]) and ``stamp_ns`` (the same, exact) first.
+        The first columns are ``t_s`` (simulated time [s]) and ``stamp_ns`` (the same, exact).
 
         Args:
-            topics: absolute or relative names, e.g. ``taxi_command``; default all of the bag.
+            topics: absolute or relative names, e.g. ``taxi_command``; None: all topics.
 
         Raises:
             UsageError: a topic is not in the bag.
-            BagTruncated, BagCorrupt: the bag is damaged; mend it first.
+            BagTruncated, BagCorrupt: the bag is damaged; repair it first.
             BagForeign: a message cannot be decoded.
         """
         from taxinet_ros.bag.run.tables import topic_tables
@@ -219,18 +218,18 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @property
     def samples(self) -> RunSamples:
-        """The run as a monitor sees it: every signal at each control step.
+        """All monitored signals at each control step.
 
         Raises:
-            BagEmpty, BagForeign: the bag does not tell what was run.
-            UsageError: it is of several runs.
+            BagEmpty, BagForeign: the scenario of the run is missing.
+            UsageError: a recording of several runs.
         """
         from taxinet_ros.core.mtl import SIGNALS
 
         return self.samples_of(SIGNALS)
 
     def samples_of(self, signals: Collection[str] | None) -> RunSamples:
-        """:attr:`samples` with some signals only; where None, those that its formulas read."""
+        """Like :attr:`samples`, for some signals only; None: those that the run's formulas read."""
         from taxinet_ros.bag.run.samples import run_samples
 
         found = run_samples(self, signals)
@@ -240,15 +239,15 @@ class Recording(StoredRuns, Sequence['Recording']):
 
     @takes(spec=TEXT | _SPEC)
     def judge(self, spec: Spec | str, assumptions: Assumptions | None = None) -> SpecVerdict:
-        """What the run says of a requirement, whether it was judged by that one then or not.
+        """Judge the run by any requirement.
 
         Args:
             spec: the requirement, or its text, e.g. ``phi_always`` or ``always(abs(cte) <= 3)``.
-            assumptions: what is vouched for; where None, what was then.
+            assumptions: assumptions; None: the recorded ones.
 
         Raises:
-            UsageError: the text is no formula, or it is of several runs.
-            BagEmpty, BagForeign: the bag does not tell what was run.
+            UsageError: an invalid formula, or a recording of several runs.
+            BagEmpty, BagForeign: the scenario of the run is missing.
         """
         from taxinet_ros.bag.run.judging import judge_spec
         from taxinet_ros.core.mtl import parse_spec, signal_names
@@ -257,11 +256,11 @@ class Recording(StoredRuns, Sequence['Recording']):
         samples = self.samples_of(signal_names(asked.formula))
         return judge_spec(samples, asked, assumptions)[0]
 
-    # ---- what the camera saw -----------------------------------------------------------------
+    # ---- camera frames -----------------------------------------------------------------------
 
     @property
     def recorded_steps(self) -> frozenset[int]:
-        """The control steps whose camera frame was recorded."""
+        """Control steps with a recorded camera frame."""
         from taxinet_ros.bag.run.trace import recorded_steps
 
         return recorded_steps(self)
@@ -270,17 +269,17 @@ class Recording(StoredRuns, Sequence['Recording']):
     def frames(
         self, wanted: Callable[[int], bool] = lambda seq: True, *, render: bool = True
     ) -> Iterator[CameraFrame]:
-        """Camera frames, (200, 360, 3) uint8 RGB: first those recorded, then the others rendered.
+        """Yield camera frames, (200, 360, 3) uint8 RGB: first recorded, then rendered ones.
 
-        The camera is deterministic, so a frame that was not recorded follows from the scenario and
-        the commands, see :mod:`.resimulation`.
+        The camera is deterministic, so frames that were not recorded are rendered from the scenario
+        and the commands, see :mod:`.resimulation`.
 
         Args:
-            wanted: of which control steps.
-            render: whether to render those that were not recorded.
+            wanted: selects control steps.
+            render: whether to render missing frames.
 
         Raises:
-            WorldDiffers: those that lack cannot be had again; all others were yielded.
+            WorldDiffers: missing frames cannot be reproduced; all others were yielded.
             BagError, UsageError: the bag cannot be read.
         """
         from taxinet_ros.bag.run.trace import camera_frames
@@ -290,13 +289,13 @@ class Recording(StoredRuns, Sequence['Recording']):
     def observations(
         self, wanted: Callable[[int], bool] = lambda seq: True
     ) -> Iterator[Observation]:
-        """The world at every recorded control step once more: states, and pictures rendered anew.
+        """Re-simulate the world at every recorded control step: states and rendered images.
 
         Args:
-            wanted: whether the picture of a control step is to be made; the default makes all.
+            wanted: selects control steps whose image is rendered; default all.
 
         Raises:
-            WorldDiffers: a state does not come out as recorded; those before were yielded.
+            WorldDiffers: a state differs from the recorded one; those before were yielded.
             BagError, UsageError: the bag cannot be read, see :attr:`run`.
         """
         from taxinet_ros.bag.run.resimulation import observations

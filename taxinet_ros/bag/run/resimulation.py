@@ -49,15 +49,15 @@ def observations(
             return
         try:
             world.advance(command)
-        except InfraError:  # The simulator broke here when it was recorded, too.
+        except InfraError:  # The simulator failed here during the recording, too.
             return
 
 
 def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
-    """The world that the run of the bag at ``path`` took place in.
+    """Find the world of the run in the bag at ``path``.
 
     Raises:
-        UsageError: a package brought it that is not installed, or is another one now.
+        UsageError: the package of the world is not installed, or has changed.
     """
     try:
         return find_world(run.world or KMWH, run.world_fingerprint)
@@ -68,7 +68,7 @@ def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
 def _held(
     recording: StoredRuns, run: RecordedRun, commands: dict[int, TaxiCommand]
 ) -> Callable[[int], TaxiCommand | None]:
-    """Which command held from each step to the next; None where the bag does not tell."""
+    """Function giving the command in effect from each step to the next; None if unknown."""
     path = recording.path
     first = rolling_on(run.request.scenario.speed_mps)
     if not run.timing.free:

@@ -1,7 +1,7 @@
-"""What a run's bag holds: its topics, its words, and the bag of a run made in one process.
+"""Content of a run's bag (topics and metadata), and writing the bag of a run in one process.
 
-The recorder of the graph writes what it hears (``nodes/recorder.py``); :func:`write_run` writes
-the same of a run of :mod:`taxinet_ros.core.loop`, which nobody has heard.
+The recorder node writes received messages (``nodes/recorder.py``); :func:`write_run` writes the
+same messages for a run of :mod:`taxinet_ros.core.loop`, which has no ROS graph.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
     """Recorded topics of the graph, as bag topic descriptions.
 
     Args:
-        images: whether camera frames are among them.
+        images: whether to include camera frames.
     """
     return tuple(
         describe_topic(
@@ -79,10 +79,10 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
 
 
 def run_words(scenario: Any) -> dict[str, str]:
-    """The words of a run for its bag: the run, and the machine and versions that made it.
+    """Metadata of a run's bag: the run, machine and versions.
 
     Args:
-        scenario: the message that asked for it.
+        scenario: scenario message of the run.
     """
     return {
         'taxinet_ros_version': __version__,
@@ -97,7 +97,7 @@ def run_words(scenario: Any) -> dict[str, str]:
 
 
 def commit_words() -> dict[str, str]:
-    """The words that stand beside the bag: bags of equal runs may differ in them."""
+    """Metadata for ``metadata.yaml`` only, in which bags of equal runs may differ."""
     return {name: value for name, value in provenance().items() if name == COMMIT}
 
 
@@ -105,11 +105,11 @@ OUTCOME_METADATA = 'taxinet_outcome'
 
 
 def outcome_words(ended: Any, steps: int) -> dict[str, str]:
-    """The metadata record that says how a run ended.
+    """Metadata record with the outcome of a run.
 
     Args:
-        ended: its last ``RunStatus``.
-        steps: control steps in the bag.
+        ended: last ``RunStatus`` of the run.
+        steps: number of control steps in the bag.
     """
     return {
         'outcome': ended.outcome, 'kind': ended.kind, 'who': ended.who,
@@ -120,12 +120,12 @@ def outcome_words(ended: Any, steps: int) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class NodeWords:
-    """What a node says of itself when it is ready.
+    """Report of a node when it is ready.
 
     Attributes:
-        node: its name.
+        node: name of the node.
         implementation, fingerprint, detail: fields of ``NodeStatus``.
-        listens: names of the topics that it hears.
+        listens: names of its subscribed topics.
     """
 
     node: str
@@ -137,7 +137,7 @@ class NodeWords:
 
 @dataclass(frozen=True, kw_only=True)
 class RunEnding:
-    """How a run ended, in the words of its last ``RunStatus``."""
+    """End of a run; fields of its last ``RunStatus``."""
 
     outcome: str
     kind: str = ''
@@ -151,28 +151,27 @@ def write_run(
     folder: Path, request: RunRequest, *, nodes: Sequence[NodeWords], steps: Sequence[Step],
     frames: Iterable[NDArray[np.uint8] | None] | None, judgement: Judgement, ending: RunEnding,
 ) -> None:
-    """Write the bag of a run that is over, all of it or nothing.
+    """Write the bag of a finished run atomically.
 
     Args:
-        folder: the run folder, which has the name of the run and must not exist; its parents may
-            be missing.
-        request: what was asked for.
-        nodes: those that the graph would have had, less any that would have had nothing to say.
-        steps: control steps in order; frames among them are not looked at.
-        frames: (200, 360, 3) uint8 RGB for each step, or None for one that had no picture; None
-            for a bag without them.
-        judgement: over the run.
-        ending: how it ended.
+        folder: the run folder, named like the run; it must not exist, its parents are created.
+        request: the run request.
+        nodes: reports of the nodes that a ROS graph would have, without nodes that report nothing.
+        steps: control steps in order; their images are not used.
+        frames: for each step (200, 360, 3) uint8 RGB, or None for a step without image; None for a
+            bag without images.
+        judgement: judgement of the run.
+        ending: end of the run.
 
     Raises:
-        UsageError: the folder exists, its name can be none of a run, or the disk is full.
-        BagWriteError: the operating system refuses.
+        UsageError: the folder exists, its name is not a valid run name, or the disk is full.
+        BagWriteError: an error of the operating system.
     """
     if folder.exists() or folder.is_symlink():
         raise UsageError(
             f'{folder}: exists already; nothing recorded is overwritten, name another folder'
         )
-    # In a folder of its own, for the file within is named after the run's.
+    # In a separate parent folder, because the storage file is named after the run folder.
     draft = draft_path(folder)
     made = run_folder(draft, folder.name)
     named = bag_topics(frames is not None)
@@ -233,7 +232,7 @@ def _step(
     step: Step, picture: NDArray[np.uint8] | None, run_id: str, specs: Sequence[Spec],
     transform_of: OdometryTransforms, camera: CameraModel,
 ) -> Iterator[Said]:
-    """The messages of a control step, in the order of the topic table as the recorder has it."""
+    """Messages of a control step, in the recorder's order (that of the topic table)."""
     now = step.observation
     at = run_id, now.seq, now.stamp_ns
     said = dict(observation_messages(dataclasses.replace(now, image=picture), run_id, camera))

@@ -1,13 +1,11 @@
 """Separate the runs within a bag of any recorder, and assign simulated time.
 
-Our recorder makes a bag of each run, in which every message is logged at the simulated time
-that it belongs to. ``ros2 bag record`` makes one of all that it hears: several runs one after
-the other, logged by the wall clock, or by a simulated time that begins anew with each run;
-topics of others beside ours; graphs in several namespaces; with a last run that goes on, and a
-first one that had begun before. What belongs where follows from what the messages themselves
-say: their run and the stamp in their header. Images, camera info, odometry and the clock name
-no run; on each of these topics time begins anew with a run, and a stretch of it belongs to the
-run that was stepping then.
+The recorder of taxinet_ros writes one bag per run, with simulated log times. ``ros2 bag record``
+writes one bag of everything: several consecutive runs, logged by the wall clock or by simulated
+time that restarts with each run; other topics; graphs in several namespaces; an incomplete first or
+last run. Messages are assigned by their run id and header stamp. Images, camera info, odometry and
+clock have no run id; on each of these topics time restarts with a run, and such a stretch of
+messages is assigned to the run that was stepping at that time.
 """
 
 from __future__ import annotations
@@ -49,11 +47,11 @@ _ORDER = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
     ROBUSTNESS, VERDICT, RUN_STATUS,
 )
-"""The topics of a run, as our recorder writes them within a step."""
+"""Topics of a run, in the recorder's order within a step."""
 _WITHOUT_RUN_ID = frozenset({CLOCK, IMAGE, CAMERA_INFO, ODOMETRY})
-"""Topics whose messages do not say which run they belong to."""
+"""Topics whose messages have no run id."""
 _STEPPED = frozenset({TRUTH, ESTIMATE, COMMAND, ROBUSTNESS})
-"""Topics that say it, in every control step."""
+"""Topics with a run id that are published in every control step."""
 RANK_IN_STEP = {topic: rank for rank, topic in enumerate(_ORDER)}
 _NO_RUN = -1
 
@@ -63,14 +61,14 @@ class RunPart:
     """One run of a recording.
 
     Attributes:
-        name: names it among the others: its id, with its namespace where there are several, and
-            with ``#2`` where it is the second of that id.
+        name: unique name: its id, with its namespace if there are several, and with ``#2`` for the
+            second run of an id.
         run_id, namespace: as recorded; the namespace with its slash, or ''.
-        stamps_ns: simulated times of which there is a ground truth [ns].
-        scenario: the message that tells what is run, or None.
-        outcome: how it ended, or '' where the recording does not tell.
-        told: whether its end or its verdict is in the recording.
-        unclear: one line on what cannot be told of it, or ''.
+        stamps_ns: simulated times with a ground truth [ns].
+        scenario: scenario message, or None.
+        outcome: outcome, or '' if not recorded.
+        told: whether its end or its verdict is recorded.
+        unclear: one line about data that cannot be assigned, or ''.
     """
 
     name: str
@@ -86,15 +84,15 @@ class RunPart:
 
     @property
     def absent(self) -> bool:
-        """Whether the recording tells how it ended, and has not one step of it.
+        """Whether the recording has the end of the run but none of its steps.
 
-        A recorder that joins a graph late is told of the last runs before; and a run may have
-        broken before its first step.
+        A recorder that joins a graph late receives the ends of earlier runs; and a run may fail
+        before its first step.
         """
         return self.told and not self.stamps_ns
 
     def words(self) -> str:
-        """For people: name, and how much of it there is."""
+        """Display text: name and recorded time range."""
         if not self.stamps_ns:
             return f'{self.name} (no steps)'
         low, high = min(self.stamps_ns) / NS_PER_S, max(self.stamps_ns) / NS_PER_S
@@ -103,15 +101,15 @@ class RunPart:
 
 @dataclass(frozen=True, kw_only=True)
 class RunsWithin:
-    """What runs a bag holds.
+    """Runs in a bag.
 
     Attributes:
-        runs: in the order in which they were first heard of.
-        plain: whether it is one run and nothing else, logged as our recorder does.
-        owners: for each message on a topic of a run, which run it belongs to, -1 for none.
-        reports: what stands for some of these messages, by their places: our recorder files the
-            reports of a run's nodes by name.
-        broken: the messages that are not what their topics say.
+        runs: runs in order of first appearance.
+        plain: whether it is exactly one run, logged like by the recorder of taxinet_ros.
+        owners: for each message on a topic of a run, the number of its run, or -1.
+        reports: replacements of some of these messages, by index: the recorder sorts the reports of
+            a run's nodes by name.
+        broken: errors of messages that do not match their topic's definition.
     """
 
     runs: tuple[RunPart, ...]
@@ -122,20 +120,21 @@ class RunsWithin:
 
 
 def tell_runs_apart(contents: Contents) -> RunsWithin:
-    """Find out which runs a bag holds.
+    """Determine the runs in a bag.
 
     Args:
-        contents: of the bag, with every message on a topic of a run; of frames the head is enough.
+        contents: contents of the bag, with all messages on topics of a run; the first bytes are
+            sufficient for images.
     """
     broken: list[BagError] = []
     index = _RunsReader()
     for stored in contents.messages:
         try:
             index.note(stored)
-        except BagError as error:  # A message that is not what its topic says belongs to no run.
+        except BagError as error:  # An invalid message belongs to no run.
             broken.append(type(error)(f'{contents.path}: {error}', path=contents.path))
             index.broken.add(len(index.owners) - 1)
-    # Of transforms, odometry tells ours, and others' are no affair of a run.
+    # Transforms are ignored: those of a run are derived from odometry.
     others = any(
         count and not topic_parts(name)[0] and not is_of_frames(name)
         for name, count in contents.counts.items()
@@ -147,18 +146,18 @@ def messages_of_runs(
     messages: Iterable[StoredMessage], within: RunsWithin,
     wanted: Callable[[int, str], bool] = lambda run, topic: True,
 ) -> Iterator[tuple[int, StoredMessage]]:
-    """The messages of all runs in the order of the recording, as our recorder would have them.
+    """Messages of all runs in recording order, converted to the recorder's form.
 
-    That is under their names without a namespace, stamped with the simulated time that they belong
-    to, and of the reports of nodes and of the run's state only those that a run's bag keeps.
+    Names are without namespace, stamps are simulated times, and of node and run status only the
+    messages that a run's bag keeps are included.
 
     Args:
-        messages: of the recording; those on topics of others are passed over.
-        within: what was found about that recording.
-        wanted: whether a run, by its number, needs a topic, by its relative name.
+        messages: messages of the recording; those on other topics are skipped.
+        within: runs of that recording.
+        wanted: whether a run (by number) needs a topic (by relative name).
 
     Yields:
-        The number of the run, and a message of it.
+        Number of the run, and a message of it.
     """
     place = 0
     for stored in messages:
@@ -173,7 +172,7 @@ def messages_of_runs(
 
 
 class _RunsReader:
-    """What the messages have told so far."""
+    """Collects runs from the messages of a bag."""
 
     def __init__(self) -> None:
         self.owners: list[int] = []
@@ -186,7 +185,7 @@ class _RunsReader:
         self._named = False
 
     def note(self, stored: StoredMessage) -> None:
-        """Take in a message."""
+        """Process a message."""
         relative, namespace = topic_parts(stored.topic.name)
         if not relative:
             return
@@ -205,7 +204,7 @@ class _RunsReader:
         message = decode(stored.topic, stored.cdr)
         run_id = getattr(message, 'run_id', None)
         if not isinstance(run_id, str):
-            return  # a topic of that name, of somebody else
+            return  # another package's topic of the same name
         number = self._run(namespace, run_id, fresh=relative == SCENARIO)
         run = self.runs[number]
         if relative in _STEPPED:
@@ -219,9 +218,9 @@ class _RunsReader:
         self.owners[place] = number
 
     def found(self, broken: tuple[BagError, ...], *, others: bool) -> RunsWithin:
-        """All of it; ``others`` says whether it holds messages on topics of no run."""
-        # What is said in a namespace without scenario and truth, as what a player repeats under
-        # another name, is no run.
+        """Return the result; ``others``: whether there are messages on other topics."""
+        # Messages in a namespace without scenario and truth, such as those repeated by a player
+        # under another name, are not a run.
         real = [run.scenario is not None or bool(run.stamps_ns) for run in self.runs]
         self._find_owners(real)
         numbers = {old: new for new, old in enumerate(i for i, is_run in enumerate(real) if is_run)}
@@ -239,7 +238,7 @@ class _RunsReader:
         )
 
     def _run(self, namespace: str, run_id: str, *, fresh: bool) -> int:
-        """Number of the run that a message names; a second scenario of that id begins another."""
+        """Number of the run with this id; a second scenario message of that id starts a new run."""
         number = self._current.get((namespace, run_id))
         if number is None or (fresh and self.runs[number].scenario is not None):
             number = self._current[namespace, run_id] = len(self.runs)
@@ -247,7 +246,7 @@ class _RunsReader:
         return number
 
     def _keep(self, number: int, relative: str, stored: StoredMessage, message: Any) -> bool:
-        """Whether a message that comes once belongs into the bag of its run."""
+        """Whether a message of a once-only topic belongs in the bag of its run."""
         run = self.runs[number]
         if relative == SCENARIO:
             run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
@@ -257,7 +256,7 @@ class _RunsReader:
                 return False
             says = any(getattr(message, word, '') for word in ('implementation', 'detail'))
             if node == SIMULATOR and not says:
-                return False  # As our recorder: every answer takes effect at once, in our world.
+                return False  # Like the recorder: immediate answers in the simulated world.
             cdr = _without_topics(stored, message) if node == RECORDER else stored.cdr
             reports[node] = len(self.owners) - 1, cdr
         elif relative == RUN_STATUS:
@@ -269,7 +268,7 @@ class _RunsReader:
         return True
 
     def _find_owners(self, real: Sequence[bool]) -> None:
-        """Give the stretches of topics that name no run to the runs that were stepping then."""
+        """Assign stretches of topics without run id to the runs that were stepping then."""
         stepping = [i for i, run in enumerate(self.runs) if real[i] and run.first >= 0]
         for i in stepping:
             run = self.runs[i]
@@ -300,19 +299,19 @@ class _RunsReader:
 
 @dataclass
 class _Stretch:
-    """Messages of one topic over which time goes on: their places, and the last stamp [ns]."""
+    """Consecutive messages of one topic with increasing time: indices, and last stamp [ns]."""
 
     places: list[int] = field(default_factory=list)
     last_ns: int = -1
 
 
 def _overlap(first: int, last: int, run: RunPart) -> int:
-    """How many places of the recording two stretches share; negative: how far they are apart."""
+    """Length of the overlap of two stretches in messages; negative: their distance."""
     return min(last, run.last) - max(first, run.first)
 
 
 def _without_topics(stored: StoredMessage, report: Any) -> bytes:
-    """The recorder's report as it files it: which topics it hears is left to the bag to tell."""
+    """The recorder's report without its topics, as it is stored (the bag itself lists them)."""
     if not isinstance(getattr(report, 'listens', None), list):
         return stored.cdr
     report = dataclasses.replace(report, listens=[])
@@ -320,13 +319,13 @@ def _without_topics(stored: StoredMessage, report: Any) -> bytes:
 
 
 def _filed(reports: Mapping[str, tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """The reports of a run's nodes by name, in the places that they have in the recording."""
+    """Reports of a run's nodes sorted by name, with their indices in the recording."""
     places = sorted(place for place, _ in reports.values())
     return zip(places, (reports[node][1] for node in sorted(reports)), strict=True)
 
 
 def _name_runs(runs: Sequence[RunPart]) -> None:
-    """Give each run a name that no other has."""
+    """Assign unique names to the runs."""
     several = len({run.namespace for run in runs}) > 1
     seen: dict[str, int] = {}
     for run in runs:
@@ -336,13 +335,13 @@ def _name_runs(runs: Sequence[RunPart]) -> None:
 
 
 def is_run_topic(name: str) -> bool:
-    """Whether a topic is one that a run's bag has, with or without namespace and first slash."""
+    """Whether a topic belongs to a run, with or without namespace and leading slash."""
     return bool(topic_parts('/' + name.lstrip('/'))[0])
 
 
 @lru_cache(maxsize=256)
 def topic_parts(name: str) -> tuple[str, str]:
-    """Relative name and namespace of a run's topic; '' twice for any other."""
+    """Relative name and namespace of a run's topic; ('', '') for other topics."""
     relative = next((topic for topic in _ORDER if is_topic(name, topic)), '')
     namespace = name.removesuffix(relative).rstrip('/')
     return (relative, namespace) if relative else ('', '')

@@ -13,7 +13,13 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, unchecked_files
-from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.run.message_values import (
+    HeldCommand,
+    assumptions_of,
+    sample_of,
+    stamp_of,
+    track_of,
+)
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -35,6 +41,7 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -47,12 +54,12 @@ _TOPIC_OF_SIGNAL = {
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
     'unusable_share': ESTIMATE,
 }
-"""The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
+"""Topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 _READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
 
 
 class RecordedReading(NamedTuple):
-    """The newest that a bag has of one formula: stamp of the sample [ns], and its interval."""
+    """Newest recorded reading of one formula: stamp of the sample [ns], and interval."""
 
     stamp_ns: int
     interval: RobustnessInterval
@@ -60,24 +67,24 @@ class RecordedReading(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RunSamples:
-    """A run as a monitor sees it.
+    """Monitored signals of a run.
 
     Attributes:
-        run: its name among others in the bag; '' where the bag is of this run alone, as ours are.
-        duration_ns: how long it was to last [ns].
-        specs: formulas that judged it, as text.
-        assumptions: what was vouched for.
-        stamps_ns: of the control steps, ascending [ns].
-        samples: signals by name, one mapping for each stamp; those not asked for are NaN.
-        recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
-        stopped_early: the run was ended on purpose, because its verdict was in.
-        unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
-        trouble: one line on what of the bag is damaged or missing, or ''.
-        note: one line on what else the recording tells of, or ''.
-        there: for each stamp, the topics that are there.
-        timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
-            where each did at once.
-        flaws: one line on what is wrong with a topic, by topic; those that read it get no verdict.
+        run: name of the run if the bag has several, else ''.
+        duration_ns: requested length of the run [ns].
+        specs: formulas of the run, as text.
+        assumptions: assumptions of the run.
+        stamps_ns: stamps of the control steps, ascending [ns].
+        samples: signals by name, one mapping per stamp; signals not requested are NaN.
+        recorded: recorded readings by formula text (:attr:`~taxinet_ros.core.mtl.Spec.text`).
+        stopped_early: the run was stopped early because its verdict was decided.
+        unusable_estimates: number of frames without a usable estimate, from the run's verdict.
+        trouble: one line about damaged or missing data, or ''.
+        note: one line about other content of the recording, or ''.
+        there: available topics for each stamp.
+        timing: timing of the answers (:mod:`taxinet_ros.core.pacing.timing`); '' for immediate
+            ones.
+        flaws: one line per defective topic; requirements that read it get no verdict.
     """
 
     run: str
@@ -96,7 +103,7 @@ class RunSamples:
     flaws: Mapping[str, str] = field(default_factory=dict)
 
     def seen_by(self, spec: Spec) -> RunSamples:
-        """The same of the control steps that hold every topic that a requirement reads."""
+        """Restrict to the control steps with every topic that a requirement reads."""
         needed = topics_of_signals(signal_names(spec.formula))
         rows = [row for row, topics in enumerate(self.there) if topics >= needed]
         flaws = {topic: line for topic, line in self.flaws.items() if topic in needed}
@@ -111,32 +118,31 @@ class RunSamples:
 
 
 def topics_of_signals(names: Iterable[str]) -> frozenset[str]:
-    """The topics that some signals come from, and that of the steps themselves."""
+    """Topics of signals, and the truth, which defines the steps."""
     return frozenset((TRUTH, *(_TOPIC_OF_SIGNAL[name] for name in names)))
 
 
 def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether two intervals have equal ends, to the last bit."""
+    """Whether two intervals are equal bit for bit."""
     return struct.pack('<2d', *one) == struct.pack('<2d', *other)
 
 
 def run_samples(
     recording: StoredRuns, names: Collection[str] | None = None
 ) -> list[RunSamples]:
-    """The samples of every run in a recording; damage is reported in the result, not raised.
+    """Samples of every run in a recording; damage is reported in the result, not raised.
 
-    Of these, only control steps of which every topic is there that a requirement reads count for
-    it, as with the monitor during the run: see :meth:`RunSamples.seen_by`.
-    Messages belong together by their run and the stamp in their header, whoever logged them when.
-    A run of which there is not one step is among the others only where there is no other.
+    A requirement uses only control steps with all topics that it reads, as the monitor did during
+    the run: see :meth:`RunSamples.seen_by`. Messages are matched by run and header stamp,
+    independent of log times. Runs without any step are included only if there are no others.
 
     Args:
-        recording: of one run or several.
-        names: signals that are needed; where None, those that each run's own formulas read.
+        recording: recording of one or several runs.
+        names: required signals; None: those that each run's own formulas read.
 
     Raises:
-        BagEmpty: the bag ends before it tells which run it holds.
-        BagForeign: it is no run of this package.
+        BagEmpty: the bag ends before the scenario of the run.
+        BagForeign: not a run of this package.
     """
     reader = _read_plain(recording, names)
     if reader is not None and reader.scenario is not None and recording.finished:
@@ -148,11 +154,11 @@ _UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError,
 
 
 class _NotPlainError(Exception):
-    """The bag is not one run as our recorder logs it."""
+    """The bag is not a single run as logged by the recorder of taxinet_ros."""
 
 
 def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
-    """The quick way, for recordings as they should be: runs need not be told apart."""
+    """Fast path for regular recordings of one run; None for others."""
     if not recording.checked:
         return None
     reader = _SamplesReader(names, plain=True)
@@ -166,7 +172,7 @@ def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _Sample
 
 
 def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[RunSamples]:
-    """The slow way, which tells runs apart, and says what is wrong."""
+    """General path: separates runs and reports damage."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]
     if not recording.finished:
@@ -176,8 +182,8 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
         kind = BagEmpty if trouble else BagForeign
         raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown', path=path)
     try:
-        # What a run's own formulas need is known from its scenario, which a recorder that came
-        # late may have been told last.
+        # The scenario determines the required signals; a recorder that joined late may have
+        # received it last.
         for reader, run in zip(readers, recording.runs, strict=True):
             if run.scenario is not None:
                 reader.note(SCENARIO, run.scenario)
@@ -230,7 +236,7 @@ def _timing(words: str) -> str:
 
 @dataclass
 class _SamplesReader:
-    """What the messages have told so far."""
+    """Collects samples from the messages of a run."""
 
     names: Collection[str] | None
     plain: bool = False
@@ -244,20 +250,20 @@ class _SamplesReader:
 
     @property
     def free(self) -> bool:
-        """Whether its simulator lets runs go free."""
+        """Whether it is a free run."""
         return is_free(self.timing)
 
     def __post_init__(self) -> None:
         self._plan(self.names or ())
 
     def wants(self, relative: str) -> bool:
-        """Whether a topic is read; the run's own formulas may call for more of them."""
+        """Whether a topic is required; the run's own formulas may add topics."""
         return relative in self._wanted
 
     def note(self, relative: str, stored: StoredMessage) -> None:
-        """Take in a message."""
+        """Process a message."""
         if relative == ROBUSTNESS:
-            # Decoded only if there is no verdict, which repeats the last ones.
+            # Decoded only if there is no verdict, which contains the last ones.
             if self.last and self.last[0].stamp_ns < stored.stamp_ns:
                 self.last.clear()
             self.last.append(stored)
@@ -289,7 +295,7 @@ class _SamplesReader:
         steps.setdefault(stamp_ns, message)
 
     def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
-        """Raise :class:`_NotPlainError` where it is of another run, or logged at another time."""
+        """Raise :class:`_NotPlainError` for a message of another run or with another log time."""
         if relative == SCENARIO:
             plain = self.scenario is None
         else:
@@ -300,7 +306,7 @@ class _SamplesReader:
             raise _NotPlainError
 
     def run(self, run: str, trouble: str, unclear: str) -> RunSamples:
-        """All of it; ``unclear`` says why nobody knows whose odometry it is, or nothing."""
+        """Return the samples; ``unclear``: why odometry cannot be assigned to a run, or ''."""
         stamps = tuple(sorted(self.steps[TRUTH]))
         there = tuple(
             frozenset(topic for topic, messages in self.steps.items() if stamp in messages)
@@ -309,8 +315,9 @@ class _SamplesReader:
         duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(self.scenario, free=self.free)
-        samples = [self._sample(stamp, commands) for stamp in stamps]
-        if self.free:  # What a frame lacks is no loss: nobody answered it.
+        track = track_of(self.scenario)
+        samples = [self._sample(stamp, commands, track) for stamp in stamps]
+        if self.free:  # Missing answers are not lost: the frame was not answered.
             there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
             for stamp, sample, topics in zip(stamps, samples, there, strict=True):
@@ -334,7 +341,7 @@ class _SamplesReader:
         )
 
     def _partial(self) -> dict[str, str]:
-        """A line on each topic that is missing, begins late, or ends a step or more too early."""
+        """One line per topic that is missing, begins late, or ends a step or more too early."""
         last_ns = max(self.steps[TRUTH], default=-1)
         found = {}
         for topic, messages in self.steps.items():
@@ -357,13 +364,16 @@ class _SamplesReader:
         }
         self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
-    def _sample(self, stamp_ns: int, commands: HeldCommand) -> dict[str, float]:
+    def _sample(
+        self, stamp_ns: int, commands: HeldCommand, track: Track | None
+    ) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return sample_of(truth, odometry, estimate, commands.at(command))
+        command = commands.at(command)
+        return sample_of(truth, odometry, estimate, command, track)
 
     def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:

@@ -1,7 +1,7 @@
-"""The messages of a bag, separated by run, and data of the bag as a whole.
+"""Messages of a bag, separated by run, and data of the whole bag.
 
-What they mean is for the readers of this folder, which take this, and for
-:class:`.recording.Recording`, which offers what they read.
+Base of :class:`.recording.Recording` and input of the readers in this folder, which interpret the
+messages.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 _HEAD_OF_A_PICTURE = 64
-"""Its stamp is in the first bytes."""
+"""Bytes kept of an image; they contain its stamp."""
 
 
 class Within(NamedTuple):
-    """Which run of a recording another one is."""
+    """Position of a single-run recording within a recording."""
 
     whole: StoredRuns
     number: int
@@ -38,7 +38,7 @@ class Within(NamedTuple):
 
 
 def kept_bytes(topic: str) -> int:
-    """How many bytes of a message on a topic are kept: see :func:`.read_contents`."""
+    """Number of bytes kept of each message on a topic, see :func:`.read_contents`."""
     relative = topic_parts(topic)[0]
     if relative == IMAGE:
         return _HEAD_OF_A_PICTURE
@@ -46,16 +46,15 @@ def kept_bytes(topic: str) -> int:
 
 
 class StoredRuns:
-    """A bag's messages, and which run each is of.
+    """Messages of a bag, assigned to runs.
 
     Attributes:
         path: as given.
-        name: of one run out of several: its id, with its namespace where there are some, and with
-            ``#2`` where it is the second of that id; else ''.
+        name: name of the run if it is one of several, see :class:`.RunPart`; else ''.
     """
 
     def __init__(self, contents: Contents, within: Within | None = None) -> None:
-        """``within`` says which run of another bag's it is."""
+        """``within``: position in a recording of several runs, for one of its runs."""
         self.path = contents.path
         self.name = within.part.name if within is not None else ''
         self._contents = contents
@@ -70,12 +69,12 @@ class StoredRuns:
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """Its topics, in the order of the file."""
+        """Topics in the order of the file."""
         return tuple(self._contents.topics.values())
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
-        """Metadata records by name; of several by one name, the last."""
+        """Metadata records by name; the last one if a name is repeated."""
         return self._contents.metadata if self._within is None else self._within.whole.metadata
 
     @property
@@ -85,17 +84,17 @@ class StoredRuns:
 
     @property
     def finished(self) -> bool:
-        """Whether the recorder closed the bag, or it is a file without its folder."""
+        """Whether the recorder closed the bag; always True for a single file."""
         return self.path.is_file() or (self.path / METADATA_FILE).is_file()
 
     @property
     def checked(self) -> bool:
-        """Whether it is one file, and every byte stands under a checksum that holds."""
+        """Whether the bag is one file, completely covered by valid checksums."""
         return self._contents.checked
 
     @property
     def damage(self) -> tuple[BagError, ...]:
-        """What could not be read: damaged places, then messages that are not what they say."""
+        """All damage: damaged places, then invalid messages."""
         return (*self.damaged_places, *self._apart.broken)
 
     @property
@@ -105,7 +104,7 @@ class StoredRuns:
 
     @property
     def broken(self) -> tuple[BagError, ...]:
-        """Messages that are not what their topics say."""
+        """Errors of messages that do not match their topic's definition."""
         return self._apart.broken
 
     # ---- its runs ----------------------------------------------------------------------------
@@ -116,17 +115,17 @@ class StoredRuns:
 
     @property
     def runs(self) -> tuple[RunPart, ...]:
-        """What runs it holds, in the order in which they were first heard of."""
+        """Runs in order of first appearance."""
         return self._apart.runs
 
     @property
     def owners(self) -> Sequence[int]:
-        """For each message on a topic of a run, the number of the run it belongs to, or -1."""
+        """For each message on a topic of a run, the number of its run, or -1."""
         return self._apart.owners
 
     @property
     def plain(self) -> bool:
-        """Whether it is one run and nothing else, logged as our recorder does."""
+        """Whether it is exactly one run, logged like by the recorder of taxinet_ros."""
         return self._apart.plain
 
     @cached_property
@@ -137,11 +136,11 @@ class StoredRuns:
         return found
 
     def choose(self, name: str | None) -> RunPart:
-        """The run of that name, or the only one that was recorded.
+        """Select the run of a name; None: the only run.
 
         Raises:
-            UsageError: there are several, or none of that name.
-            BagEmpty: there is none at all.
+            UsageError: several runs, or none of that name.
+            BagEmpty: no run at all.
         """
         present = [run for run in self.runs if not run.absent] or list(self.runs)
         if name is not None:
@@ -161,7 +160,7 @@ class StoredRuns:
         return present[0]
 
     def without_run(self) -> BagEmpty:
-        """What to raise where there is no run; damage may have taken it."""
+        """Error for a bag without a run, which may be lost by damage."""
         why = f': {self.damage[0]}' if self.damage else ''
         return BagEmpty(f'{self.path}: contains no run of taxinet_ros{why}', path=self.path)
 
@@ -170,17 +169,17 @@ class StoredRuns:
     def messages(
         self, relative: Collection[str], *, strict: bool = False
     ) -> Iterator[tuple[str, StoredMessage]]:
-        """Messages on some topics of a run, in the order of the recording; pictures cut short.
+        """Messages on topics of a run, in recording order; images are truncated.
 
         Args:
             relative: names of the topics without a namespace, see :mod:`.topics`.
-            strict: whether damage is an error, raised where it lies.
+            strict: whether to raise damage at its position.
 
         Yields:
-            The topic's relative name, and the message as stored.
+            Relative name of the topic, and the stored message.
 
         Raises:
-            BagTruncated, BagCorrupt: it is damaged, and ``strict``; all before that was yielded.
+            BagTruncated, BagCorrupt: damage, with ``strict``; all messages before it were yielded.
         """
         damage = self._contents.damage[:1] if strict else []
         count = 0
@@ -204,19 +203,19 @@ class StoredRuns:
         self, wanted: Callable[[int, str], bool] = lambda run, topic: True, *,
         whole: bool = False,
     ) -> Iterator[tuple[int, StoredMessage]]:
-        """Messages of all its runs, as our recorder would have them, each with its run's number.
+        """Messages of all runs in the recorder's form, each with the number of its run.
 
         Args:
-            wanted: whether a run, by its number, needs a topic, by its relative name.
-            whole: whether pictures are not cut short, which takes a pass over the files.
+            wanted: whether a run (by number) needs a topic (by relative name).
+            whole: whether to include complete images, which needs another pass.
         """
         messages = self.all_messages() if whole else self._contents.messages
         return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
-        """Every sound message, whoever's, in the order of the recording; pictures take a pass.
+        """All intact messages in recording order; images need another pass.
 
-        Of one run out of several: as our recorder would have them.
+        For one run of several: its messages in the recorder's form.
         """
         if self._within is not None:
             whole, number = self._within.whole, self._within.number
@@ -227,10 +226,10 @@ class StoredRuns:
         return stored_messages(self.path, on_damage=lambda error: None)
 
     def whole_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
-        """Messages on topics of these names, pictures and others' topics too; takes a pass.
+        """Complete messages on any topics, including images; needs another pass.
 
         Raises:
-            BagTruncated, BagCorrupt: it is damaged; all before that was yielded.
+            BagTruncated, BagCorrupt: damage; all messages before it were yielded.
         """
         if self._within is None:
             return stored_messages(self.path, wanted)

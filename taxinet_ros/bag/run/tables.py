@@ -1,9 +1,8 @@
-"""Topics of a bag as flat pandas tables, with units, without ROS.
+"""Topics of a bag as flat pandas tables with units, without ROS.
 
-A row is a message. Nested fields become columns with dots (``pose.pose.position.x``), short arrays
-a column for each element (``k.0`` … ``k.8``), long ones only their length (``data.length``), so
-that a table with pictures stays a table. Units are in ``table.attrs['units']``, by column; Parquet
-files keep them.
+A row is a message. Nested fields become dotted columns (``pose.pose.position.x``), short arrays one
+column per element (``k.0`` … ``k.8``), long arrays, such as images, only their length
+(``data.length``). Units by column are in ``table.attrs['units']``; Parquet files keep them.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 LONGEST_ARRAY = 40
-"""Arrays with more elements than a 6 x 6 covariance has get no column for each."""
+"""Maximum length of an array with a column per element; a 6 x 6 covariance fits."""
 
 _SECTION = re.compile(r'^=+\s*MSG:\s*(\S+)\s*$', re.MULTILINE)
 _COMMENTED = re.compile(r'^\s*\S+\s+(\w+)\s*#\s*\[([^\]]+)\]', re.MULTILINE)
@@ -45,10 +44,10 @@ _BY_TYPE = {
     'sensor_msgs/msg/CameraInfo': {'height': 'px', 'width': 'px'},
     'sensor_msgs/msg/Image': {'height': 'px', 'width': 'px', 'step': 'bytes'},
 }
-"""Units of standard messages, which REP-103 and their own texts fix."""
+"""Units of standard messages, from REP-103 and their definitions."""
 
 _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
-"""Units as our own names end with them."""
+"""Units by suffix of taxinet_ros names."""
 
 
 def topic_tables(
@@ -65,16 +64,16 @@ def topic_tables(
 
 
 def units_of(topic: TopicInfo) -> Mapping[str, str]:
-    """Units of a topic's columns, as far as its definition or a standard fixes them.
+    """Units of a topic's columns, as far as defined by its definition or a standard.
 
-    A definition says it in brackets at the beginning of a field's comment: ``# [rad] left
+    In a definition, the unit is in brackets at the start of a field's comment: ``# [rad] left
     positive``.
     """
     return _units_within(topic.type, topic.definition)
 
 
 def titles(table: pd.DataFrame) -> dict[str, str]:
-    """Column names with their units, ``steering_angle [rad]``, unless the name tells it already."""
+    """Column names with units, ``steering_angle [rad]``, unless the name contains the unit."""
     units = table.attrs['units']
     return {
         name: f'{name} [{unit}]' for name, unit in units.items() if _told_by_name(name) != unit
@@ -82,7 +81,7 @@ def titles(table: pd.DataFrame) -> dict[str, str]:
 
 
 def flat(message: Any) -> Iterator[tuple[str, Any]]:
-    """Columns and values of one decoded message, in the order of its fields."""
+    """Yield columns and values of one decoded message, in the order of its fields."""
     yield from _flat('', message)
 
 
@@ -102,7 +101,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
-    """The topics wanted, by name, in the order of the file."""
+    """Selected topics by name, in the order of the file."""
     path, known = recording.path, recording.topics
     if wanted is None:
         return {topic.name: topic for topic in known}
@@ -127,7 +126,7 @@ def _units_within(type_name: str, definition: str) -> Mapping[str, str]:
         TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
     )
     try:
-        # The store takes no type with very many parts, so this walk is short.
+        # The store rejects types with very many parts, so this walk is short.
         return dict(_walk(typestore(topic).fielddefs, type_name, _commented(topic)))
     except (BagError, LookupError, RecursionError):
         return {}
@@ -136,7 +135,7 @@ def _units_within(type_name: str, definition: str) -> Mapping[str, str]:
 def _walk(
     types: Mapping[str, Any], name: str, commented: Mapping[str, Mapping[str, str]]
 ) -> Iterator[tuple[str, str]]:
-    """Column and unit of everything within a type."""
+    """Yield column and unit of all (nested) fields of a type."""
     known = {**_BY_TYPE.get(name, {}), **commented.get(name, {})}
     yield from known.items()
     for field, (kind, inner) in types[name][1]:
@@ -151,7 +150,7 @@ def _walk(
 
 
 def _commented(topic: TopicInfo) -> dict[str, dict[str, str]]:
-    """Units that the definitions tell in comments, by type and field."""
+    """Units in the comments of definitions, by type and field."""
     parts = _SECTION.split(topic.definition)
     names = [topic.type, *(part.replace('/', '/msg/') for part in parts[1::2])]
     texts = parts[0::2]

@@ -1,4 +1,4 @@
-"""Names of the topics of a run as its bag has them, for those who read without ROS."""
+"""Topic and frame names of a run's bag, for reading without ROS."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TF_STATIC = topics.TF_STATIC.name
 NODE_READY, RUN_ENDED = 0, 2
 """States of ``NodeStatus`` and of ``RunStatus``."""
 SIMULATOR = 'simulator'
-"""The node that tells of a run's timing."""
+"""Name of the node that reports a run's timing."""
 
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
@@ -32,7 +32,7 @@ ONCE = frozenset(
     topic.name for topic in (*topics.TOPICS, *topics.TRANSFORMS)
     if topic.recorded and not topic.each_step
 )
-"""Topics that do not speak in every control step; all others of a run do."""
+"""Topics that are not published in every control step; all others of a run are."""
 
 
 def is_topic(name: str, relative: str) -> bool:
@@ -41,5 +41,5 @@ def is_topic(name: str, relative: str) -> bool:
 
 
 def is_of_frames(name: str) -> bool:
-    """Whether a topic is of transforms, which follow from odometry, and on which anybody speaks."""
+    """Whether a topic has transforms, which are derived from odometry and shared with others."""
     return is_topic(name, TF) or is_topic(name, TF_STATIC)

@@ -1,4 +1,4 @@
-"""The numbers of a run as columns over its control steps, and its camera frames."""
+"""Trace of a recorded run as columns over its control steps, and its camera frames."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import stamp_of
+from taxinet_ros.bag.run.message_values import stamp_of, track_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
     IMAGE,
     ODOMETRY,
     ROBUSTNESS,
+    SCENARIO,
     TRUTH,
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.trace import STEP_UNITS
+from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
@@ -33,17 +36,17 @@ Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
-_TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
+_TRACED = (SCENARIO, TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 
 
 class CameraFrame(NamedTuple):
     """One camera frame.
 
     Attributes:
-        seq: its control step.
+        seq: control step.
         stamp_ns: simulated time [ns].
         image: (200, 360, 3) uint8 RGB.
-        recorded: whether it is in the bag, else rendered again.
+        recorded: True if it is from the bag, False if rendered.
     """
 
     seq: int
@@ -58,7 +61,7 @@ def trace_columns(recording: StoredRuns) -> dict[str, Column]:
     for name, stamp_ns, message in _messages(recording):
         try:
             _FILL[name](table, stamp_ns, message)
-        except (AttributeError, TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError, UsageError) as error:
             raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
     if not table.stamps:
         raise BagEmpty(f'{path}: no messages on {TRUTH}, so there is no trace', path=path)
@@ -74,7 +77,7 @@ def camera_frames(
     recording: StoredRuns, wanted: Callable[[int], bool],
     render: Callable[[Callable[[int], bool]], Iterator[Observation]] | None,
 ) -> Iterator[CameraFrame]:
-    """See :meth:`.recording.Recording.frames`; ``render`` makes pictures, None none."""
+    """See :meth:`.recording.Recording.frames`; ``render`` renders missing frames, or None."""
     there = recorded_steps(recording)
     if any(wanted(seq) for seq in there):
         for stamp_ns, image in _recorded_images(recording):
@@ -87,7 +90,7 @@ def camera_frames(
 
 
 def _steps_of(recording: StoredRuns, relative: str) -> Iterator[int]:
-    """Control steps of the messages on a topic, by the stamps in their headers."""
+    """Control steps of the messages on a topic, from their header stamps."""
     for _, stored in recording.messages((relative,)):
         try:
             yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
@@ -100,9 +103,9 @@ def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
     """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
 
     Raises:
-        BagCorrupt: an image contradicts its own size.
-        BagForeign: an image is neither rgb8 nor bgr8, or they are of several runs.
-        BagError: the bag is damaged or foreign.
+        BagCorrupt: size and data of an image do not match.
+        BagForeign: an image is neither rgb8 nor bgr8, or there are several runs.
+        BagError: the bag is damaged or unsupported.
     """
     path, topic, latest_ns = recording.path, '', -1
     pictures = recording.whole_messages(lambda name: is_topic(name, IMAGE))
@@ -129,9 +132,10 @@ def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
 
 
 class _TraceColumns:
-    """Cells by step and column, until all messages are in."""
+    """Collects cells by step and column."""
 
     def __init__(self) -> None:
+        self.track: Track | None = None
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
         self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
@@ -143,8 +147,11 @@ class _TraceColumns:
         self.names.update(dict.fromkeys(values))
 
     def columns(self) -> dict[str, Column]:
-        """The columns, rows in the order of the steps."""
+        """Return the columns, with rows in the order of the steps."""
         steps = sorted(self.stamps)
+        if self.track is not None:
+            for pose in self.poses.values():
+                pose['distance_m'] = self.track.measure(pose['x_m'], pose['y_m']).distance_m
         rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
         columns: dict[str, Column] = {
             'seq': np.array(steps, dtype=np.int64),
@@ -154,6 +161,10 @@ class _TraceColumns:
         for name in self.names:
             columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
         return columns
+
+
+def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    table.track = track_of(message)
 
 
 def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
@@ -166,7 +177,7 @@ def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     position = message.pose.pose.position
     table.poses[stamp_ns] = {
-        'x_m': float(position.x), 'y_m': float(position.y),
+        'x_m': float(position.x), 'y_m': float(position.y), 'distance_m': float(position.x),
         'speed_mps': float(message.twist.twist.linear.x),
     }
 
@@ -190,13 +201,13 @@ def _robustness(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 
 
 _FILL = {
-    TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
+    SCENARIO: _scenario, TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
     ROBUSTNESS: _robustness,
 }
 
 
 def _messages(recording: StoredRuns) -> Iterator[tuple[str, int, Any]]:
-    """Decoded messages by relative name, for a run may have been recorded in a namespace."""
+    """Yield decoded messages with relative topic names; a run may be in a namespace."""
     path, chosen, run_id = recording.path, dict[str, str](), ''
     for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):
         message = decode_of(path, stored, count)

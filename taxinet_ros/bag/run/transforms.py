@@ -1,9 +1,8 @@
 """Coordinate frames for tf2: ``tf`` follows odometry, ``tf_static`` mounts the camera.
 
-By ROS's convention anybody may speak on these two topics, of frames of his own. So what a bag of
-ours says there is not what was heard, but made of the odometry that is in it: ``tf`` says where
-``base_link`` is in ``map``, bit for bit as ``ground_truth/odom``. Simulator, recorder and player
-all make it here.
+In ROS any node may publish on these two topics. So the transforms in a run's bag are not recorded
+from the topics but derived from the bag's odometry: ``tf`` is the pose of ``base_link`` in ``map``,
+bit for bit as in ``ground_truth/odom``. Simulator, recorder and player all use this module.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
 
 
 class OdometryTransforms:
-    """Makes a message of ``tf`` of each message of odometry."""
+    """Converts odometry messages to ``tf`` messages."""
 
     def __init__(self, odometry: TopicInfo | None = None) -> None:
-        """Learn what odometry is laid out like: as installed, or as a bag describes it.
+        """Prepare the decoder of odometry, with the installed definition or that of a bag.
 
         Raises:
-            BagForeign: the topic carries no definition that could be used.
+            BagForeign: the topic has no usable definition.
         """
         row = topics.ODOMETRY
         self._decode = decoder(
@@ -37,10 +36,10 @@ class OdometryTransforms:
         )
 
     def __call__(self, odometry: bytes) -> bytes:
-        """The serialised ``TFMessage`` that says where odometry's child frame is, with its stamp.
+        """Serialised ``TFMessage`` with the pose of odometry's child frame, with its stamp.
 
         Raises:
-            BagCorrupt: the bytes are no odometry.
+            BagCorrupt: not an odometry message.
         """
         message = self._decode(odometry)
         stamp, pose = message.header.stamp, message.pose.pose
@@ -53,10 +52,10 @@ class OdometryTransforms:
 
 @functools.lru_cache(16)
 def camera_transform(camera: CameraModel = WING) -> bytes:
-    """The serialised ``TFMessage`` that says where ``camera_optical`` is in ``base_link``.
+    """Serialised ``TFMessage`` with the pose of ``camera_optical`` in ``base_link``.
 
-    The optical frame is REP-103's: z ahead along the optical axis, x right and y down in the
-    picture.
+    The optical frame follows REP-103: z forward along the optical axis, x right and y down in the
+    image.
     """
     pose = *camera.offset_m, *camera.attitude
     return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
@@ -71,7 +70,7 @@ def _transform(sec: int, nanosec: int, frame: str, child: str, *pose: float) -> 
 
 @functools.lru_cache(16)
 def _names(frame: str, child: str) -> bytes:
-    """Both names and the gap behind them, as they lie behind the stamp."""
+    """Serialised frame names and the gap after them, at their offset after the stamp."""
     before = bytes(_STAMP.size)
     body = with_text(with_text(before, frame.encode()), child.encode())
     return aligned(body, 8)[len(before):]

@@ -1,1 +1,1 @@
-"""Bytes of an MCAP file: records, chunks, indexes, and the scan of damaged ones."""
+"""MCAP storage: records, chunks, indexes, and scanning of damaged files."""

@@ -1,9 +1,9 @@
-"""MCAP records as bytes, and out of untrusted bytes.
+"""Serialise MCAP records, and parse them from untrusted bytes.
 
-Whatever is wrong with what is read becomes :class:`BagCorrupt`. Lengths are believed only
-within :data:`MAX_RECORD_BYTES`, and a chunk is decompressed only into the size that it declares
-and taken apart message by message, so a small hostile file cannot fill the memory.
-:class:`ReadBudget` limits what all the chunks of a file together may ask of a reader.
+Any parse error becomes :class:`BagCorrupt`. Lengths are limited to :data:`MAX_RECORD_BYTES`, and a
+chunk is decompressed to at most its declared size and split message by message, so a small
+malicious file cannot exhaust memory. :class:`ReadBudget` limits the total work of all chunks of a
+file.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAGIC = b'\x89MCAP0\r\n'
 
 
 def encode(record: McapRecord) -> bytes:
-    """The bytes of one MCAP record."""
+    """Serialise one MCAP record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
@@ -53,21 +53,21 @@ def encode(record: McapRecord) -> bytes:
 MAX_RECORD_BYTES = 256 * 2**20
 FREE_RECORDS = 250_000
 BYTES_FOR_A_RECORD = 4
-"""Of the file; the smallest message takes more, with its index or without, however well packed."""
+"""File bytes per allowed record; the smallest compressed message takes more."""
 FREE_BYTES = 1 << 30
 UNPACKED_FOR_A_BYTE = 256
-"""Black camera frames are packed better still; the free ones are for those."""
+"""Allowed compression ratio; black camera frames exceed it and use :data:`FREE_BYTES`."""
 _TEXT_OF_A_RECORD = 32
-"""Bytes of a definition that are as much work as a message."""
+"""Bytes of a definition that take as much work as a message."""
 _IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 _FIRST_PRIVATE = 0x80
 HEAD = struct.Struct('<BQ')
-"""What every record begins with: opcode, length of the rest."""
+"""Record header: opcode, length of the body."""
 _MESSAGE = struct.Struct('<HIQQ')
 _MESSAGE_INDEX = struct.Struct('<HI')
 _INDEX_ENTRY_BYTES = 16
 _CHUNK_NAME_AT, _CHUNK_LEAST_BYTES = 28, 40
-"""Of a chunk's body: where the name of its compression is, and its length without name and data."""
+"""Chunk body: offset of the compression name, and its length without name and data."""
 _MALFORMED = (
     McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError,
     zstandard.ZstdError,
@@ -95,19 +95,19 @@ BodyT = TypeVar('BodyT', bytes, memoryview)
 
 
 def parse_record(opcode: int, body: Body) -> McapRecord | None:
-    """The record with this opcode and body, or None for indexes and unknown kinds."""
+    """Parse a record; None for indexes and unknown opcodes."""
     if opcode == Opcode.MESSAGE:
         return parse_message(body)
     if opcode == Opcode.ATTACHMENT:
         _check_attachment(body)
     if opcode == Opcode.CHUNK:
         _check_chunk(body)
-    # A file may hold any number here; its type is the enumeration's only where it is known.
+    # A file may contain any opcode, not only members of the enumeration.
     return _read(_KINDS.get(opcode), body)  # type: ignore[call-overload]  # any int may be asked
 
 
 def parse_index(opcode: int, body: Body) -> McapRecord | None:
-    """The index record with this opcode and body, or None for all that are no index."""
+    """Parse an index record; None for other opcodes."""
     return _read(_INDEX_KINDS.get(opcode), body)  # type: ignore[call-overload]  # as above
 
 
@@ -125,7 +125,7 @@ def _read(kind: Any, body: Body) -> McapRecord | None:
 
 
 def parse_message(body: Body) -> Message:
-    """The message record with this body."""
+    """Parse a message record."""
     if len(body) < _MESSAGE.size:
         raise BagCorrupt(f'message record of {len(body)} bytes is too short')
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
@@ -136,7 +136,7 @@ def parse_message(body: Body) -> Message:
 
 
 def check_message_index(body: Body) -> None:
-    """Hold the lengths within a message index against that of the record."""
+    """Check the lengths in a message index against the record's length."""
     entries = len(body) - _MESSAGE_INDEX.size
     if entries < 0 or entries % _INDEX_ENTRY_BYTES:
         raise BagCorrupt(f'message index of {len(body)} bytes')
@@ -145,44 +145,44 @@ def check_message_index(body: Body) -> None:
 
 
 class ReadBudget:
-    """What the chunks of one file may ask of one pass over it.
+    """Limits for the chunks of one file in one pass.
 
-    A file that is made to keep a reader busy packs thousands of records, or of bytes, into each of
-    its own; a recorder does not.
+    A malicious file may contain thousands of records, or of unpacked bytes, per file byte; a
+    recording does not.
     """
 
     def __init__(self, file_bytes: int) -> None:
-        """A budget for a file of so many bytes."""
+        """Set the budget for a file of ``file_bytes`` bytes."""
         self._file_bytes = file_bytes
         self._records = FREE_RECORDS + file_bytes // BYTES_FOR_A_RECORD
         self._bytes = FREE_BYTES + file_bytes * UNPACKED_FOR_A_BYTE
 
     def unpack(self, size: int) -> None:
-        """So many bytes are about to be unpacked.
+        """Account for ``size`` bytes to be decompressed.
 
         Raises:
-            BagCorrupt: with all before, that is too many.
+            BagCorrupt: the total is too large.
         """
         if size > self._bytes:
             raise BagCorrupt(f'chunks of {self._file_bytes} bytes unpack to more than a recording')
         self._bytes -= size
 
     def record(self, opcode: int, length: int) -> None:
-        """A record within a chunk is about to be looked at.
+        """Account for a record in a chunk.
 
         Raises:
-            BagCorrupt: it does not belong there, or with all before there are too many.
+            BagCorrupt: the record is not allowed in a chunk, or there are too many.
         """
         if opcode not in _IN_CHUNKS and opcode < _FIRST_PRIVATE:
             raise BagCorrupt(f'record of kind {opcode} within a chunk')
-        # What a channel or a definition says is gone through word by word.
+        # Channels and definitions are parsed word by word.
         self._records -= 1 if opcode == Opcode.MESSAGE else 1 + length // _TEXT_OF_A_RECORD
         if self._records < 0:
             raise BagCorrupt(f'{self._file_bytes} bytes hold more records than a recording')
 
 
 def open_chunk(chunk: Chunk, work: ReadBudget) -> bytes:
-    """What a chunk holds, if its size and its checksum hold, and the file's budget."""
+    """Decompress a chunk; checks its size, its checksum and the file's budget."""
     size = chunk.uncompressed_size
     if size > MAX_RECORD_BYTES:
         raise BagCorrupt(f'chunk declares {size} bytes, more than the {MAX_RECORD_BYTES} allowed')
@@ -196,13 +196,13 @@ def open_chunk(chunk: Chunk, work: ReadBudget) -> bytes:
 
 
 def chunk_records(raw: bytes, work: ReadBudget) -> Iterator[McapRecord]:
-    """Schemas, channels and messages out of an opened chunk, one at a time."""
+    """Yield schemas, channels and messages of an opened chunk."""
     for _, record in placed_records(raw, work):
         yield record
 
 
 def placed_records(raw: bytes, work: ReadBudget) -> Iterator[tuple[int, McapRecord]]:
-    """Offset within an opened chunk, and schema, channel or message there."""
+    """Yield the offset in an opened chunk, and the schema, channel or message there."""
     position = 0
     for opcode, body in split_records(memoryview(raw)):
         work.record(opcode, len(body))
@@ -213,13 +213,13 @@ def placed_records(raw: bytes, work: ReadBudget) -> Iterator[tuple[int, McapReco
 
 
 def split_records(raw: BodyT) -> Iterator[tuple[int, BodyT]]:
-    """Opcode and body of the records that ``raw`` is made of."""
+    """Yield opcode and body of the records in ``raw``."""
     position = 0
     while position < len(raw):
         if position + HEAD.size > len(raw):
             raise BagCorrupt('records do not fill their section')
         opcode, length = HEAD.unpack_from(raw, position)
-        if opcode == 0:  # Not one by the specification; zeros would be one each nine bytes.
+        if opcode == 0:  # Invalid by the specification; zeros would be a record per nine bytes.
             raise BagCorrupt('record of kind 0')
         position += HEAD.size
         if length > len(raw) - position:
@@ -243,7 +243,7 @@ def _decompress(chunk: Chunk) -> bytes:
 
 
 def _unzstd(data: bytes, size: int) -> bytes:
-    # The frame's own header would win over max_output_size, so it is held against the chunk's.
+    # The frame header takes precedence over max_output_size, so it must match the chunk's size.
     declared = zstandard.get_frame_parameters(data).content_size
     if declared not in (size, zstandard.CONTENTSIZE_UNKNOWN):
         raise BagCorrupt(f'chunk declares {size} bytes but its zstd frame {declared}')
@@ -251,7 +251,7 @@ def _unzstd(data: bytes, size: int) -> bytes:
 
 
 def _check_chunk(body: Body) -> None:
-    """Hold the lengths within a chunk against the record's: the library takes what is there."""
+    """Check the lengths in a chunk against the record's; the library accepts short data."""
     if len(body) >= _CHUNK_LEAST_BYTES:
         (name,) = struct.unpack_from('<I', body, _CHUNK_NAME_AT)
         held = len(body) - _CHUNK_LEAST_BYTES - name

@@ -1,9 +1,9 @@
-"""Read an MCAP file sequentially, and resume behind damage.
+"""Read an MCAP file sequentially, and resume after damage.
 
-Neither index nor footer is needed, so a file whose writer was killed reads like any other, up to
-the last flush. Behind damage the next sound record is searched for by what a record has to look
-like and by its checksum; chunks are also found by the summary's index, where that is sound, and by
-the first bytes of what they hold.
+Neither index nor footer is needed, so a file whose writer was killed can be read up to the last
+flush. After damage, the next intact record is located by its structure and checksum; chunks are
+also located by the summary's index, if it is valid, and by the first bytes of their compressed
+data.
 """
 
 from __future__ import annotations
@@ -49,42 +49,42 @@ _DATA_END_BYTES = 4
 _LAST_KNOWN = max(Opcode)
 
 _RECORD_HEAD = re.compile(b'[\x03\x04\x06\x07\x09\x0c\x0f][\x00-\xff]{4}\x00{4}')
-"""What every record in the data section begins with: its kind, and a length below 4 GiB."""
+"""Start of records in the data section: opcode, and a length below 4 GiB."""
 
 _CHUNK_HEAD = struct.Struct('<BQQQQI')
-"""Of a chunk: kind, length, first and last stamp, size and checksum of what it holds."""
+"""Start of a chunk: opcode, length, first and last stamp, uncompressed size and checksum."""
 
 _SALVAGED = frozenset({
     Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.METADATA,
 })
 _LARGEST_OTHER = 1 << 24
-"""A record of these kinds that is larger is not looked for behind damage."""
+"""Maximum size of these records when searching after damage."""
 
 _PACKED = re.compile(rb'\x28\xb5\x2f\xfd|\x04\x22\x4d\x18')
-"""First bytes of a zstd frame and of an lz4 frame."""
+"""First bytes of a zstd frame or an lz4 frame."""
 
 _PACKING = {0x28: 'zstd', 0x04: 'lz4'}
 
 _VAIN_BYTES = 1 << 30
-"""Bytes that may be unpacked in vain in one file: a hostile one could make it any number."""
+"""Limit of bytes unpacked without success per file, as protection against malicious files."""
 
 
 def scan(path: Path, on_damage: OnDamage | None = None) -> Iterator[McapRecord]:
     """Yield schemas, channels, messages, attachments and metadata in the order of the file.
 
-    Chunks are opened, checked as a whole, and yielded only if sound. A channel always comes before
-    its messages, and a schema before its channels.
+    Chunks are opened, checked as a whole, and yielded only if intact. A channel always precedes its
+    messages, and a schema its channels.
 
     Args:
         path: an ``.mcap`` file.
-        on_damage: what to do with damage; default is to raise it. Where a function is given, the
-            scan goes on with the next record that is sound.
+        on_damage: called for damage, after which the scan resumes at the next intact record; None:
+            damage is raised.
 
     Raises:
-        BagTruncated, BagCorrupt: damage, without ``on_damage``; all before it was yielded.
-        BagEmpty: the file has no bytes.
-        BagForeign: it is no ROS 2 MCAP file.
-        BagError: the operating system cannot read it.
+        BagTruncated, BagCorrupt: damage, without ``on_damage``; all records before it were yielded.
+        BagEmpty: the file is empty.
+        BagForeign: not a ROS 2 MCAP file.
+        BagError: the file cannot be read.
     """
     try:
         with path.open('rb') as stream:
@@ -94,10 +94,10 @@ def scan(path: Path, on_damage: OnDamage | None = None) -> Iterator[McapRecord]:
 
 
 def unchecked(path: Path) -> str:
-    """One line on messages of a bag in which damage cannot be seen, for want of a checksum; or ''.
+    """One line about messages without a checksum, in which damage cannot be detected; or ''.
 
     Args:
-        path: an ``.mcap`` file; looked through up to the first record that does not fit.
+        path: an ``.mcap`` file; read up to the first invalid record.
     """
     bare = chunks = loose = 0
     try:
@@ -145,7 +145,7 @@ class _Scanner:
         self._damaged = False
 
     def records(self) -> Iterator[McapRecord]:
-        """The pass itself."""
+        """Yield the records of the file."""
         damaged_at = 0
         begun = self._is_mcap()
         if begun:
@@ -171,7 +171,7 @@ class _Scanner:
             raise BagForeign(f'{self._path}: not an MCAP file', path=self._path)
 
     def _is_mcap(self) -> bool:
-        """Whether the file begins as an MCAP file does, and goes on behind that."""
+        """Whether the file starts with MCAP's magic bytes."""
         if self._size == 0:
             raise BagEmpty(f'{self._path}: has no bytes', path=self._path)
         magic = self._read(min(len(MAGIC), self._size))
@@ -206,7 +206,7 @@ class _Scanner:
         return data
 
     def accept(self, opcode: int, body: bytes, offset: int) -> Iterable[McapRecord]:
-        """The records within the top-level record at ``offset``, checked against all before."""
+        """Records in the top-level record at ``offset``, checked against earlier ones."""
         if opcode in _NOT_IN_DATA:
             raise BagCorrupt(f'record of kind {opcode} within the data')
         if opcode == Opcode.MESSAGE_INDEX:
@@ -225,9 +225,9 @@ class _Scanner:
         return (record,)
 
     def within(self, raw: bytes, offset: int) -> Iterable[McapRecord]:
-        """The records of an opened chunk; none where it repeats one before."""
-        # Of a chunk that is wrong anywhere nothing is believed. All messages of a large one at
-        # once may be many times its size, so it is gone through twice.
+        """Records of an opened chunk; none if it repeats an earlier one."""
+        # A chunk with any error is rejected completely. The messages of a large chunk may take many
+        # times its size in memory, so it is parsed twice instead.
         small = len(raw) <= _SMALL_BYTES
         records = chunk_records(raw, self.work)
         inner = tuple(records) if small else records
@@ -236,7 +236,7 @@ class _Scanner:
             self.check(one)
             count += isinstance(one, Message)
         self.chunks += 1
-        # No recorder writes the same messages, stamps and numbers twice; a broken disk may.
+        # Recorders never write equal messages, stamps and numbers twice; a faulty disk may.
         first = self._places.setdefault(hashlib.sha256(raw).digest(), offset)
         if first != offset and count:
             if offset not in self._repeats:
@@ -273,16 +273,16 @@ class _Scanner:
                 self._contradiction(f'channel {record.id} ({record.topic})')
             self._channels[record.id] = record
         elif isinstance(record, Message) and record.channel_id not in self._channels:
-            if self._damaged:  # The definition may be lost, and what else the chunk holds is not.
+            if self._damaged:  # Only the definition may be lost; keep the rest of the chunk.
                 return
             raise BagCorrupt(f'message on unknown channel {record.channel_id}')
 
     def _contradiction(self, what: str) -> None:
-        # If the scan is to go on, the later copy wins: it stands under a chunk's checksum.
+        # If the scan continues, the later copy is used: it is covered by a chunk's checksum.
         self.damage(BagCorrupt(f'{what} has two different definitions'), self._offset)
 
     def _finish(self, body: bytes, offset: int, crc: int) -> None:
-        """Check the whole against the end of the file."""
+        """Check the data against the end of the file."""
         try:
             end = parse_record(Opcode.DATA_END, body)
             start = self._offset
@@ -294,7 +294,7 @@ class _Scanner:
             if statistics is not None and statistics.message_count != self._messages:
                 raise BagCorrupt(f'{self._messages} messages of {statistics.message_count} found')
         except BagError as error:
-            if not self._damaged:  # Known damage explains a checksum that fails.
+            if not self._damaged:  # Known damage explains an invalid checksum.
                 self.damage(error, offset)
 
     def damage(self, error: BagError, offset: int) -> None:
@@ -310,7 +310,7 @@ class _Scanner:
 
 
 class _Salvage:
-    """What is sound of a file behind its first damage."""
+    """Finds intact records after the first damage of a file."""
 
     def __init__(self, scanner: _Scanner, data: mmap.mmap) -> None:
         self._scanner = scanner
@@ -320,7 +320,7 @@ class _Salvage:
         self._vain_bytes = _VAIN_BYTES
 
     def records(self, offset: int) -> Iterator[McapRecord]:
-        """Yield all that is sound behind the damaged record at ``offset``."""
+        """Yield all intact records after the damaged one at ``offset``."""
         for record in self._summary.declarations if self._summary else ():
             with suppress(BagCorrupt):
                 self._scanner.check(record)
@@ -341,14 +341,14 @@ class _Salvage:
             offset = sound
 
     def _next_sound(self, start: int) -> int:
-        """Where the next sound record begins; the end of the data if nowhere."""
+        """Offset of the next intact record, or the end of the data."""
         for match in _RECORD_HEAD.finditer(self._data, start, self._end):
             if self._sound(match.start()) is not None:
                 return match.start()
         return self._end
 
     def _sound(self, offset: int) -> tuple[Iterable[McapRecord], int] | None:
-        """What is in the record at ``offset``, and where it ends; None if it is not sound."""
+        """Content and end of the record at ``offset``; None if it is damaged."""
         if offset + HEAD.size > self._end:
             return None
         opcode, length = HEAD.unpack_from(self._data, offset)
@@ -369,7 +369,7 @@ class _Salvage:
             return None
 
     def _damaged_chunks(self, start: int, end: int) -> Iterator[McapRecord]:
-        """The records of chunks whose frame is damaged there, but not what they hold."""
+        """Records of chunks in this range whose header is damaged but whose data are intact."""
         if self._summary:
             known = [c for c in self._summary.chunks if start <= c.chunk_start_offset < end]
             found = ((index.chunk_start_offset, self._indexed(index)) for index in known)
@@ -377,7 +377,7 @@ class _Salvage:
             frames = _PACKED.finditer(self._data, start, end)
             found = ((frame.start(), self._unindexed(frame, end)) for frame in frames)
         for place, chunk in found:
-            # Without a checksum nothing tells whether it is what was recorded.
+            # Without a checksum the data cannot be verified.
             if chunk is None or not chunk.uncompressed_crc or self._vain_bytes <= 0:
                 continue
             try:
@@ -390,7 +390,7 @@ class _Salvage:
             yield from records
 
     def _indexed(self, index: ChunkIndex) -> Chunk | None:
-        """A chunk by what the summary's index says of it."""
+        """Chunk reconstructed from the summary's index."""
         end = index.chunk_start_offset + index.chunk_length
         least = _CHUNK_HEAD.size + index.compressed_size
         if end > self._end or index.compressed_size == 0 or index.chunk_length < least:
@@ -403,7 +403,7 @@ class _Salvage:
         )
 
     def _unindexed(self, frame: re.Match[bytes], end: int) -> Chunk | None:
-        """A chunk by the compressed frame that it holds, and the checksum before that."""
+        """Chunk reconstructed from its compressed frame and the checksum before it."""
         packing = _PACKING[frame.group()[0]]
         start = frame.start()
         head = start - len(packing) - 12 - _CHUNK_HEAD.size
@@ -411,7 +411,7 @@ class _Salvage:
             return None
         *_, size, crc = _CHUNK_HEAD.unpack_from(self._data, head)
         data = self._data[start:end]
-        if packing == 'zstd':  # The frame tells its size as well: one of the two may be damaged.
+        if packing == 'zstd':  # Use the frame's size: the chunk's may be damaged.
             try:
                 size = zstandard.get_frame_parameters(data).content_size
             except zstandard.ZstdError:
@@ -423,7 +423,7 @@ class _Salvage:
 
 
 def _plausible(data: mmap.mmap, offset: int, opcode: int, length: int) -> bool:
-    """Whether the lengths within a record add up to its own: asked before its bytes are copied."""
+    """Whether a record's inner lengths match its length; checked before copying its bytes."""
     begin = offset + HEAD.size
     if opcode == Opcode.CHUNK and length >= 40:
         (name,) = struct.unpack_from('<I', data, begin + 28)
@@ -439,7 +439,7 @@ def _plausible(data: mmap.mmap, offset: int, opcode: int, length: int) -> bool:
 
 
 def _bits_apart(one: str, other: str) -> int:
-    """Number of bits in which two words differ; all of them where their lengths do."""
+    """Number of bits in which two words differ; all of them if their lengths differ."""
     left, right = one.encode(), other.encode()
     if len(left) != len(right):
         return 8 * max(len(left), len(right))

@@ -1,7 +1,8 @@
-"""The end of an MCAP file: summary, indexes, footer, checked against their checksum and the data.
+"""Read and check the end of an MCAP file: summary, indexes and footer.
 
-A player finds messages through the indexes, so a wrong one hides messages of a file whose every
-byte is sound. Damage to the data is :mod:`taxinet_ros.bag.storage.scan`'s to find.
+They are checked against their checksum and the data: players find messages through the indexes, so
+a wrong index hides messages of an otherwise intact file. Damage to the data is detected by
+:mod:`taxinet_ros.bag.storage.scan`.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ _TAIL_BYTES = _FOOTER_BYTES + len(MAGIC)
 
 
 def read_statistics(path: Path) -> dict[str, int]:
-    """Messages by topic name as the summary of the file at ``path`` counts them.
+    """Number of messages by topic name, from the summary of the file at ``path``.
 
     Raises:
-        BagTruncated: the file has no end.
-        BagCorrupt: the end contradicts itself.
+        BagTruncated: the end of the file is missing.
+        BagCorrupt: the summary is inconsistent.
     """
     try:
         with path.open('rb') as stream:
@@ -75,14 +76,14 @@ def read_statistics(path: Path) -> dict[str, int]:
 
 
 def check_summary(tail: bytes, start: int) -> tuple[Statistics | None, dict[int, str]]:
-    """Check everything behind the data section.
+    """Check everything after the data section.
 
     Args:
-        tail: the bytes from the end of the data section to the end of the file.
-        start: offset of the first of them in the file.
+        tail: bytes from the end of the data section to the end of the file.
+        start: offset of ``tail`` in the file.
 
     Returns:
-        The statistics record, if there is one, and topic names by channel number.
+        The statistics record, if any, and topic names by channel number.
 
     Raises:
         BagTruncated: the end mark is missing.
@@ -107,12 +108,12 @@ def check_summary(tail: bytes, start: int) -> tuple[Statistics | None, dict[int,
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What the summary of a file says that helps to read around damage.
+    """Content of a file's summary that is used to read around damage.
 
     Attributes:
-        start: offset at which the summary begins, where the data ends.
+        start: offset of the summary and end of the data.
         declarations: schemas and channels, each schema before its channels.
-        chunks: where the chunks are, in the order of the file.
+        chunks: chunk indexes, in the order of the file.
     """
 
     start: int
@@ -121,7 +122,7 @@ class Summary:
 
 
 def sound_summary(data: mmap.mmap) -> Summary | None:
-    """The summary of a file, where one is that proves sound by its own checksum."""
+    """Summary of a file if it is verified by its checksum, else None."""
     try:
         start = _footer(data[max(0, len(data) - _TAIL_BYTES):]).summary_start
         if not 0 < start <= len(data) - _TAIL_BYTES or len(data) - start > MAX_RECORD_BYTES:
@@ -159,23 +160,23 @@ def _footer(tail: bytes) -> Footer:
 
 
 MAX_CHUNK_MESSAGES = 1_000_000
-"""Recorders make chunks of about a megabyte; what is far beyond is made to fill the memory."""
+"""Maximum messages per chunk; recorders write chunks of about 1 MB, larger ones are malicious."""
 Entries = dict[int, list[tuple[int, int]]]
-"""Stamp [ns] and place within the chunk of each message, by channel."""
+"""Stamp [ns] and offset in the chunk of each message, by channel."""
 
 
 class IndexTrouble(NamedTuple):
-    """Something wrong: byte of the file, and a line on it."""
+    """A problem of an index: byte offset in the file, and a one-line description."""
 
     offset: int
     what: str
 
 
 def index_troubles(path: Path) -> tuple[IndexTrouble, ...]:
-    """Everything that is wrong with the indexes of a file whose checksums hold.
+    """Problems of the indexes of a file with valid checksums.
 
     Raises:
-        BagError: the file cannot be read, or its checksums do not hold after all.
+        BagError: the file cannot be read, or a checksum is invalid.
     """
     try:
         size = path.stat().st_size
@@ -192,7 +193,7 @@ def index_troubles(path: Path) -> tuple[IndexTrouble, ...]:
 
 
 def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Offset, opcode and body of all records of the file."""
+    """Yield offset, opcode and body of all records of the file."""
     offset = len(MAGIC)
     stream.seek(offset)
     while offset < size - len(MAGIC):
@@ -208,7 +209,7 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
 
 @dataclass
 class _IndexCheck:
-    """What is there, gathered from the data; then the summary, held against it."""
+    """Collects the content of the data section, then compares the summary with it."""
 
     work: ReadBudget
     troubles: list[IndexTrouble] = field(default_factory=list)
@@ -226,7 +227,7 @@ class _IndexCheck:
     told: int = 0
 
     def note(self, offset: int, opcode: int, body: bytes) -> None:
-        """Take in one record of the file."""
+        """Process one record of the file."""
         record = parse_record(opcode, body) or parse_index(opcode, body)
         length = HEAD.size + len(body)
         if self.end:
@@ -240,7 +241,7 @@ class _IndexCheck:
             self._note_data(offset, length, record)
 
     def finish(self) -> None:
-        """After the last record: what the summary does not tell of."""
+        """Report data that is missing in the summary; call after the last record."""
         if self.told == 0 and self.chunks:
             self.troubles.append(
                 IndexTrouble(self.end, 'no index: players must read the whole file')
@@ -323,7 +324,7 @@ class _IndexCheck:
         self.stamps = min(low, stamp), max(high, stamp)
 
     def _hold_against(self, offset: int, record: McapRecord | None) -> None:
-        """One record of the summary."""
+        """Compare one record of the summary with the data."""
         if isinstance(record, ChunkIndex):
             there: object = self.chunks.pop(record.chunk_start_offset, None)
         elif isinstance(record, AttachmentIndex):

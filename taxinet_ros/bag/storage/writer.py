@@ -1,10 +1,9 @@
 """MCAP writer whose file stays readable up to the last flush after any failure.
 
-The record layout is the `MCAP specification <https://mcap.dev/spec>`_'s. A writer of our own,
-since ``mcap.writer`` has no way to put schemas and channels outside chunks, which decides
-whether one damaged chunk costs a few messages or the whole file. Every control step ends a
-chunk, which the library's builder would write field by field; and camera frames are copied less
-often here.
+The record layout follows the `MCAP specification <https://mcap.dev/spec>`_. ``mcap.writer`` is not
+used, because it cannot write schemas and channels outside chunks; with them outside, one damaged
+chunk costs a few messages instead of the whole file. It also writes chunks, one per control step,
+field by field, and copies camera frames more often.
 """
 
 from __future__ import annotations
@@ -41,15 +40,15 @@ from taxinet_ros.bag.topics import TopicInfo
 
 
 class Output:
-    """Unbuffered bytes to a new file; what :meth:`put` returned from survives the process's death.
+    """Unbuffered output to a new file; data written by :meth:`put` survive the process's end.
 
-    After the first error nothing is written any more and every call raises it again, for a disk
-    that was full once must not look well when a small write happens to fit.
+    After the first error nothing is written and every call raises it again, so that a full disk is
+    not hidden by a later small write that fits.
 
     Attributes:
         path: the file.
-        size: bytes written so far, which is the offset of the next one.
-        crc: CRC-32 of all of them.
+        size: number of bytes written, which is the offset of the next one.
+        crc: CRC-32 of all bytes written.
     """
 
     def __init__(self, path: Path, *, keep_free_bytes: int = 0) -> None:
@@ -57,8 +56,8 @@ class Output:
 
         Args:
             path: the file.
-            keep_free_bytes: free space of the disk that is not used up [bytes]: whoever shares it,
-                a campaign's ledger among them, can still write when this file stops.
+            keep_free_bytes: disk space to keep free [bytes], so that other files on it, such as a
+                campaign's ledger, can still be written.
         """
         self.path = path
         self.size = 0
@@ -78,7 +77,7 @@ class Output:
         return self._descriptor >= 0
 
     def check(self) -> None:
-        """Raise what went wrong earlier, if anything did, or that the file is closed."""
+        """Raise the earlier error, if any, or an error if the file is closed."""
         if self._failure is not None:
             message, errno = self._failure
             raise BagWriteError(message, path=self.path, errno=errno)
@@ -94,14 +93,14 @@ class Output:
             while view:
                 view = view[os.write(self._descriptor, view):]
         except OSError as error:
-            with suppress(OSError):  # No half record at the end, if the system lets us.
+            with suppress(OSError):  # Remove a partial record, if possible.
                 os.ftruncate(self._descriptor, self.size)
             raise self._latch(error) from error
         self.size += len(data)
         self.crc = zlib.crc32(data, self.crc)
 
     def sync(self) -> None:
-        """Return once the storage device has everything."""
+        """Flush all data to the storage device."""
         self.check()
         try:
             os.fsync(self._descriptor)
@@ -136,8 +135,8 @@ class Output:
 
 _COMPRESSION = b'zstd'
 _HEAD = 9
-"""Bytes of a record's kind and length, which are not part of its length."""
-# Members of an enum take long to look up, and these are needed for every message.
+"""Size of a record's opcode and length, which its length does not include."""
+# Enum lookups are slow, and these codes are needed for every message.
 _MESSAGE_CODE, _INDEX_CODE = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX)
 _MESSAGE = struct.Struct('<BQHIQQ')
 _CHUNK = struct.Struct('<BQQQQII4sQ')
@@ -149,7 +148,7 @@ _CHUNK_INDEX_TAIL = struct.Struct('<QI4sQQ')
 
 
 class PackedChunk(NamedTuple):
-    """A chunk as it goes to the file.
+    """A serialised chunk.
 
     Attributes:
         records: the chunk and its message indexes.
@@ -161,14 +160,14 @@ class PackedChunk(NamedTuple):
 
 
 class ChunkBuilder:
-    """Messages so far, uncompressed.
+    """Collects the messages of a chunk, uncompressed.
 
     Attributes:
-        data: the records within the chunk.
+        data: the records in the chunk.
     """
 
     def __init__(self, head: bytes = b'') -> None:
-        """Begin with the records ``head``."""
+        """Start with the records ``head``."""
         self.data = bytearray(head)
         self._entries: dict[int, list[tuple[int, int]]] = {}
 
@@ -190,7 +189,7 @@ class ChunkBuilder:
         self.data += data
 
     def packed(self, compressor: zstandard.ZstdCompressor, offset: int) -> PackedChunk:
-        """The chunk, which holds a message at least, as it is to lie at ``offset`` of the file."""
+        """Serialise the chunk, which must contain a message, for ``offset`` in the file."""
         stamps = [stamp for entries in self._entries.values() for stamp, _ in entries]
         start_ns, end_ns = min(stamps), max(stamps)
         packed = compressor.compress(self.data)
@@ -218,25 +217,25 @@ class ChunkBuilder:
 
 
 def _message_index(channel: int, entries: list[tuple[int, int]]) -> bytes:
-    """The record that says where in a chunk the messages of a channel are, by stamp."""
+    """Message index record of a channel: stamps and offsets of its messages in a chunk."""
     size = _INDEX_ENTRY.size * len(entries)
     head = _INDEX.pack(_INDEX_CODE, _INDEX.size - _HEAD + size, channel, size)
     return head + b''.join([_INDEX_ENTRY.pack(*entry) for entry in entries])
 
 
 CHUNK_BYTES = 32 * 1024
-"""A chunk ends at the first message beyond this size, so that camera frames lie alone."""
+"""A chunk ends at the first message beyond this size, so camera frames have their own chunks."""
 COMPRESSION_LEVEL = 1
-"""Of zstd: on camera frames a third of the time of its default, for a sixth more bytes."""
+"""zstd level: on camera frames a third of the default's time, for a sixth more bytes."""
 
 
 class StorageFile:
-    """One ``.mcap`` file in the making.
+    """An ``.mcap`` file being written.
 
     Attributes:
-        output: the file below.
-        counts: messages so far by topic name.
-        start_ns, end_ns: least and greatest stamp so far [ns]; 0 without messages.
+        output: the underlying file.
+        counts: number of messages so far by topic name.
+        start_ns, end_ns: minimum and maximum stamp so far [ns]; 0 without messages.
     """
 
     def __init__(
@@ -257,7 +256,7 @@ class StorageFile:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.output.put(MAGIC + encode(Header('ros2', library)) + self._declarations())
-        # Once more under the first chunk's checksum, so that damage to the copy above shows.
+        # Repeated under the first chunk's checksum, so that damage to the copy above is detected.
         self._chunk = ChunkBuilder(self._declarations())
 
     def add_message(self, topic: str, data: bytes, stamp_ns: int) -> None:
@@ -276,7 +275,7 @@ class StorageFile:
             self.finish_chunk()
 
     def add_attachment(self, name: str, data: bytes, *, media_type: str) -> None:
-        """Append a file by the name of ``name``, stamped with the latest message's time."""
+        """Append an attachment, stamped with the latest message's time."""
         record = encode(Attachment(
             create_time=self.end_ns, log_time=self.end_ns, name=name, media_type=media_type,
             data=data,
@@ -296,7 +295,7 @@ class StorageFile:
         self._metadata.append(index)
 
     def finish_chunk(self) -> None:
-        """Hand everything to the operating system; no chunk is written without messages."""
+        """Write the current chunk to the operating system, unless it has no messages."""
         self.output.check()
         if self._chunk.empty:
             return
@@ -306,7 +305,7 @@ class StorageFile:
         self._chunk = ChunkBuilder()
 
     def finish(self) -> None:
-        """Write what makes the file complete: end of data, summary, footer, with checksums."""
+        """Complete the file: write end of data, summary and footer, with checksums."""
         self.finish_chunk()
         self.output.put(encode(DataEnd(self.output.crc)))
         start = self.output.size
@@ -334,7 +333,7 @@ class StorageFile:
         return _encoded([*self._schemas.values(), *self._channels.values()])
 
     def _summary(self) -> list[tuple[Opcode, bytes]]:
-        """The records of the summary section by kind; readers stumble over kinds without any."""
+        """Records of the summary section by kind; without empty groups, which confuse readers."""
         numbers = {channel.id: self.counts[topic] for topic, channel in self._channels.items()}
         statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),

@@ -1,1 +1,1 @@
-"""What the benchmark measures: the closed loop, the graph, components, campaigns."""
+"""Subjects of the benchmark: the closed loop, the graph, components, campaigns."""

@@ -1,4 +1,4 @@
-"""A campaign from the command line: wall time per run, once under way, by number of workers."""
+"""A campaign from the command line: steady-state wall time per run, by number of workers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taxinet_ros.processes.child import ChildProcess, package_environment
 
 WORKERS = (1, 2)
 RUNS = 8
-"""Runs of each campaign; those that fill the workers for the first time are not counted."""
+"""Runs of each campaign; the first one of each worker is not counted."""
 
 _SEARCH = (
     'falsify', 's_falsif', '--sampler', 'random', '--perception', 'taxinet', '--images', 'none',
@@ -29,11 +29,11 @@ _LIMIT_S = 600.0
 
 
 def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
-    """A run of a random search with the shipped network, without pictures in the bags.
+    """Runs of a random search with the shipped network, without pictures in the bags.
 
     Args:
-        stack: removes what they leave.
-        amounts: is left as it is.
+        stack: removes their files.
+        amounts: not changed.
     """
     del amounts
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-campaign-')))
@@ -52,7 +52,7 @@ def figure_name(workers: int) -> str:
 
 
 def part_name(workers: int) -> str:
-    """How a number of workers is written."""
+    """Display text of a number of workers."""
     return f'{workers} worker' if workers == 1 else f'{workers} workers'
 
 
@@ -75,7 +75,7 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
 
 
 def _watch(process: ChildProcess, ledger: Path) -> list[int]:
-    """When each result was first seen on disk, on the clock of :func:`time.perf_counter_ns`."""
+    """Times at which each result was first seen on disk, by :func:`time.perf_counter_ns`."""
     stamps: list[int] = []
     deadline = time.monotonic() + _LIMIT_S
     ended = False

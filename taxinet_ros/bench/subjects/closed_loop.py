@@ -1,8 +1,8 @@
-"""The closed loop in one process, without ROS: whole runs of 30 s, and a control step by its parts.
+"""The closed loop in one process, without ROS: whole runs of 30 s, and parts of a control step.
 
-The parts are measured in processor time on the bytes that the graph records, to be compared with
-the whole graph; what they do not explain is the transport: messages made, sent, taken and
-dispatched, and nodes getting ready.
+The parts are measured in processor time on the bytes that the graph records, for comparison with
+the whole graph. The remainder is the transport: creating, sending, taking and dispatching messages,
+and preparing nodes.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.world import last_step
 
 SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
-"""The run that is measured, here and through the graph."""
+"""Scenario of the measured run, here and through the graph."""
 SPEC = SHIPPED['phi_eventually']
-"""What judges it."""
+"""Formula that judges it."""
 
 
 def subjects() -> list[Subject]:
-    """A run without pictures, and one in which the network looks at each.
+    """A run without pictures, and one in which the network processes every picture.
 
     Raises:
         UsageError: the shipped weights cannot be used.
@@ -60,19 +60,19 @@ def _loop(name: str, perception: Perception, most: int) -> Subject:
 PARTS = (
     'physics', 'rendering', 'encoding', 'inference', 'control', 'monitor', 'recording',
 )
-"""What is measured by itself."""
+"""Parts that are measured separately."""
 TRANSPORT = 'transport'
 WHOLE = 'whole'
 GRAPH = 'graph/composed, network'
-"""The figure of the whole."""
+"""Name of the figure of the whole graph."""
 _NAME = 'tick'
 
 
 def tick_subject(recorded: Callable[[], Path]) -> Subject:
-    """The parts of a control step, means over a run.
+    """Subject for the parts of a control step, as means over a run.
 
     Args:
-        recorded: tells the bag of a run without pictures; asked at the first run.
+        recorded: returns the bag of a run without pictures; called at the first run.
     """
     perception = make_perception('taxinet')
     gains = SteeringGains()
@@ -110,11 +110,10 @@ def tick_subject(recorded: Callable[[], Path]) -> Subject:
 
 
 def step_parts(figures: Mapping[str, Figure]) -> dict[str, float]:
-    """A control step of the composed graph by its parts [s of processor time].
+    """Break down a control step of the composed graph into its parts [s of processor time].
 
     Returns:
-        Every part, the transport, which is the rest, and the whole; nothing where it was not
-        measured.
+        Every part, the transport (the remainder) and the whole; empty if it was not measured.
     """
     whole = figures.get(GRAPH)
     if whole is None or whole.cpu_s is None or f'{_NAME}/{PARTS[0]}' not in figures:
@@ -125,7 +124,7 @@ def step_parts(figures: Mapping[str, Figure]) -> dict[str, float]:
 
 
 class _Stopwatch:
-    """Adds up the processor time of each part."""
+    """Sums the processor time of each part."""
 
     def __init__(self) -> None:
         self.total_ns = dict.fromkeys(PARTS, 0)
@@ -138,7 +137,7 @@ class _Stopwatch:
 
 
 class _Recorded:
-    """The messages of a run, written again and again as the recorder does."""
+    """The messages of a run, written repeatedly in the way of the recorder."""
 
     def __init__(self, bag: Path) -> None:
         self._folder = bag.parent
@@ -149,7 +148,7 @@ class _Recorded:
         self._canonical = Canonical(self._topics)
 
     def write(self, stopwatch: _Stopwatch) -> None:
-        """Write them into a bag, which is removed unmeasured."""
+        """Write them into a bag; its removal is not measured."""
         scratch = Path(tempfile.mkdtemp(prefix='tick-', dir=self._folder))
         with stopwatch('recording'):
             writer = BagWriter(

@@ -1,4 +1,4 @@
-"""The parts of a run, each alone in this process: camera, network, flight dynamics, samplers."""
+"""Components of a run, each alone in this process: camera, network, flight dynamics, samplers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scene:
-    """A scenario and a moment in it."""
+    """A scenario and a state of the aircraft in it."""
 
     scenario: Scenario
     state: AircraftState
@@ -61,6 +61,7 @@ SCENES = {
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),
+    'taxiway': _scene(x_m=960.0, y_m=50.0, heading_deg=70.0, track='exit_left'),
 }  # fmt: skip
 """Scenes by name."""
 
@@ -69,9 +70,9 @@ SUM = 'sum of stages'
 
 
 def camera_subjects() -> list[Subject]:
-    """Frames, whole and by stages, and the making of cameras and textures."""
+    """Whole frames, their stages, and the creation of cameras and textures."""
     runway = default_runway()
-    ground_atlas(runway)  # as in every process that photographs; what it costs is measured apart
+    ground_atlas(runway)  # loaded in every process that renders; its cost is measured separately
     found = []
     for name, scene in SCENES.items():
         found += _frame(name, scene)
@@ -81,6 +82,7 @@ def camera_subjects() -> list[Subject]:
         Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
         Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
         Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
     ]
 
 
@@ -89,15 +91,20 @@ def _discard(made: object) -> None:
 
 
 def _make_textures() -> None:
-    """Make what every process makes once."""
+    """Make the textures that every process makes once."""
     ground_atlas.__wrapped__(default_runway())
 
 
-def _frame(name: str, scene: Scene) -> list[Subject]:
-    """A frame as a whole, and the stages of another one.
+def _make_taxiway() -> None:
+    """Make what the first run along a track makes in a process."""
+    ground_atlas.__wrapped__(default_runway(), SCENES['taxiway'].scenario.line)
 
-    In a run one camera works all the time; here they take turns. So each sees a frame unmeasured
-    before its turn, and its buffers are where they would be.
+
+def _frame(name: str, scene: Scene) -> list[Subject]:
+    """Subjects for a whole frame, and for the stages of another one.
+
+    In a run one camera works continuously; here cameras take turns. So each renders an unmeasured
+    frame before its turn, which puts its buffers back into the caches.
     """
     camera = Camera(scene.scenario)
     stamp_ns = 0
@@ -128,7 +135,7 @@ def _frame(name: str, scene: Scene) -> list[Subject]:
 
 
 def inference_subjects() -> list[Subject]:
-    """One estimate, and its two halves.
+    """One estimate, and its two halves: preprocessing and inference.
 
     Raises:
         UsageError: the shipped weights cannot be used.
@@ -159,25 +166,40 @@ def inference_subjects() -> list[Subject]:
 _PHYSICS_STEPS = 20
 
 
+_PUSHED = {
+    '': Scenario(),
+    ', wind': Scenario(wind_speed_mps=5.0),
+    ', gusts': Scenario(wind_speed_mps=5.0, gust_mps=1.5),
+    ', wet, uphill': Scenario(runway_state='wet', slope_fraction=0.02),
+}
+"""Scenarios by the end of the subject's name: what moves the aircraft besides the controller."""
+
+
 def physics_subjects() -> list[Subject]:
     """Twelve physics steps make one control step."""
-    aircraft = Aircraft(Scenario())
-    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
-
-    def advance() -> None:
-        for _ in range(_PHYSICS_STEPS):
-            aircraft.advance(command)
-
-    def make() -> None:
-        Aircraft(Scenario())
-
     return [
-        Subject(
-            name='physics/control step', run=advance, calls=_PHYSICS_STEPS,
-            simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+        *(
+            Subject(
+                name=f'physics/control step{words}', run=partial(_advance, Aircraft(scenario)),
+                calls=_PHYSICS_STEPS, simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+            )
+            for words, scenario in _PUSHED.items()
         ),
-        Subject(name='physics/new', run=make, most=20),
-    ]  # fmt: skip
+        *(
+            Subject(name=f'physics/new{words}', run=partial(_make, scenario), most=20)
+            for words, scenario in _PUSHED.items()
+        ),
+    ]
+
+
+def _advance(aircraft: Aircraft) -> None:
+    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
+    for _ in range(_PHYSICS_STEPS):
+        aircraft.advance(command)
+
+
+def _make(scenario: Scenario) -> None:
+    Aircraft(scenario)
 
 
 SAMPLER_SPACE = (
@@ -185,7 +207,7 @@ SAMPLER_SPACE = (
     Dimension(name='clouds', weights=(1.0,) * 6),
     Dimension(name='rain', weights=(2.0, 1.0)),
 )
-"""Seven dimensions: as many as the shipped programs vary, and two of them categories."""
+"""Seven dimensions, as many as the shipped programs vary; two of them are categories."""
 SAMPLER_RUNS = 120
 """Runs made before the first one measured."""
 _SAMPLER_CALLS = {'tpe': 5, 'cmaes': 5, 'bo': 1}
@@ -193,7 +215,7 @@ _USUAL_CALLS = 50
 
 
 def sampler_subjects() -> list[Subject]:
-    """Asking for a run and telling its result, with each sampler."""
+    """Asking each sampler for a run and telling it the result."""
     return [
         Subject(
             name=f'samplers/{word}',
@@ -207,8 +229,8 @@ def sampler_subjects() -> list[Subject]:
 
 
 def _first_filled(word: str) -> Callable[[], None]:
-    """Runs of a sampler that has made :data:`RUNS` before."""
-    # Before its start a Gaussian process costs nothing, then its window is full at once.
+    """Runs of a sampler that has already made :data:`SAMPLER_RUNS`."""
+    # A Gaussian process costs nothing before it starts; then its window is full at once.
     options = {'startup': SAMPLER_RUNS} if word == 'bo' else {}
     sampler = make_sampler(word, SAMPLER_SPACE, 0, SAMPLER_RUNS, **options)
     _make_runs(sampler, SAMPLER_RUNS + 10)
@@ -222,5 +244,5 @@ def _make_runs(sampler: Lagged, number: int) -> None:
 
 
 def _robustness(point: Point) -> float:
-    """A bowl in which about one run in ten fails."""
+    """Bowl-shaped robustness with which about one run in ten fails."""
     return sum((quantile - 0.3) ** 2 for quantile in point if quantile is not None) - 0.4

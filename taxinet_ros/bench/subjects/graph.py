@@ -1,7 +1,7 @@
-"""The closed loop over ROS 2: composed, as processes, on another executor, and what recording adds.
+"""The closed loop over ROS 2: composed, as processes, on another executor, without a recorder.
 
-All drive the scenario of :mod:`.closed_loop`, so that the loop without ROS stands beside them. A
-run counts from the request to the result: getting ready and closing the bag included.
+All run the scenario of :mod:`.closed_loop`, for comparison with the loop without ROS. A run is
+measured from the request to the result, including preparation and closing the bag.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _END_S = 30.0
 
 
 class StandingGraph:
-    """Runs one scenario after the other; a context manager that ends the graph's work.
+    """Runs one scenario after the other; a context manager that stops the graph.
 
-    Requests are drawn on the executor's own thread. So between two runs all of a composed graph
-    stands still, and takes no time from whatever else is measured.
+    Requests are drawn on the executor's own thread. So a composed graph is idle between two runs
+    and takes no time from other subjects.
     """
 
     def __init__(self, graph: Graph, participants: Sequence[str], bags: Path) -> None:
         """Take over a graph.
 
         Args:
-            graph: nothing else gives it work.
+            graph: graph without any other source of requests.
             participants: its nodes that take part in the lockstep.
-            bags: where its recorder writes.
+            bags: output folder of its recorder.
         """
         self._graph = graph
         self._participants = tuple(participants)
@@ -75,7 +75,7 @@ class StandingGraph:
         self._thread.join(_END_S)
 
     def run(self) -> None:
-        """One run, from the request to its result.
+        """Perform one run, from the request to its result.
 
         Raises:
             InfraError: it has no verdict.
@@ -111,14 +111,14 @@ class StandingGraph:
 
 
 PERCEPTIONS = {'network': 'taxinet', 'truth': 'truth'}
-"""What a figure's name says, and what the graph is given."""
+"""Perception given to the graph, by its word in a figure's name."""
 _MOST, _MOST_SLOW = 3, 2
 _DOMAIN = 'TAXINET_DOMAIN_ID'
 Open = Callable[[GraphOptions], AbstractContextManager[Graph]]
 
 
 class _Unrecorded(GraphOptions):
-    """A graph without a recorder: nothing that people can start, only the bench."""
+    """Options of a graph without a recorder, available only to the benchmark."""
 
     def nodes(self) -> dict[str, tuple[Any, dict[str, Any]]]:
         """See :class:`GraphOptions`."""
@@ -128,18 +128,18 @@ class _Unrecorded(GraphOptions):
 
 
 def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
-    """Runs through graphs that stand until ``stack`` is left, and what a control step is made of.
+    """Runs through graphs that live until ``stack`` is closed, and the parts of a control step.
 
     Args:
         stack: closes the graphs.
-        amounts: takes the bytes of a run and the memory of the processes.
+        amounts: receives the bytes of a run and the memory of the processes.
 
     Raises:
-        UsageError: the user's one domain would have all these graphs talk to each other.
+        UsageError: the user has set one domain, in which all these graphs would communicate.
     """
     if os.environ.get(_DOMAIN):
         raise UsageError(f'bench: {_DOMAIN} puts all its graphs into one domain; unset it')
-    # Graphs side by side have nodes of the same names, of which their common log would complain.
+    # Concurrent graphs have nodes of the same names, which the rosout logger would report.
     set_logger_level('rcl.logging_rosout', LoggingSeverity.ERROR)
     maker = _Maker(stack)
     found: list[Subject] = []
@@ -183,12 +183,12 @@ class _Standing:
         return self.graph.bag
 
     def bytes(self) -> float:
-        """What its last run has left on disk."""
+        """Size of the last run's files on disk [bytes]."""
         return folder_bytes(self.graph.bag)
 
 
 class _Maker:
-    """Sets graphs up, each with a folder of its own."""
+    """Sets up graphs, each with its own folder."""
 
     def __init__(self, stack: ExitStack) -> None:
         self._stack = stack
@@ -199,7 +199,7 @@ class _Maker:
         self, way: str, word: str, start: Open = composed_graph, *, images: str = 'none',
         kind: type[GraphOptions] = GraphOptions, most: int = _MOST,
     ) -> _Standing:
-        """Set up a graph: the ``way`` it works, and the ``word`` for its perception."""
+        """Set up a graph that works in the given ``way``, with perception ``word``."""
         bags = self.folder / way / word
         options = kind(perception=PERCEPTIONS[word], out=bags, images=images)
         graph = self._stack.enter_context(start(options))
@@ -211,5 +211,5 @@ class _Maker:
 
 
 def _clock(pids: Sequence[int]) -> Clock:
-    """Processor time of this process and of some children [ns]; theirs in steps of 10 ms."""
+    """Clock of the processor time of this process and of children [ns], theirs in 10 ms steps."""
     return lambda: time.process_time_ns() + sum(processor_time_ns(pid) for pid in pids)

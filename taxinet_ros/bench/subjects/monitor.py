@@ -1,4 +1,4 @@
-"""Robustness monitors: ours, online and offline, and others in an environment of their own."""
+"""Robustness monitors: ours, online and offline, and third-party ones in another environment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from taxinet_ros.processes.child import ChildProcess
 
 LAST = 300
 LENGTHS = {'1k': 1_000, '10k': 10_000, '100k': 100_000}
-"""Samples of the longer runs, by the word that names them."""
+"""Number of samples of the longer runs, by the word that names them."""
 WINDOWS_S = (10, 100, 1_000)
 _GROWING = ('phi_always', 'phi_eventually')
 _NESTED = {
@@ -32,13 +32,13 @@ _NESTED = {
     'F G F': 'eventually[0:5](always(eventually[0:2](cte < 0)))',
     '12 until': '(' * 12 + 'cte < 0' + ') until[0:0.5] (cte < 1)' * 12,
 }
-"""Where a window stands in another, by the word that names it."""
+"""Formulas with nested windows, by the word that names them."""
 _OFFLINE_CALLS = 20
 Run = Sequence[tuple[int, dict[str, float]]]
 
 
 def subjects() -> list[Subject]:
-    """One sample and the whole of a 30 s run; samples of longer runs and under wider windows."""
+    """One sample and all samples of a 30 s run; samples of longer runs and wider windows."""
     run = swinging_run(LAST)
     found: list[Subject] = []
     for name, spec in SHIPPED.items():
@@ -63,7 +63,7 @@ def subjects() -> list[Subject]:
 
 
 def swinging_run(last: int) -> Run:
-    """Truth that swings into the centreline, with stamps [ns]; ``last + 1`` samples."""
+    """True states that oscillate towards the centreline, with stamps [ns]; ``last + 1`` samples."""
     return [(step * CONTROL_PERIOD_NS, _sample(step)) for step in range(last + 1)]
 
 
@@ -111,18 +111,18 @@ def _offline(name: str, spec: Spec, run: Run) -> Subject:
 _CHILD = Path(__file__).with_name('peers_child.py')
 _FORMULAS = {'phi_always': 'G near', 'phi_eventually': 'F[0, 10] G near'}
 _SLOW = 'py-mtl'
-"""metric-temporal-logic takes a second and more."""
+"""metric-temporal-logic, which takes a second or more."""
 
 
 @contextmanager
 def peer_subjects(python: str) -> Iterator[list[Subject]]:
-    """Subjects of the monitors that another Python has; it runs until the context is left.
+    """Subjects of the monitors in another Python, which runs until the context is left.
 
     Args:
-        python: its executable, of an environment made from ``tests/core/mtl/oracles.txt``.
+        python: its executable, in an environment made from ``tests/core/mtl/oracles.txt``.
 
     Raises:
-        UsageError: no such Python, or it has none of the monitors.
+        UsageError: there is no such Python, or it has none of the monitors.
     """
     try:
         child = ChildProcess(
@@ -154,7 +154,7 @@ def _trace_json() -> str:
 
 
 def _peer_subject(name: str, child: ChildProcess) -> Subject:
-    # The other process takes its time itself, so that of talking to it does not count.
+    # The other process measures its own time, so communication with it does not count.
     run = partial(_measure_peer, name, child)
     slow = name.startswith(_SLOW)
     return Subject(name='monitor', run=run, warm_ups=0 if slow else 2, most=3 if slow else None)
@@ -168,7 +168,7 @@ def _measure_peer(name: str, child: ChildProcess) -> dict[str, int]:
 
 
 def _ask(child: ChildProcess, line: str) -> bytes:
-    """The answer to a line; none from one that is gone."""
+    """The answer to a line; empty if the process has ended."""
     questions, answers = child.process.stdin, child.process.stdout
     assert questions is not None, 'a pipe was asked for'
     assert answers is not None, 'a pipe was asked for'

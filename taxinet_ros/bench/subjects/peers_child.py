@@ -1,8 +1,9 @@
-"""Measure other monitors in an environment of their own, for :mod:`.bench.subjects.monitor`.
+"""Measure third-party monitors in their own environment, for :mod:`.bench.subjects.monitor`.
 
-Runs in a Python that need not have taxinet_ros, hence by its path, and imports nothing of it. It
-reads one JSON line ``{"times_s": [...], "cte_m": [...], "formulas": {name: [text, windowed]}}`` and
-answers the names of what it can measure; then, for every name it reads, the nanoseconds of a call.
+Started by its path, in a Python that need not have taxinet_ros, and imports nothing of it. It reads
+one JSON line ``{"times_s": [...], "cte_m": [...], "formulas": {name: [text, windowed]}}`` and
+answers the names that it can measure; then it answers each name read with the nanoseconds of a
+call.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Job = Callable[[], object]
 
 
 def rtamt_jobs(trace: dict[str, Any]) -> dict[str, Job]:
-    """rtamt, discrete time, offline; a specification serves for one trace only."""
+    """rtamt, discrete time, offline; a specification can be used for one trace only."""
     rtamt = importlib.import_module('rtamt')
 
     def evaluate(text: str) -> None:

@@ -1,7 +1,7 @@
-"""From a command to something seen: ``taxinet run`` to a step on disk, a node to its name.
+"""Start-up times: ``taxinet run`` to the first step on disk, a node to its discovery.
 
-Processes of their own, watched from outside every few milliseconds; Python files and libraries are
-in the system's cache after the first.
+Processes are polled from outside every few milliseconds; Python files and libraries are in the
+system's cache after the first start.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ _HEAD = struct.Struct('<BQ')
 
 
 def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
-    """A run of one simulated second from the command line, and a node alone.
+    """A run of one simulated second from the command line, and a single node.
 
     Args:
-        stack: removes what they leave.
-        amounts: takes the most memory that ``taxinet run`` had.
+        stack: removes their files.
+        amounts: receives the peak memory of ``taxinet run``.
     """
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-start-')))
     peaks = [0]
@@ -66,7 +66,7 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
 
 
 def holds_step(mcap: Path) -> bool:
-    """Whether a bag's file holds a whole chunk: the recorder makes its first of the first step."""
+    """Whether a bag's file holds a whole chunk; the recorder's first chunk is the first step."""
     try:
         data = mcap.read_bytes()
     except FileNotFoundError:
@@ -107,7 +107,7 @@ def _start_node(onlooker: Node) -> Mapping[str, int]:
     domain = str(onlooker.context.get_domain_id())
     deadline = time.monotonic() + LIMIT_S
     while _seen(onlooker) and time.monotonic() < deadline:
-        time.sleep(LOOK_S)  # the one before has not been forgotten yet
+        time.sleep(LOOK_S)  # the previous node is still known
     start = time.perf_counter_ns()
     with tempfile.TemporaryDirectory() as folder, ChildProcess(
         'node', module_command(steering_controller.__name__), log=Path(folder) / 'printed.txt',

@@ -35,7 +35,7 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
     """The requirements without a column in a campaign's table, or with an added one.
 
     Raises:
-        UsageError: the folder holds no campaign or a running one, or its runs were judged by
+        UsageError: the folder contains no campaign or a running one, or its runs were judged by
             another formula of that name.
     """
     if not (folder / LEDGER_NAME).is_file():
@@ -61,7 +61,7 @@ def add_requirements(
     The outcomes do not change: they are those of the campaign's original requirements.
 
     Args:
-        folder: the campaign's.
+        folder: folder of the campaign.
         specs: requirements returned by :func:`addable`.
         bags: judged bags by path.
 
@@ -70,7 +70,7 @@ def add_requirements(
         none.
 
     Raises:
-        UsageError: the campaign is running, its record is damaged, or a bag is of another run.
+        UsageError: the campaign is running, its record damaged, or a bag belongs to another run.
     """
     with Ledger(folder / LEDGER_NAME) as ledger:
         content = read_ledger(folder / LEDGER_NAME)

@@ -39,10 +39,10 @@ class JudgedRun:
         run_id, seed, scenario: as requested.
         specs: formulas as text, the headline first.
         outcome: how it ended.
-        robustness: by the formula's name.
+        robustness: robustness by name of the formula.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
-        controller, controller_fingerprint: name of the controller, as reported by itself if
+        controller, controller_fingerprint: name of the controller, as it reported itself if
             unknown, and its reported hash.
         timing: when answers took effect, with the run's own draws.
         world, world_fingerprint: name of its world, and the hash of the package that provides it,
@@ -132,7 +132,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
 
 
 def _controller(facts: Mapping[str, Any], said: str) -> str:
-    """Controller name as recorded by the campaign, else as reported by itself."""
+    """Controller name recorded by the campaign, else the one that it reported."""
     word = str(facts.get('controller', STEERING))
     return said if said and word == STEERING else word
 
@@ -172,8 +172,8 @@ def bag_differences(
     Values that one of them lacks, as in earlier versions, are not compared.
 
     Args:
-        row: of the run.
-        facts: of its campaign.
+        row: row of the run.
+        facts: facts of its campaign.
         bag: its bag.
         whole: whether the bag is complete, so that the run's result is compared too.
 
@@ -288,10 +288,10 @@ def check_same_run(
     """Check that a bag belongs to a row's run.
 
     Args:
-        row: of the run.
-        facts: of its campaign.
+        row: row of the run.
+        facts: facts of its campaign.
         bag: its bag.
-        whole: as for :func:`bag_differences`.
+        whole: see :func:`bag_differences`.
 
     Raises:
         UsageError: it belongs to another run.
@@ -315,8 +315,8 @@ class BagPlaces:
         """Check that a bag belongs to the run given by its path.
 
         Args:
-            bag: a run's folder or an ``.mcap`` file, opened or only where it has such a place.
-            whole: as for :func:`bag_differences`.
+            bag: a run's folder or an ``.mcap`` file, or a recording that has such a path.
+            whole: see :func:`bag_differences`.
 
         Raises:
             UsageError: it belongs to another run.

@@ -1,7 +1,7 @@
-"""Localise faults: rerun a campaign's failed runs with the truth in place of the network.
+"""Localise faults: rerun a campaign's failed runs with the truth instead of the network.
 
-Trials run in worker processes, each with a substitute for the network. The folder holds
-``trials.jsonl``, append-only and flushed to the disk after every trial: finished trials are never
+Trials run in worker processes, each with a substitute for the network. The folder contains
+``trials.jsonl``, append-only and flushed to disk after every trial: finished trials are never
 repeated, so the same command continues after an interrupt, also with more runs or other
 substitutions.
 """
@@ -91,9 +91,9 @@ class Task:
     Attributes:
         run_id: the counterexample.
         scenario: its scene.
-        word: of the substitution.
-        seed: of its noise: seed and index of the run, which determine drawn latencies too.
-        exact: whether the scene is known to the last bit.
+        word: word of the substitution.
+        seed: seed of its noise: seed and index of the run, which also determine drawn latencies.
+        exact: whether the scene is bit-exact.
     """
 
     run_id: str
@@ -109,13 +109,13 @@ class Trial:
 
     Attributes:
         run_id: the counterexample.
-        word: of the substitution.
-        passed: whether all formulas were satisfied; None where the run could not be judged.
-        detail: why it could not be judged.
+        word: word of the substitution.
+        passed: whether all formulas were satisfied; None if the run could not be judged.
+        detail: reason why it could not be judged.
         exact: whether its scene was bit-exact, so that it must reproduce the recorded result.
-        robustness: of the headline; exact unless the run was stopped before its end.
-        max_cross_track_m, settle_time_s, left_runway: of the path, see
-            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
+        robustness: robustness of the headline; exact unless the run was stopped early.
+        max_cross_track_m, settle_time_s, left_runway: statistics of the path, see
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None if unknown.
     """
 
     run_id: str
@@ -136,7 +136,7 @@ class Trial:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`to_json` gave.
+        """Create from the values of :meth:`to_json`.
 
         Raises:
             KeyError, TypeError: a field is missing or unknown.
@@ -172,7 +172,7 @@ _worker: list[tuple[TrialSetup, Perception, Controller]] = []
 
 
 def _start_worker(bench: TrialSetup) -> None:
-    cv2.setNumThreads(1)  # the workers share the cores among themselves
+    cv2.setNumThreads(1)  # the workers share the cores
     threadpool_limits(limits=1)
     controller = make_controller(bench.controller, SteeringGains(**bench.gains))
     _worker.append((bench, make_perception(bench.perception), controller))
@@ -239,7 +239,7 @@ class LocalizeOptions:
         words: names of the substitutions, the control first.
         perception: word or file of the network.
         controller: name of the controller.
-        workers: processes.
+        workers: number of processes.
         out: folder.
     """
 
@@ -253,7 +253,7 @@ class LocalizeOptions:
 
     @property
     def wanted(self) -> int:
-        """Number of trials in all."""
+        """Total number of trials."""
         return len(self.rows) * len(self.words)
 
 
@@ -267,7 +267,7 @@ def make_localize_options(
         campaign: the campaign's folder.
         runs: maximum number of failed runs to analyse, spread over all; None for all.
         words: names of substitutions; :data:`DEFAULT_WORDS` if empty.
-        workers: processes.
+        workers: number of processes.
         out: folder; if None, one below ``bags/`` named after the campaign.
         perception: the network's file if it was moved; None for the campaign's.
 
@@ -285,7 +285,7 @@ def make_localize_options(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
             'a campaign with --latency'
         )
-    find_world(*recorded_world(found.facts))  # or it says which package is missing, or another one
+    find_world(*recorded_world(found.facts))  # or it reports a missing or changed package
     if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not record the formulas')
     return LocalizeOptions(
@@ -310,7 +310,7 @@ def localize(
         The requested trials that are complete.
 
     Raises:
-        UsageError: the folder cannot be used, or holds trials of another campaign.
+        UsageError: the folder cannot be used, or contains trials of another campaign.
         InfraError: a worker process died.
     """
     journal = _open(options)

@@ -27,7 +27,7 @@ class RecordedCampaign:
     """A recorded campaign, whether finished, interrupted or running.
 
     Attributes:
-        folder: the campaign's.
+        folder: folder of the campaign.
         content: content of the ledger.
     """
 
@@ -46,7 +46,7 @@ class RecordedCampaign:
 
     @property
     def judged(self) -> tuple[RunRow, ...]:
-        """The runs that have a verdict."""
+        """The runs with a verdict."""
         return tuple(row for row in self.rows if row.outcome.judged)
 
     @property
@@ -114,7 +114,7 @@ def open_campaign(folder: Path) -> RecordedCampaign:
     """Open the campaign in a folder read-only; it may be running.
 
     Raises:
-        UsageError: not a campaign, or its ledger is damaged.
+        UsageError: it is not a campaign, or its ledger is damaged.
     """
     path = folder / LEDGER_NAME
     if not path.is_file():

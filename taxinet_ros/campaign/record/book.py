@@ -54,9 +54,9 @@ _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
     """Name of a run and of its bag, valid for any program file name.
 
-    On a standing graph it begins with the name of the campaign's folder, because all bags go to one
-    place; and each attempt at a broken run has its own name, so that late messages about one are
-    not taken for the next.
+    On a standing graph it starts with the name of the campaign's folder, because all bags are
+    written to one place; and each attempt at a broken run has its own name, so that late messages
+    about one are not attributed to the next.
     """
     standing = options.standing_graph
     stem = options.out.name if standing else f'{_stem(options)}-s{options.seed}'
@@ -125,7 +125,7 @@ class CampaignBook:
         facts: content of ``campaign.json``, from :meth:`begin` on.
         rows: the latest row of each run by index, as in the table, including earlier sessions.
         warning: one line if these were made on another machine or version, or ''.
-        broken_in_a_row: number of consecutive runs broken by the bench.
+        broken_in_a_row: number of consecutive runs with an infrastructure error.
     """
 
     def __init__(
@@ -157,10 +157,10 @@ class CampaignBook:
         self._documents: set[tuple[str, str]] = set()
 
     def check_folder(self) -> None:
-        """Check that the folder is new or holds a campaign to resume; nothing is changed.
+        """Check that the folder is new or contains a campaign to resume; nothing is changed.
 
         Raises:
-            UsageError: it is not.
+            UsageError: it is neither.
         """
         if self._resume:
             check_resumable(self._out)
@@ -182,7 +182,7 @@ class CampaignBook:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of the rows so far, even after an error, if the campaign had begun.
+        """Write the table of the rows so far, even after an error, if the campaign had started.
 
         Raises:
             RecordError: it cannot be written, or the record has been moved.
@@ -204,15 +204,15 @@ class CampaignBook:
     def begin(self, facts: Mapping[str, Any], before: LedgerContent = EMPTY_LEDGER) -> None:
         """Record the facts of the campaign, before its first run.
 
-        On a resume, they are written only once something is added to the record: until then the
+        On a resume, they are written only when something is added to the record: until then the
         caller may still reject the earlier runs.
 
         Args:
-            facts: of the campaign.
+            facts: facts of the campaign.
             before: result of :func:`read_same_campaign`.
 
         Raises:
-            RecordError: that cannot be written.
+            RecordError: they cannot be written.
         """
         stacks = {**recorded_stacks(before.campaign), **facts[STACKS]}
         self.facts = {**facts, STACKS: stacks}
@@ -236,7 +236,7 @@ class CampaignBook:
         self._write_due_facts()
 
     def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
-        """Record that a run is about to begin; rename the remains of an earlier attempt.
+        """Record that a run is about to start; rename the files of an earlier attempt.
 
         Raises:
             RecordError: they cannot be written.
@@ -253,10 +253,10 @@ class CampaignBook:
         return request
 
     def second_chance(self, request: RunRequest, result: RunResult) -> bool:
-        """Whether a run broken by the bench is retried, once; see :meth:`next_retry`.
+        """Whether to retry a run with an infrastructure error, once; see :meth:`next_retry`.
 
         Raises:
-            RecordError: that cannot be written down.
+            RecordError: the record cannot be written.
         """
         if result.outcome is not Outcome.INFRA_ERROR or self.was_retried(request.index):
             return False
@@ -281,10 +281,10 @@ class CampaignBook:
         return rejected_row(self._options, index, detail)
 
     def keep(self, row: RunRow) -> None:
-        """Record how a run ended.
+        """Record the result of a run.
 
         Raises:
-            RecordError: it cannot be written; ``rows`` has it nevertheless.
+            RecordError: it cannot be written; ``rows`` contains it nevertheless.
         """
         self.rows[row.index] = row
         if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
@@ -332,7 +332,7 @@ class CampaignBook:
 
 
 def check_resumable(out: Path) -> None:
-    """Check that ``out`` holds a campaign to resume, possibly without runs.
+    """Check that ``out`` contains a campaign to resume, possibly without runs.
 
     Raises:
         UsageError: there is none.
@@ -357,8 +357,8 @@ UNKNOWN_TO_SAMPLER = 'untold'
 _MAY_DIFFER = frozenset({
     'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
 })
-"""Facts that may differ on a resume: more runs may be requested; the text is covered by its digest;
-warnings differ between versions; another machine or version only gives a warning."""
+"""Facts that may differ on a resume: more runs may be requested; the digest covers the text;
+warnings differ between versions; another machine or version only causes a warning."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
     'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
@@ -371,15 +371,15 @@ _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
 def read_same_campaign(
     out: Path, facts: Mapping[str, Any], undecided: Collection[str] = ()
 ) -> LedgerContent:
-    """The ledger content of a campaign to resume; its :class:`CampaignBook` is open.
+    """The ledger content of a campaign to resume, whose :class:`CampaignBook` is open.
 
     Args:
-        out: the campaign's folder.
+        out: folder of the campaign.
         facts: facts of the requested campaign.
-        undecided: names of facts that are not known yet.
+        undecided: names of facts that are not yet known.
 
     Raises:
-        UsageError: another campaign was begun there, or the ledger is damaged.
+        UsageError: another campaign was started there, or the ledger is damaged.
     """
     content = read_ledger(out / LEDGER_NAME)
     if content.rows and not content.campaign:

@@ -1,7 +1,7 @@
 """Facts of a campaign, written to ``campaign.json`` and the ledger before its first run.
 
 When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then has checksums of
-    the tables and the end of the ledger.
+the tables and the end of the ledger.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
 
 ARMS = 'experiment_arms'
-"""The fact that names the folders of all arms of an experiment, of which the campaign is one."""
+"""The fact that names the folders of all arms of an experiment, including this campaign's."""
 
 EXTENSIONS = 'extensions'
 """The fact that lists the packages of extensions, with their versions and hashes."""
@@ -38,7 +38,7 @@ WORLD = 'world'
 """The fact that names the world of the runs; absent in versions with a single world."""
 
 STACKS = 'stacks'
-"""The fact that names every machine, with its libraries and code, on which runs were made."""
+"""The fact that describes every machine on which runs were made, with libraries and code."""
 
 
 def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
@@ -95,10 +95,10 @@ def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, 
 
 
 def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
-    """Name of the world of a campaign's runs, and SHA-256 of the package that provides it, or ''.
+    """Name of a campaign's world, and SHA-256 of the package that provides it, or ''.
 
     Args:
-        facts: of the campaign.
+        facts: facts of the campaign.
     """
     package = facts.get(EXTENSIONS, {}).get(WORLDS, {})
     return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
@@ -155,7 +155,7 @@ def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """All records in a campaign's facts, by name, the oldest first; empty of older versions."""
+    """All stack records of a campaign by name, the oldest first; empty for older versions."""
     told = facts.get(STACKS)
     return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
 

@@ -31,16 +31,16 @@ class LedgerContent:
     """Content of a ledger.
 
     Attributes:
-        campaign: what :meth:`Ledger.campaign` wrote; empty if nothing yet.
+        campaign: the values of :meth:`Ledger.campaign`; empty if not yet written.
         rows: the newest result of each index, by index.
-        unfinished: indices of runs that were begun and have no result, ascending.
-        attempts: how often each run was begun, by index.
-        added: formulas evaluated afterwards, by name; the rows have their values.
+        unfinished: indices of runs that were started and have no result, ascending.
+        attempts: number of starts of each run, by index.
+        added: formulas evaluated afterwards, by name; the rows contain their values.
         never_begun: indices of rows of runs without a recorded start, ascending, except rejected
             ones.
         finished: whether the campaign ended normally after the last line.
         lost: one line per removal of damaged lines (:mod:`.doctor`).
-        incomplete: those of them after which data is still missing.
+        incomplete: those of ``lost`` after which data is still missing.
         documents: scenario key and reference of each document that it has in full.
     """
 
@@ -63,7 +63,7 @@ _IDENTITY = (
     'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
     'controller_sha256', 'specs',
 )
-"""Facts that no session of a campaign changes."""
+"""Facts that are constant over the sessions of a campaign."""
 
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
@@ -87,7 +87,7 @@ class Ledger(JournalOwner):
         sync_folder(path.parent)
 
     def campaign(self, values: Mapping[str, Any]) -> None:
-        """Record what the campaign is: program, digest, seed, overrides, perception."""
+        """Record the facts of the campaign: program, digest, seed, overrides, perception."""
         self._append({'event': 'campaign', 'campaign': dict(values)})
 
     def document(self, key: str, document: str) -> None:
@@ -95,12 +95,12 @@ class Ledger(JournalOwner):
         self._append({'event': key, key: document})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
-        """Record that run ``index`` is about to begin."""
+        """Record that run ``index`` is about to start."""
         event = {'event': 'intent', 'index': index, 'run_id': run_id}
         self._append(event | ({'scenario_sha256': scenario_sha256} if scenario_sha256 else {}))
 
     def result(self, row: RunRow) -> None:
-        """Record how a run ended.
+        """Record the result of a run.
 
         Raises:
             ValueError: the row is inconsistent.
@@ -131,7 +131,7 @@ class Ledger(JournalOwner):
 def read_ledger(path: Path) -> LedgerContent:
     """Read a ledger, even while it is being written; a torn last line is ignored.
 
-    If ``campaign.json`` exists beside it, the two must agree.
+    If ``campaign.json`` exists in its folder, the two must agree.
 
     Raises:
         UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or
@@ -228,7 +228,7 @@ def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
     for name in _IDENTITY:
         one, other = before.get(name), facts.get(name)
         told = name in before and name in facts and (name != 'perception' or (one and other))
-        if told and one != other:  # a graph's perception is known from its first answer on
+        if told and one != other:  # a graph's perception is known from its first answer
             return name
     return ''
 

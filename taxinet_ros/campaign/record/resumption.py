@@ -27,13 +27,13 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
     """Facts added by a result: the perception and timing, if not known before.
 
     Args:
-        out: the campaign's folder.
+        out: folder of the campaign.
         facts: facts of the campaign.
-        result: the result; it adds nothing if the run broke before a perception was ready.
+        result: the result; it adds nothing if the run failed before a perception was ready.
 
     Raises:
-        UsageError: another perception answered than the campaign was begun with, or its answers
-            take effect at another time.
+        UsageError: the perception, or the timing of its answers, differs from the start of the
+            campaign.
     """
     found = dict(
         zip(PERCEPTION_KEYS, (result.perception, result.fingerprint, result.timing), strict=True)
@@ -78,15 +78,15 @@ class EarlierRuns:
 
     Attributes:
         rows: results of completed runs by index.
-        to_repeat: results by index of runs to repeat: the bench broke them, they were interrupted,
-            or their scenes were chosen without the result of a broken run.
-        unknown_to_sampler: runs that the bench had broken when others, since judged, were chosen
-            without their results; they may have been run again meanwhile. What was chosen stays,
-            so the sampler never learns of them.
-        begun: number of runs that were begun or done, counted from run 0.
-        facts: those that stay: how many runs were planned at first, the arms of its experiment,
-            on the perception, where the graph decided it, and the runs unknown to the sampler.
-        content: what the ledger says.
+        to_repeat: results by index of runs to repeat: they had an infrastructure error, were
+            interrupted, or their scenes were chosen without the result of such a run.
+        unknown_to_sampler: runs with an infrastructure error without whose results others, since
+            judged, were chosen; they may have been repeated. The chosen scenes are kept, so the
+            sampler never receives these results.
+        begun: number of runs started or done, counted from run 0.
+        facts: facts that are kept: number of runs planned at first, arms of the experiment,
+            perception if determined by the graph, and the runs unknown to the sampler.
+        content: content of the ledger.
     """
 
     rows: Mapping[int, RunRow] = field(default_factory=dict)
@@ -101,12 +101,12 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
     """Read the completed runs of a ledger locked and repaired by :class:`.ledger.Ledger`.
 
     Args:
-        out: the campaign's folder.
+        out: folder of the campaign.
         facts: facts of the search to resume.
 
     Raises:
-        UsageError: another search was begun there, the ledger is damaged, or more runs were begun
-            than are asked for now.
+        UsageError: another search was started there, the ledger is damaged, or more runs were
+            started than are requested now.
     """
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     content = read_same_campaign(out, facts, of_graph)
@@ -126,7 +126,7 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
 
 
 def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> frozenset[int]:
-    """See :class:`EarlierRuns`. A run is chosen with the results of those ``LAG`` before it."""
+    """See :class:`EarlierRuns`. A run is chosen with the results up to ``LAG`` runs before it."""
     known = before.get(UNKNOWN_TO_SAMPLER, [])
     if not isinstance(known, list) or not all(type(index) is int for index in known):
         raise UsageError(
@@ -141,7 +141,7 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int]) -> list[RunRow]:
     """The rows of runs that must be repeated.
 
     This includes rejected scenes, which may have been chosen without a result that is now
-    available. They cost no run, and give the same result if nothing has changed.
+    available. They need no run, and have the same result if nothing has changed.
     """
     broken = (
         row.index for row in rows

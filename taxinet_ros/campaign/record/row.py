@@ -28,7 +28,7 @@ class RunRow:
 
     Attributes:
         run_id, index: unique name, and number within the campaign from 0.
-        program, seed: what the scenario was drawn from.
+        program, seed: program and seed from which the scenario was drawn.
         sampler: name of the sampler that chose the scene, or '' if there was none.
         point: the quantile of each active dimension, by name.
         refused: draws or sampler points that the program's requirements rejected before this scene.
@@ -37,33 +37,33 @@ class RunRow:
             results; rates are estimated from these. None in rows older than this column.
         perception, fingerprint: the swap word, and the hash of the weights; on disk
             ``perception_fingerprint``.
-        timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
-            where each did at once. A free run need not come out so again.
+        timing: when answers took effect, as text of :mod:`taxinet_ros.core.pacing.timing`; '' if
+            each did at once. A free run is not reproducible.
         free: figures of a free run by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, camera, duration_s, place: the scenario, see
-            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
-        outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
-        robustness: by the formula's name, the headline first; judged runs only. Rho is exact unless
-            the run was stopped early. On disk these are ``rho``, what is known of it, and
+            runway_state, slope_percent, speed_mps, track, camera, duration_s, place: the scenario,
+            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+        outcome, kind, who, detail: outcome; the other three explain an unjudged run.
+        robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
+            exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
             ``rho_lower`` and ``rho_upper``, the bounds of a run that was stopped early.
-        stopped_early, stopped_s: whether the run ended before its end because its verdict was in,
-            and when [s]; judged runs only. The figures are then those up to there.
+        stopped_early, stopped_s: whether the run was stopped when its verdict was decided, and when
+            [s]; judged runs only. Its figures then cover the time until the stop.
         left_runway, max_cross_track_m, settle_time_s: figures of the true path, see
             :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. After an
             early stop it is unknown whether the run would have left the runway or settled later.
         cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
             he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
         unusable_estimates: frames without an estimate; judged runs only.
-        steps: control steps that were run.
+        steps: number of control steps.
         sim_s: simulated time that passed [s].
-        retries: number of retries after the bench broke.
+        retries: number of retries after infrastructure errors.
         bag: the run's bag, relative to the campaign's folder, or ''.
-        stack: which record of ``stacks`` in ``campaign.json`` says on what machine, libraries and
-            code it was run, or '' in rows older than this column.
-        wall_s: wall-clock time that the run took [s].
+        stack: key of ``stacks`` in ``campaign.json`` with the machine, libraries and code of the
+            run, or '' in rows older than this column.
+        wall_s: wall-clock duration of the run [s].
     """
 
     run_id: str
@@ -97,6 +97,7 @@ class RunRow:
     runway_state: str = ''
     slope_percent: float | None = None
     speed_mps: float | None = None
+    track: str = ''
     camera: str = ''
     duration_s: float | None = None
     place: str = ''
@@ -133,8 +134,8 @@ class RunRow:
         """Check that the row is consistent as the result of a run.
 
         Raises:
-            ValueError: its robustness is not that of its outcome, its name could lead out of the
-                campaign's folder, a number is not finite, or a word is none that there is.
+            ValueError: its robustness contradicts its outcome, its name could lead out of the
+                campaign's folder, a number is not finite, or a word is unknown.
         """
         if not is_run_name(self.run_id):
             raise ValueError(f'run_id is {self.run_id!r:.80}, not a plain name')
@@ -168,7 +169,7 @@ class RunRow:
                 raise ValueError(f'{key} is {value!r:.80}, no reference of one')
 
     def _check_robustness(self) -> None:
-        """PASS: every formula is above zero. FAIL: one of them is not."""
+        """PASS: every formula is above zero. FAIL: at least one is not."""
         known = self.robustness.values()
         passed = all(interval.satisfied for interval in known)
         failed = any(interval.failed for interval in known)
@@ -191,7 +192,7 @@ class RunRow:
 
     @property
     def passed_blind(self) -> bool:
-        """Whether the run passed though more frames than ``usable`` allows had no estimate."""
+        """Whether the run passed although too many frames had no estimate, by ``usable``."""
         return self.outcome is Outcome.PASS and self.unusable_share > MOST_UNUSABLE_SHARE
 
     @property
@@ -201,14 +202,14 @@ class RunRow:
 
     @property
     def rho(self) -> Mapping[str, float]:
-        """Robustness by the formula's name, where it is known."""
+        """Known robustness values by name of the formula."""
         return exact_rho(self.robustness)
 
     def also_judged(self, spec: str, interval: RobustnessInterval) -> Self:
         """The row with the robustness of one more formula, evaluated after the run.
 
         Raises:
-            ValueError: the run was not judged, or was whole and still has an interval only.
+            ValueError: the run was not judged, or was complete but has only an interval.
         """
         if not self.outcome.judged or not (interval.exact or self.stopped_early):
             raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {interval}')
@@ -247,7 +248,7 @@ class RunRow:
         Args:
             request: request of the run.
             result: result of the run.
-            perception: the requested perception; the result has none if the bench broke.
+            perception: the requested perception; the result has none after an infrastructure error.
             sim_s: simulated time that passed [s].
             bag: path of the bag relative to the campaign's folder, or ''.
             stack: name of the machine record, or ''.
@@ -291,8 +292,8 @@ class RunRow:
         """Read the output of :meth:`to_json`, including old ones with keys without units.
 
         Raises:
-            UsageError: a column is missing, unknown or of another kind, the outcome is none of the
-                five, or the row is none that can be (:meth:`check`).
+            UsageError: a column is missing, unknown or of the wrong type, the outcome is unknown,
+                or the row is inconsistent (:meth:`check`).
         """
         # Rows older than a key get its value at that time, if they have a scene.
         drawn = values.get('shadows') is not None

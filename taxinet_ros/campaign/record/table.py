@@ -1,7 +1,7 @@
 """Table of a campaign as CSV and Parquet, made from its rows.
 
-Every column has the same type in every table, even where all its values are missing, so tables of
-several campaigns can be put together.
+Every column has the same type in every table, even if all its values are missing, so tables of
+several campaigns can be concatenated.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import make_atomically, write_atomically
 
-if TYPE_CHECKING:  # A run need not wait for it before it begins.
+if TYPE_CHECKING:  # slow import that should not delay a run
     import pandas as pd
 
 CSV_NAME = 'runs.csv'
 PARQUET_NAME = 'runs.parquet'
 
 WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
-"""The last columns: all others are equal if the campaign is run again."""
+"""The last columns; all others are equal if the campaign is repeated."""
 
 _FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
 
@@ -64,21 +64,21 @@ _AFTER_RHO = {
 }
 
 _ATTRIBUTES = {column: name for name, column in ON_DISK.items()}
-"""A row names these shorter."""
+"""Names of row attributes that are shorter than their column."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
-    """One line per run, by index.
+    """Table with one row per run, by index.
 
     Args:
-        rows: of one campaign.
-        specs: names of its formulas, headline first. Each has a column ``rho_<name>``, empty where
-            a run was stopped before it was known, and ``rho`` repeats the first;
-            ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal where
-            it is known. Formulas that only the rows know follow.
+        rows: rows of one campaign.
+        specs: names of its formulas, headline first. Each has a column ``rho_<name>``, empty if a
+            run was stopped before it was known, and ``rho`` repeats the first;
+            ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal if it
+            is known. Further formulas of the rows follow.
 
-    A run's point has one column ``u_<dimension>`` for each dimension that any row has, and so has
-    each figure of free runs, ``free_<name>``.
+    There is one column ``u_<dimension>`` for each dimension of any row's point, and one column
+    ``free_<name>`` for each figure of free runs.
     """
     import pandas as pd
 
@@ -97,16 +97,14 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
 
 
 def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
-    """Write ``runs.csv`` and ``runs.parquet``; each is whole at any moment, the old or the new.
+    """Write ``runs.csv`` and ``runs.parquet`` atomically, and seal ``campaign.json`` if it exists.
 
-    ``campaign.json``, where there is one, vouches for both then.
-
-    The Parquet file has the campaign's records of machine, libraries and code with it, in
-    ``attrs['stacks']``; the column ``stack`` says which of them made a row.
+    The Parquet file contains the campaign's records of machine, libraries and code in
+    ``attrs['stacks']``; the column ``stack`` refers to them.
 
     Args:
-        rows: of one campaign.
-        folder: the campaign's, which exists.
+        rows: rows of one campaign.
+        folder: existing folder of the campaign.
         specs: names of its formulas, as for :func:`table`.
     """
     frame = table(rows, specs)
@@ -120,21 +118,21 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
 
 
 def csv_text(frame: pd.DataFrame) -> str:
-    """Text of ``runs.csv`` with a table; no spreadsheet takes a word of it for a formula."""
+    """Text of ``runs.csv`` of a table, safe against formula injection in spreadsheets."""
     return frame.apply(
         lambda column: column.map(_spreadsheet_safe) if column.dtype == 'string' else column
     ).to_csv(index=False)
 
 
 def read_table(folder: Path) -> pd.DataFrame:
-    """The table of the campaign in ``folder``, with the types it was written with.
+    """Read the table of the campaign in ``folder``, with the types of :func:`table`.
 
     Args:
-        folder: the campaign's, or a ``.parquet`` file of such a table.
+        folder: folder of the campaign, or a ``.parquet`` file of such a table.
 
     Raises:
-        UsageError: there is none, it is damaged or not that of the campaign beside it, or it says
-            what cannot be.
+        UsageError: there is none, it is damaged or inconsistent, or it belongs to another campaign
+            than the ``campaign.json`` in its folder.
     """
     path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     if not path.is_file():
@@ -146,17 +144,17 @@ def read_table(folder: Path) -> pd.DataFrame:
 
 
 def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
-    """See that a campaign's tables are those that ``campaign.json`` vouches for.
+    """Check a campaign's tables against the checksums in ``campaign.json``.
 
     Args:
-        folder: the campaign's.
-        wanted: the table that is to be read; where nobody vouches for it, that is warned of.
+        folder: folder of the campaign.
+        wanted: the table to be read; without a checksum there is a warning.
 
     Returns:
-        Names of the formulas that made the outcomes, as far as is known.
+        Names of the formulas that determined the outcomes, as far as known.
 
     Raises:
-        UsageError: one is not.
+        UsageError: a table differs from its checksum.
     """
     facts = read_facts(folder)
     mend = f'rebuild the tables from the ledger: taxinet doctor --mend {folder}'
@@ -179,7 +177,7 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
 
 
 def read_any_table(path: Path) -> pd.DataFrame:
-    """A table of runs, whoever vouches for it, with the types of :func:`table`.
+    """Read a table of runs, with or without checksum, with the types of :func:`table`.
 
     Raises:
         UsageError: it is damaged.
@@ -188,9 +186,9 @@ def read_any_table(path: Path) -> pd.DataFrame:
 
     try:
         columns = pyarrow.parquet.read_table(path)
-        columns.validate(full=True)  # texts that are none, for one
+        columns.validate(full=True)  # such as invalid UTF-8
         frame = columns.to_pandas()
-    except Exception as error:  # a foreign reader on untrusted bytes: every failure is the file's
+    except Exception as error:  # third-party reader on untrusted bytes
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
     if len(set(names)) < len(names):
@@ -198,7 +196,7 @@ def read_any_table(path: Path) -> pd.DataFrame:
     dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
     figures = [name.removeprefix(_FREE) for name in names if name.startswith(_FREE)]
     kinds = _kinds(_specs_of(frame), dimensions, figures)
-    # A table from before a column was thought of is still a table.
+    # Older tables may lack newer columns.
     try:
         frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
     except (ValueError, TypeError, OverflowError) as error:
@@ -208,7 +206,7 @@ def read_any_table(path: Path) -> pd.DataFrame:
 
 
 def _add_what_was_so(frame: pd.DataFrame) -> None:
-    """Columns of a scene that could not be varied yet: their value of then, if there is a scene."""
+    """Add columns for newer scenario keys with their former constant value, if there is a scene."""
     if SCENARIO_FIELDS[0].key not in frame.columns:
         return
     for before, field in pairwise(SCENARIO_FIELDS):
@@ -225,7 +223,7 @@ def _add_what_was_so(frame: pd.DataFrame) -> None:
 
 
 def _specs_of(frame: pd.DataFrame) -> list[str]:
-    # No formula's name has a dot, so none is mistaken for the end of an interval.
+    # Formula names have no dot, which distinguishes them from interval ends.
     return [
         str(name).removeprefix(_RHO) for name in frame.columns
         if re.fullmatch(rf'{_RHO}[^.]*', str(name))
@@ -233,12 +231,12 @@ def _specs_of(frame: pd.DataFrame) -> list[str]:
 
 
 def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
-    """See that every row can be that of a run; as :meth:`.row.RunRow.check`.
+    """Check that every row is consistent, as in :meth:`.row.RunRow.check`.
 
     Args:
-        path: of the table, for messages.
-        frame: the table; what it has no columns for is not checked.
-        own: names of the formulas that made the outcomes, where they are known.
+        path: path of the table, for messages.
+        frame: the table; missing columns are not checked.
+        own: names of the formulas that determined the outcomes, if known.
     """
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
@@ -263,10 +261,10 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
 def _check_robustness(
     path: Path, frame: pd.DataFrame, own: Sequence[str], specs: Sequence[str]
 ) -> None:
-    """PASS: every formula is above zero. FAIL: one of them is not. Else: there is none.
+    """Check outcomes: PASS, all formulas above zero; FAIL, at least one not; else no robustness.
 
-    Where the formulas that made the outcomes are not known, the first of the table's is one of
-    them; others may have been added when the outcomes stood.
+    If the formulas that determined the outcomes are not known, the first one of the table is among
+    them; others may have been added later.
     """
     passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
     above, below = passed | True, passed & False
@@ -284,7 +282,7 @@ def _check_robustness(
 
 
 def _refuse(path: Path, wrong: Any, what: str) -> None:
-    """Refuse a table for the first row of which something is true, or not known."""
+    """Refuse a table because of its first row for which ``wrong`` is true or unknown."""
     for row in wrong.to_numpy(dtype=bool, na_value=True).nonzero()[0][:1]:
         raise UsageError(f'{path}: row {row + 1}: {what}; was the table damaged or edited?')
 
@@ -322,5 +320,5 @@ def _line(
 
 
 def _spreadsheet_safe(word: Any) -> Any:
-    """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
+    """Escape a word that a spreadsheet would take for a formula (OWASP, CSV Injection)."""
     return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word

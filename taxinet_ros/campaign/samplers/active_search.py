@@ -135,7 +135,7 @@ class ActiveSearch:
             point = prior_point(self._space, self._seed, run, self._attempt)
         else:
             chance = run_generator(self._seed, run, self._attempt)
-            # Matrices as small as these are slowed down by BLAS threads on a busy machine.
+            # On a busy machine BLAS threads slow down matrices of this size.
             with _blas().limit(limits=1):
                 point = self._space.point(self._chosen(run, chance))
         self._pending.append(self._keep(point))

@@ -66,7 +66,7 @@ def _cumulative(probabilities: Floats) -> Floats:
 
 
 LEAST = 10
-"""Number of failures from which only failures are learned from."""
+"""Number of failures from which on only failures are learned from."""
 ELITE = 0.1
 """Share of the worst runs to learn from until there are :data:`LEAST` failures."""
 STRENGTH = 5.0
@@ -101,7 +101,7 @@ class History:
 
     @property
     def bins(self) -> npt.NDArray[np.intp]:
-        """Bin of each run (first axis) in each dimension (second), ``IDLE`` where it has none."""
+        """Bin of each run (first axis) in each dimension (second), ``IDLE`` if it has none."""
         return self._bins[: self._size]
 
     @property
@@ -118,9 +118,9 @@ class History:
 def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
     """Which runs count as failures to be learned from.
 
-    Those with a robustness of 0 or less, as soon as there are :data:`LEAST` of them. Before that
-    the worst runs are taken, as the cross-entropy method does on its way to a rare event
-    (Rubinstein and Kroese, The Cross-Entropy Method, 2004): the :data:`ELITE`, at least as many.
+    Those with a robustness of 0 or less, as soon as there are :data:`LEAST` of them. Before that,
+    the worst runs count, as in the cross-entropy method for rare events (Rubinstein and Kroese, The
+    Cross-Entropy Method, 2004): the share :data:`ELITE`, but at least :data:`LEAST`.
     """
     failed = rhos <= 0
     if len(rhos) == 0 or np.count_nonzero(failed) >= LEAST:
@@ -234,9 +234,9 @@ class CrossEntropy(HistogramSampler):
 
     Minimises the cross entropy to the distribution of the failures under the prior (Rubinstein and
     Kroese, The Cross-Entropy Method, 2004), so :meth:`learned` estimates the probability of each
-    bin given a failure. It does not collapse to the likeliest bin, unlike
-    :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule` does. Before the first fit the
-    points are those of the random sampler.
+    bin given a failure. Unlike :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule`, it
+    does not collapse to the likeliest bin. Before the first fit the points are those of the random
+    sampler.
     """
 
     def __init__(
@@ -331,7 +331,7 @@ class Bandit(HistogramSampler):
         self._explore = explore
         self._pulls = [np.zeros(len(dimension.prior)) for dimension in space]
         self._history = History(len(space))
-        # Break ties at random, or untried bins of all dimensions would be tried diagonally.
+        # Random ties; otherwise untried bins of all dimensions would be tried diagonally.
         chance = np.random.default_rng(seed)
         self._orders = [chance.permutation(len(dimension.prior)) for dimension in space]
 

@@ -272,7 +272,7 @@ class Bayes:
         from optuna.samplers import GPSampler
 
         seed = int(run_generator(self._seed, index, attempt).integers(1 << 30))
-        # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
+        # On a busy machine BLAS threads slow down matrices of this size tenfold.
         with quiet(), threadpool_limits(limits=1):
             study = new_study(GPSampler(seed=seed, n_startup_trials=1))
             study.add_trials(self._trials())

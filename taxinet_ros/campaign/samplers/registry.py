@@ -1,4 +1,4 @@
-"""The table of samplers, and the function that makes one by name."""
+"""The table of samplers, and the factory that creates one by name."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class SamplerKind:
     with any sampler, whatever it does with the other runs.
 
     Attributes:
-        meaning: what it does, in a line.
+        meaning: description in one line.
         make: factory; takes space, seed, number of runs and option values.
         options: the sampler's options by name.
     """
@@ -63,9 +63,9 @@ def proposer_kind(
     """The table row of a sampler that only proposes: a share of prior draws is mixed in.
 
     Args:
-        meaning: what it does, in a line.
-        make: factory, as :attr:`Kind.make`. A sampler with a method ``add`` receives the drawn
-        results.
+        meaning: description in one line.
+        make: factory, see :attr:`SamplerKind.make`. A sampler with a method ``add`` receives the
+            results of prior draws.
         floor: default of the option ``floor``, the share of prior draws. With 0 there is no rate,
             and the sampler's sequence is unchanged.
         options: its own options.
@@ -195,7 +195,7 @@ class PluginSampler(Sampler):
         """Create the sampler.
 
         Args:
-            extension: where the sampler comes from.
+            extension: origin of the sampler.
             make: creates the package's sampler.
             space: the space its points must belong to.
 

@@ -56,14 +56,14 @@ class Sampler(Protocol):
 
         Args:
             index: number of a requested run.
-            rho: its robustness, a failure if 0 or less; None without a result (broken bench,
-                rejected, interrupted), from which nothing is learned.
+            rho: its robustness, a failure if 0 or less; None without a result (infrastructure
+                error, rejected, interrupted), from which nothing is learned.
         """
 
     def weight(self, index: int) -> float | None:
         """Density of the prior over that of the proposal, at the last point of run ``index``.
 
-        None where the density is unknown. If no points were rejected, weighted results have the
+        None if the density is unknown. If no points were rejected, weighted results have the
         mean under the prior. If some were, the mean of the weights is not 1 but the ratio of the
         acceptance probabilities under the prior and the proposal, which is unknown and changes as
         the sampler learns. Self-normalised sums (weighted sum over sum of weights) still converge
@@ -87,7 +87,7 @@ class Option:
     """A numeric option of a sampler.
 
     Attributes:
-        meaning: in a few words.
+        meaning: short description.
         default: value if none is given.
         low, high: allowed range, inclusive.
         whole: whether it must be an integer.
@@ -216,7 +216,7 @@ class Lagged:
         self._waiting[index] = rho
 
     def weight(self, index: int) -> float | None:
-        """Density of the prior over the proposal's at a run's point; None where it is unknown.
+        """Density of the prior over the proposal's at a run's point; None if unknown.
 
         Raises:
             ValueError: the run was not requested.
@@ -237,7 +237,7 @@ class Lagged:
         """Estimated failure histograms by all results so far; empty if the sampler has none."""
         if not self._waiting or not self._sampler.learned():
             return self._sampler.learned()
-        ahead = copy.deepcopy(self._sampler)  # the sampler itself must not learn them yet
+        ahead = copy.deepcopy(self._sampler)  # a copy: the sampler itself must not learn them yet
         for index, rho in sorted(self._waiting.items()):
             ahead.tell(index, rho)
         return ahead.learned()
@@ -353,5 +353,5 @@ class WithDrawn:
         return self._points[index] is not None
 
     def learned(self) -> Probabilities:
-        """What the sampler has learned."""
+        """Histograms of the wrapped sampler."""
         return self._sampler.learned()

@@ -164,8 +164,8 @@ class Space(tuple[Dimension, ...]):
         """Check that a point belongs to this space.
 
         Raises:
-            ValueError: it lacks a quantile in [0, 1) for each active dimension, or has one for an
-            idle one.
+            ValueError: it lacks a quantile in [0, 1) for an active dimension, or has one for an
+                idle one.
         """
         if len(point) != len(self):
             raise ValueError(f'{len(point)} quantiles for {len(self)} dimensions')
@@ -182,7 +182,7 @@ def make_space(dimensions: Iterable[Dimension]) -> Space:
     """Make a space of the dimensions.
 
     Raises:
-        UsageError: there are none, or they are inconsistent.
+        UsageError: there are no dimensions, or they are inconsistent.
     """
     space = Space(dimensions)
     if not space:

@@ -41,6 +41,7 @@ from scenic.core.regions import PointInRegionDistribution
 from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperatorDistribution
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
+from taxinet_ros.campaign.scenes.paper_names import key_of
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
 from taxinet_ros.campaign.scenes.values import plane_property, scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
@@ -49,7 +50,7 @@ from taxinet_ros.campaign.scenes.verifai_choices import (
     pieces_of,
     place_of,
 )
-from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key
+from taxinet_ros.core.scenario_fields import PLANE_KEYS
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
 """Choices with a known inverse distribution function, excluding subclasses.
@@ -262,8 +263,8 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 
 def _entries(scenario: Any) -> dict[str, list[Any]]:
     """Random values behind each scenario key, and those that decide acceptance."""
-    parameters = by_key(scenario_parameters(scenario.params))
-    entries = {key: [value] for key, value in parameters.items()}
+    parameters = scenario_parameters(scenario.params)
+    entries = {key_of(name, parameters): [value] for name, value in parameters.items()}
     for key in PLANE_KEYS:
         # A wrong class of ego is reported when its scene is drawn.
         entries[key] = [plane_property(scenario.egoObject, key)]

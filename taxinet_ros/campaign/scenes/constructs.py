@@ -35,6 +35,7 @@ from scenic.syntax import compiler, translator, veneer
 
 from taxinet_ros.campaign.scenes.chance import check_clocks
 from taxinet_ros.campaign.scenes.overrides import check_value
+from taxinet_ros.campaign.scenes.paper_names import PAPER_NAMES, PaperName, key_of, paper_name
 from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.campaign.scenes.values import (
     Place,
@@ -139,15 +140,10 @@ _DRAWS = 64
 _KEPT = frozenset({'name', 'allowCollisions', 'requireVisible', 'occluding'})
 """Properties allowed although they have no effect: a label, and those for several objects."""
 
-_OF_THE_PAPER = {
-    'zulu_time': 'time_of_day_h, in hours of local time: (seconds of GMT) / 3600 - 8, such as '
-                 '"param time_of_day_h = Range(6, 18)"',
-    'cloud_type': 'clouds, a word for each type 0-5: clear, cirrus, scattered, broken, overcast, '
-                  'stratus, such as "param clouds = Uniform(*CLOUDS)"',
-    'rain_percent': 'rain_percent, in percent: 100 * (fraction), such as '
-                    '"param rain_percent = Range(25, 100)"',
-}
-_OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
+_IN_PERCENT = (
+    'in percent: 100 * (fraction), such as "param rain_percent = Range(25, 100)"; it is a fraction '
+    'beside zulu_time or cloud_type only'
+)
 
 
 @dataclass(kw_only=True, slots=True)
@@ -196,6 +192,9 @@ class Constructs:
     def notes(self, scenario: Any) -> list[list[Any]]:
         """File, line and text of notes on likely mistakes in a program."""
         name = RAIN.key if RAIN.key in scenario.params else RAIN.short
+        if paper_name(name, scenario.params) is not None:
+            text = f'param {name} is a fraction, as in the paper, beside zulu_time or cloud_type'
+            return [[*self.params.get(name, (self._program, 0)), text]]
         values = _numbers(scenario.params.get(name, 0))
         if not 0 < max(values, default=0) <= 1:
             return []
@@ -219,7 +218,11 @@ class Constructs:
         self._check_forms(params)
         self._check_fraction(params)
         for name, value in params.items():
-            self._check_value(name, value)
+            meant = paper_name(name, params)
+            if meant is None:
+                self._check_value(name, value)
+            else:
+                self._check_paper_value(name, meant, value)
         for made in self._made.values():
             _check_kept(made)
         for thing in scenario.objects:
@@ -297,35 +300,36 @@ class Constructs:
 
     def _check_name(self, name: str) -> None:
         place = self.params.get(name)
-        word = name.rpartition('/')[2].removesuffix('[0]')
         key = SHORT_FORMS.get(name, name)
         if key in PLANE_KEYS:
             raise ProgramError(
                 f'parameter {name!r} belongs to the plane: place the ego there', place
             )
-        if key in HUMAN_KEYS:
+        if key in HUMAN_KEYS or name in PAPER_NAMES:
             return
-        if word in _OF_THE_PAPER:
-            raise ProgramError(f'param {name}: here it is {_OF_THE_PAPER[word]}', place)
         raise ProgramError(
             f'param {name}: unknown, so it has no effect{_meant(name, _PARAMETER_FORMS)}; '
             f'known: {", ".join(PARAMETERS)}', place,
         )
 
     def _check_forms(self, params: Mapping[str, Any]) -> None:
-        for short, key in SHORT_FORMS.items():
-            if short in params and key in params:
+        said: dict[str, str] = {}
+        for name in sorted(params, key=len):
+            other = said.setdefault(key_of(name, params), name)
+            if other != name:
                 raise ProgramError(
-                    f'param {short} and param {key} are the same; leave one out',
-                    self.params.get(short),
+                    f'param {other} and param {name} are the same; leave one out',
+                    max(self.params.get(other, ('', 0)), self.params.get(name, ('', 0))),
                 )
 
     def _check_fraction(self, params: Mapping[str, Any]) -> None:
         """Detect rain given as a fraction, as in the paper, instead of a percentage."""
         value = params.get(RAIN.key)
+        if paper_name(RAIN.key, params) is not None:
+            return
         if needsSampling(value) and 0 < max(_numbers(value), default=0) <= 1:
             raise ProgramError(
-                f'param {RAIN.key}: here it is {_OF_THE_PAPER[RAIN.key]}', self.params.get(RAIN.key)
+                f'param {RAIN.key}: here it is {_IN_PERCENT}', self.params.get(RAIN.key)
             )
 
     def _check_value(self, name: str, value: Any) -> None:
@@ -339,6 +343,14 @@ class Constructs:
         for option in value.options if isinstance(value, MultiplexerDistribution) else ():
             if isinstance(option, str):
                 _check_word(name, option, place)
+
+    def _check_paper_value(self, name: str, meant: PaperName, value: Any) -> None:
+        place = self.params.get(name)
+        for drawn in _drawn(value):
+            try:
+                meant.check(name, plain_value(name, drawn, place))
+            except UsageError as error:
+                raise ProgramError(f'param {error}', place) from error
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))

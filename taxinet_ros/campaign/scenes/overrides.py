@@ -24,6 +24,7 @@ from taxinet_ros.core.scenario_fields import (
     SKY,
     SPEED,
     TIME_OF_DAY,
+    TRACK,
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
@@ -57,12 +58,13 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
             clouds.
     """
     overrides = by_key(overrides)
-    place = {PLACE.key: overrides[PLACE.key]} if PLACE.key in overrides else {}
+    # Without a place, which a program may set, any track may be one of it.
+    place = _place(overrides) if PLACE.key in overrides else {}
     for key, value in overrides.items():
         try:
-            check_value(key, value, place)
+            check_value(key, value, {key: value} if key == PLACE.key else place)
         except UsageError as error:
-            raise _headed(error, f'override {key}={value}') from error
+            raise _headed(error, f'override {key}={value!s:.60}') from error
     if all(key in overrides for key in WEATHER):
         given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
         _build(overrides, f'override {given}')
@@ -143,17 +145,23 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     """Keys of values that are impossible at their place, regardless of the others."""
     found = set()
-    place = {PLACE.key: values.get(PLACE.key, DEFAULT_PLACE)}
-    try:
-        scenario_from_human(place)
-    except UsageError:
-        return {PLACE.key}
+    place = _place({PLACE.key: DEFAULT_PLACE, **values})
+    for key in (PLACE.key, TRACK.key):
+        try:
+            scenario_from_human({name: place[name] for name in (PLACE.key, key) if name in place})
+        except UsageError:
+            return {key}
     for key, value in values.items():
         try:
             check_value(key, value, place)
         except UsageError:
             found.add(key)
     return found
+
+
+def _place(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that decide which starts are possible."""
+    return {key: values[key] for key in (PLACE.key, TRACK.key) if key in values}
 
 
 def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
@@ -173,12 +181,15 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     Args:
         key: scenario key.
         value: its fixed value.
-        place: key and value of the place; without them, any place is accepted.
+        place: keys and values of place and track; without them, any place is accepted.
 
     Raises:
         UsageError: it is impossible.
     """
     field = BY_KEY.get(key)
+    if not place and field is TRACK:
+        field.checked(value)
+        return
     if not place and field is not None and field.anywhere is not None:
         field.checked(field.from_human(value), field.anywhere)
         return

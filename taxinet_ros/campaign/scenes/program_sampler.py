@@ -74,7 +74,7 @@ class ProgramSampler:
     Attributes:
         word: name of the sampler here.
         options: its options, as text.
-        said: the program's text and its line, for display.
+        said: the request as written and its line, for display.
         place: that line, as ``file:line``.
     """
 

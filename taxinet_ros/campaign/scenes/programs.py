@@ -1,8 +1,4 @@
-"""Where the Scenic programs are, and the text of one with everything that it imports.
-
-And one scenario written as a program, so that it can be run, looked at and varied like any
-other.
-"""
+"""Find Scenic programs, read their text with all imports, and write a scenario as a program."""
 
 from __future__ import annotations
 
@@ -67,7 +63,7 @@ def find_program(word_or_path: str | Path) -> Path:
     """Find the Scenic file of a shipped program's name, such as ``s_falsif``, or of a path.
 
     Raises:
-        UsageError: neither a known name nor a ``.scenic`` file; the known names are listed.
+        UsageError: it is neither a known name nor a ``.scenic`` file; the known names are listed.
     """
     text = str(word_or_path)
     if text in known_programs():
@@ -145,7 +141,7 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
 
     Args:
         scenario: the scenario; reading it back is exact except for the last bit of an angle.
-        about: header comment: what the program is and where it comes from.
+        about: header comment: purpose and origin of the program.
         remarks: comments by key of the scenario.
     """
     # Whole documents: a reference is meaningful only within its campaign.

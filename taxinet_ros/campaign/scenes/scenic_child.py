@@ -86,8 +86,8 @@ def scenic3_lines(text: str, *, pairs: bool = False) -> dict[int, str]:
     """Scenic 3 equivalents of older lines, by line number from 1.
 
     Args:
-        text: of the program.
-        pairs: whether it is known that a pair of numbers stands where a number has to.
+        text: text of the program.
+        pairs: whether a pair of numbers is known to be in the place of a number.
     """
     lines = [line.partition('#')[0].rstrip() for line in text.splitlines()]
     changed = {number: _scenic3_line(line) for number, line in enumerate(lines, 1)}
@@ -102,7 +102,7 @@ def scenic3_hint(text: str, message: str) -> str:
     """Hint to append to a Scenic error; empty if the program has no Scenic 1 or 2 syntax.
 
     Args:
-        text: of the program.
+        text: text of the program.
         message: Scenic's error message.
     """
     lines = scenic3_lines(text, pairs=bool(_PAIRS.search(message)))

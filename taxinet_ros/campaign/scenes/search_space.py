@@ -109,7 +109,7 @@ class Choice:
     """One random choice of a program.
 
     Attributes:
-        dimension: the choice as a sampler sees it.
+        dimension: the sampler's dimension of the choice.
         feeds: scenario keys that depend on it, and ``requirements`` if a scene's acceptance does.
         place: its call in the program; None if unknown.
         pieces: its inverse distribution function if piecewise linear, else empty.
@@ -171,10 +171,10 @@ class Choice:
         """Probability of a value in [low, high].
 
         Args:
-            low: least value, in the program's own units.
-            high: greatest one.
-            probabilities: of its bins; the program's own if empty. Within a bin the program's
-                distribution applies.
+            low: lower limit in the program's own units.
+            high: upper limit.
+            probabilities: probabilities of its bins; the program's own if empty. Within a bin the
+                program's distribution applies.
 
         Raises:
             UsageError: the choice has no comparable values.
@@ -198,7 +198,7 @@ class SearchSpace:
         fixed: names of the choices that overrides make ineffective.
         unsearched: names of other random values, each with the reason.
         drawn: scenario keys that vary between scenes.
-        soft: whether any requirement has to hold only in a share of the scenes.
+        soft: whether any requirement must hold only in a share of the scenes.
     """
 
     choices: tuple[Choice, ...]

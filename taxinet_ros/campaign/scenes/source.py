@@ -23,12 +23,21 @@ from taxinet_ros.campaign.scenes.overrides import (
     contradicting_keys,
     impossible_keys,
 )
+from taxinet_ros.campaign.scenes.paper_names import our_values
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_PLACE, DURATION, HUMAN_KEYS, PLACE, by_key
+from taxinet_ros.core.scenario_fields import (
+    BY_PLACE,
+    BY_TRACK,
+    DURATION,
+    HUMAN_KEYS,
+    PLACE,
+    TRACK,
+    by_key,
+)
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -139,7 +148,7 @@ class SceneSource:
         """Start the child, compile, and check for overrides that contradict the program.
 
         Raises:
-            UsageError: ``file:line: message`` of what is wrong with the program.
+            UsageError: ``file:line: message`` on an error in the program.
             InfraError: another process killed the child; any later request may raise it too.
         """
         self._start()
@@ -210,9 +219,9 @@ class SceneSource:
 
         Raises:
             Refused: this point does not meet the requirements.
-            Rejected: no draw met them, or what was drawn is no scenario.
-            UsageError: the program failed, hung or died, or says what is no scenario in any scene.
-            ValueError: the point is none of this space.
+            Rejected: no draw met them, or the drawn values are no valid scenario.
+            UsageError: the program failed, hung or died, or no scene can be a valid scenario.
+            ValueError: the point does not belong to this space.
         """
         values = self._drawn(index, point, attempt)
         where = f'{self.program.name}: scene {index}'
@@ -232,7 +241,10 @@ class SceneSource:
         where = f'{self.program.name}: scene {index}'
         if 'values' in answer:
             self.refused = answer['refused']
-            return dict(answer['values'])
+            try:
+                return our_values(answer['values'], self._values)
+            except UsageError as error:
+                raise UsageError(f'{where}: {error}') from error
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)
         tries = answer['rejected']
@@ -241,8 +253,10 @@ class SceneSource:
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program draws impossible values only in some scenes."""
         drawn = self.search_space().drawn - set(self._values)
-        if PLACE.key in drawn:  # it decides which others are possible
+        if PLACE.key in drawn:  # it determines the valid values of the others
             drawn |= BY_PLACE
+        if TRACK.key in drawn:
+            drawn |= BY_TRACK
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)
@@ -305,7 +319,7 @@ class SceneSource:
         except (UsageError, InfraError):
             raise
         except BaseException:
-            self._stop()  # interrupted: its late answer must not be taken for the next
+            self._stop()  # interrupted: a late answer must not be taken for the next one
             raise
 
     def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:

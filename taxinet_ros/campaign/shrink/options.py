@@ -72,7 +72,7 @@ class ShrinkSpace:
     """The scenarios between nominal and a failed run's.
 
     Attributes:
-        original, nominal: its two ends.
+        original, nominal: the two ends.
         parameters: all parameters considered, including those already nominal.
     """
 
@@ -128,15 +128,16 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         settings: ``key=value`` of the nominal scenario, in human units.
 
     Raises:
-        UsageError: a setting is wrong, or the run's scenario is nominal already.
+        UsageError: a setting is invalid, or the run's scenario is already nominal.
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    crossings = original.runway.crossings
+    crossings = original.runway.crossings if original.line.is_runway else ()
     beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
-        'time_of_day_h': NOMINAL_HOUR, 'distance_m': DISTANCES_M[beyond],
+        'time_of_day_h': NOMINAL_HOUR,
+        'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
     pushed = {field.key: field.to_human(field.absent) for field in PUSHING_FIELDS}
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}

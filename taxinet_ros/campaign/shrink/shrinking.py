@@ -1,9 +1,9 @@
-"""The shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
+"""Shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
 
-Its folder is a campaign folder. The next run depends only on the answers, so a resumed shrinking
+Its folder is a campaign folder. The next run depends only on the results, so a resumed shrinking
 reads them from its ledger and continues. Runs without a verdict are repeated under their old
 numbers, so the table equals that of an uninterrupted one. The second half of the module reports the
-outcome for each parameter.
+results for each parameter.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class Shrinking:
     """Requests runs and records their results; a context manager.
 
     Attributes:
-        options: what to do.
+        options: options of the shrinking.
         search: search state.
         rows: one row per completed run, including earlier ones, in the order in which they were
             needed or ended.
-        broken: the run that the bench broke permanently, or None.
+        broken: the run with a permanent infrastructure error, or None.
         interrupted: whether :meth:`interrupt` was called.
         book: the shrinking on disk.
     """
@@ -56,7 +56,7 @@ class Shrinking:
         """Create the shrinking; nothing is written before the ``with``.
 
         Args:
-            options: what to do.
+            options: options of the shrinking.
             participants: names of the nodes in every run.
             on_row: called with each new row once it is on disk; not with earlier ones.
         """
@@ -78,10 +78,10 @@ class Shrinking:
         self._next = 0
 
     def __enter__(self) -> Self:
-        """Create the folder, or check that it holds this shrinking.
+        """Create the folder, or check that it contains this shrinking.
 
         Raises:
-            UsageError: the folder cannot be used, or holds something else.
+            UsageError: the folder cannot be used, or contains something else.
         """
         facts = self._facts()
         with contextlib.ExitStack() as opened:
@@ -113,7 +113,7 @@ class Shrinking:
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Record one result; a run broken by the bench is retried once, then ends the shrinking."""
+        """Record one result; an infrastructure error is retried once, then ends the shrinking."""
         if self.book.second_chance(request, result):
             return
         index = request.index
@@ -188,7 +188,7 @@ class Shrinking:
 
 
 def _scene(row: RunRow) -> str:
-    """Key of a run's scene, as :meth:`Shrinking._key` of a point."""
+    """Key of a run's scene, see :meth:`Shrinking._key`."""
     return json.dumps(row.scene)
 
 
@@ -200,7 +200,7 @@ class Finding:
         key: name of the parameter.
         original, nominal, shrunk: its value in the failed, the nominal and the shrunk scenario.
         rho_in_original, rho_in_shrunk: robustness of either with this parameter set to nominal.
-        passes_at: the neighbour of ``shrunk``, one step nearer to nominal, that does not fail.
+        passes_at: the value one step nearer to nominal than ``shrunk``, which does not fail.
         rho_passes_at: robustness there.
     """
 
@@ -225,14 +225,14 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Report:
-    """The whole outcome.
+    """Result of a shrinking.
 
     Attributes:
         state: progress of the search, and why it ended.
         findings: one for each parameter.
         scenario: the shrunk scenario.
         original, nominal, shrunk: rows of the three runs; None if missing.
-        dry: nominal clouds also remove the rain, as no rain falls from that sky.
+        dry: whether nominal clouds also remove the rain, since no rain falls from that sky.
     """
 
     state: State
@@ -324,7 +324,7 @@ def finding_lines(report: Report) -> list[str]:
 
 
 def edge_words(one: Finding) -> str:
-    """Where along one parameter the failure begins, with the others as in the shrunk run."""
+    """Text on where the failure begins along one parameter, others as in the shrunk run."""
     fails, passes = one.words(one.shrunk), one.words(one.passes_at)
     return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
 

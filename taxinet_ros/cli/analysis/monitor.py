@@ -31,7 +31,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import SpecCheck, bounding_gains, check_specs, describe_specs
+from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs, signal_ranges
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
@@ -56,8 +56,7 @@ def show_specs(
     others, gains = split_settings(settings)
     if others:
         raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
-    Scenario(duration_s=duration_s)
-    found = check_specs(specs, duration_s, SteeringGains(**gains))
+    found = check_specs(specs, Scenario(duration_s=duration_s), SteeringGains(**gains))
     if as_json:
         print(json.dumps({
             'specs': [
@@ -198,16 +197,16 @@ def run_monitor(
         run: which run of the one bag named; None: all.
 
     Returns:
-        Exit code: 1 where a run violates a requirement in a bag that holds several; 3 where a bag
-        is incomplete, damaged, or contradicts what was recorded in it; else 1 where a requirement
-        is violated; else 0.
+        Exit code: 1 if a run in a bag of several violates a requirement; 3 if a bag is incomplete,
+        damaged, or inconsistent with its recorded verdict; else 1 if a requirement is violated;
+        else 0.
 
     Raises:
         UsageError: bad input.
         InfraError: a worker process died.
     """
     chosen = [parse_spec(text) for text in read_specs(specs)]
-    vouched = check_assumptions(bounds, rates) if bounds or rates else None
+    vouched = check_assumptions(bounds, rates, chosen) if bounds or rates else None
     found = {place: _bags(place) for place in places}
     bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
     if run is not None and len(bags) > 1:
@@ -285,7 +284,7 @@ def _judged(
 
 
 class _RequirementNotes:
-    """Prints once how each requirement is parsed, and its warnings for each run length.
+    """Prints once how each requirement is parsed, and its warnings for each kind of run.
 
     Attributes:
         warnings: all warnings printed.
@@ -294,29 +293,33 @@ class _RequirementNotes:
     def __init__(self, specs: Sequence[Spec]) -> None:
         self.warnings: list[str] = []
         self._specs = specs
-        self._lengths_s: set[float] = set()
+        self._seen: set[Any] = set()
 
     def of(self, bag: JudgedBag) -> list[Text]:
         """Lines to print before the verdicts of a bag."""
-        if bag.duration_s in self._lengths_s or not bag.duration_s > 0:
+        if not bag.duration_s > 0:
             return []
-        found = describe_specs(self._specs, bag.duration_s, _gains(bag.path))
+        recorded = bag.duration_s, *_ran_with(bag.path)
+        ranges = (bag.duration_s, *signal_ranges(*recorded).items())
+        if ranges in self._seen:
+            return []
+        found = describe_specs(self._specs, *recorded)
         new = tuple(line for line in found.warnings if line not in self.warnings)
         self.warnings += new
         lines = requirement_lines(
-            SpecCheck(lines=found.lines, warnings=new), quiet=bool(self._lengths_s)
+            SpecCheck(lines=found.lines, warnings=new), quiet=bool(self._seen)
         )
-        self._lengths_s.add(bag.duration_s)
+        self._seen.add(ranges)
         return lines
 
 
-def _gains(bag: Path) -> SteeringGains | None:
-    """Controller gains recorded in a bag; None if the bag does not say which controller ran."""
+def _ran_with(bag: Path) -> tuple[SteeringGains, Scenario] | tuple[None, None]:
+    """Controller gains and scenario of a bag; None if it does not say which controller ran."""
     try:
         run = open_recording(bag).run
-        return bounding_gains(SteeringGains(**run.gains), run.request.scenario)
+        return SteeringGains(**run.gains), run.request.scenario
     except (BagError, UsageError):
-        return None
+        return None, None
 
 
 def _exit_code(bags: Iterable[JudgedBag]) -> int:

@@ -107,7 +107,7 @@ def run_results_doctor(folder: Path, *, mended: bool, as_json: bool) -> int:
     """Check a folder, after repairing it if asked, and print one line per finding.
 
     Returns:
-        Exit code: 0 all is sound, 3 something is not whole.
+        Exit code: 0 no findings, 3 something is incomplete or damaged.
 
     Raises:
         UsageError: there is nothing to check, or the folder is in use.

@@ -21,7 +21,7 @@ from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import clock_words, pushing_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words, pushing_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.registry import KMWH
@@ -35,7 +35,7 @@ def show_info(bag: Path, *, as_json: bool) -> int:
     """Print the contents of a bag.
 
     Returns:
-        Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
+        Exit code: 0 complete, 2 not readable, 3 unfinished or damaged.
 
     Raises:
         UsageError: there is nothing at ``bag``.
@@ -89,7 +89,7 @@ def _run_lines(
 
 
 def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
-    """Who saw, who steered, and where."""
+    """Lines on perception, controller and world of a run."""
     perception, law = nodes.get('perception'), nodes.get('steering_controller')
     if perception is not None:
         yield 'perception', _who(perception)
@@ -100,7 +100,7 @@ def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
     world = nodes.get('simulator')
     if world is not None and world.origin:
         yield 'world', _who(world)
-    elif nodes:  # ours says nothing of itself
+    elif nodes:  # the shipped world reports nothing
         yield 'world', KMWH
 
 
@@ -144,7 +144,7 @@ def scene_words(scene: Mapping[str, Any]) -> str:
     return (
         f'{place}CTE {scene["cross_track_m"]:+.2f} m (left positive), '
         f'HE {scene["heading_deg"]:+.1f} deg, '
-        f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
+        f'{scene["distance_m"]:.0f} m {along_words(scene["track"])}, {scene["date"]} '
         f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}{camera}, '

@@ -100,7 +100,7 @@ def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
 
     Args:
         console: console to print to.
-        stacks: of each result; empty if unknown.
+        stacks: provenance of each result; empty if unknown.
     """
     if not all(stacks):
         line = 'processor and versions of some of these results are unknown'
@@ -118,8 +118,8 @@ def perception_of(
 
     Args:
         run: the recorded run.
-        asked: what the user wants instead of the run's own, or None.
-        graph: it is for a graph, so a node elsewhere does too.
+        asked: the user's choice instead of the run's own, or None.
+        graph: whether it is for a graph, where an external node is allowed too.
 
     Raises:
         UsageError: the run's own is a file of unknown path; or an invalid word.
@@ -139,8 +139,8 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
 
     Args:
         run: the recorded run.
-        asked: what the user wants instead of the run's own, or None.
-        graph: it is for a graph, so a node elsewhere does too.
+        asked: the user's choice instead of the run's own, or None.
+        graph: whether it is for a graph, where an external node is allowed too.
 
     Raises:
         UsageError: the run's own is user code of unknown path; or an invalid word.

@@ -72,11 +72,11 @@ def run_again(
     """Rerun a bag's scenario in the graph and print the comparison of both runs.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         perception: word or file; None: the run's own.
         controller: word; None: the run's own.
         out: new folder for the new bag; None: one below ``bags/``.
-        images: as of ``taxinet run``; None: as in the bag.
+        images: as for ``taxinet run``; None: as in the bag.
         processes: run every node in its own process.
 
     Returns:

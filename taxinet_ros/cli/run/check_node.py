@@ -36,7 +36,7 @@ def run_check(
 
     Args:
         command: program and arguments as a shell splits them, or ``FILE.py:NAME``.
-        role: ``perception``, ``controller``, or None to find out.
+        role: ``perception``, ``controller``, or None to detect it.
         external: the node is started by the user.
         domain: ROS domain; None for a free one.
         frames: messages in an ordinary run.
@@ -116,7 +116,7 @@ def _starter(command: str, role: str | None, scratch: Path) -> Starter:
 def _start_ours(
     kind: type[Any], parameters: dict[str, Any], scratch: Path, role: Role, domain: int, log: Path
 ) -> NodeProcess:
-    """The shipped node with a user's function in it."""
+    """Start the shipped node with the user's function."""
     return NodeProcess.of_ours(
         role.node, kind, parameters, domain=domain, log=log, scratch=scratch,
     )

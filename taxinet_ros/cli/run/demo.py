@@ -33,8 +33,8 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
 
     Args:
         out: folder; None, or used by an earlier demo: a new one beside it.
-        runs: scenes.
-        seed: of the scenes.
+        runs: number of scenes.
+        seed: seed of the scenes.
 
     Returns:
         Exit code. Violations by a network are expected and no failure of the demo; violations with
@@ -74,10 +74,10 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
             paths.append(Trajectory(
                 label=options.perception,
                 t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-                x_m=trace['x_m'].astype(np.float64),
+                x_m=trace['distance_m'].astype(np.float64),
                 cte_m=trace['cte_m'].astype(np.float64),
                 ok=row.outcome is Outcome.PASS if row.outcome.judged else None,
-                half_width_m=recording.scenario.runway.half_width_m,
+                half_width_m=recording.scenario.line.half_width_m,
             ))
     return paths
 

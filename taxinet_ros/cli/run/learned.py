@@ -21,7 +21,7 @@ def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | Non
     """Print and plot the learned distributions of searches.
 
     Args:
-        folders: of the searches.
+        folders: folders of the searches.
         within: intervals whose probability to print, ``DIMENSION=LOW:HIGH``.
         out: picture to write, or None.
 

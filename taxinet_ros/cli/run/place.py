@@ -1,4 +1,4 @@
-"""``taxinet place``: what places there are, and what one looks like from above."""
+"""``taxinet place``: list the places, or draw one from above."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ def print_places() -> None:
     for name in SHIPPED_PLACES:
         place = find_place(name)
         runway = place.runway
+        tracks = f'; tracks {", ".join(place.track_names)}' if place.tracks else ''
         print(
             f'{name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
-            f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} {place.title}'
+            f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} '
+            f'{place.title}{tracks}'
         )
 
 
 def show_place(word: str, out: Path | None) -> None:
-    """Print what a place is, and draw it.
+    """Describe a place and draw it.
 
     Raises:
         UsageError: there is no such place, or the picture cannot be written.
@@ -59,6 +61,20 @@ def _lines(place: Place) -> Iterator[tuple[str, str]]:
     )
     for crossing in runway.crossings:
         yield 'crossing', f'at {crossing.x_m:g} m, {crossing.width_m:g} m wide'
+    for track in place.tracks:
+        turns = ', '.join(
+            f'{abs(math.degrees(leg.curvature * leg.length_m)):.0f} deg to the '
+            f'{"left" if leg.curvature > 0 else "right"} with {1 / abs(leg.curvature):g} m'
+            for leg in track.legs if leg.curvature
+        )
+        yield 'track', f'{track.name}: {track.title}'
+        yield '', f'{track.length_m:.0f} m x {track.width_m:g} m; {turns or "straight"}'
+        yield '', (
+            f'starts: distance_m 0..{track.last_start_m:g}, '
+            f'cross_track_m -{track.farthest_start_m:g}..{track.farthest_start_m:g}'
+        )
+    if routes := place.track_names[1 + len(place.tracks):]:
+        yield 'taxi routes', f'{", ".join(routes)}; as a track: one of them, or several as A+B'
     if place.pavements or place.lines or place.routes:
         yield 'around it', (
             f'{len(place.pavements)} pavements, {len(place.lines)} painted lines, '

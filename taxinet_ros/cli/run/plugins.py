@@ -1,4 +1,4 @@
-"""``taxinet plugins``: what stands under which name, whose it is, and whether it can be used."""
+"""``taxinet plugins``: list extensions by name, their packages, and whether they are usable."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _USES: Mapping[str, Callable[[str], Any]] = {
     'perceptions': check_perception, 'controllers': check_controller,
     'samplers': SAMPLERS.__getitem__, 'worlds': find_world, 'requirements': parse_spec,
 }
-"""What looks a name up for use, by extension point."""
+"""Function that finds a name for use, by extension point."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Listed:
-    """A name, and what stands behind it.
+    """An extension and whether it is usable.
 
     Attributes:
-        extension: what provides it.
+        extension: the extension.
         trouble: why it cannot be used, or ''.
     """
 
@@ -38,13 +38,13 @@ class Listed:
 
 
 def show_plugins(name: str | None, *, as_json: bool) -> int:
-    """Print the names of all extension points, or what stands behind one name.
+    """Print the names of all extension points, or the extensions of one name.
 
     Returns:
-        Exit code: 0; with a name, 2 where something of that name cannot be used.
+        Exit code: 0; with a name, 2 if an extension of that name cannot be used.
 
     Raises:
-        UsageError: nothing has the name.
+        UsageError: no extension has the name.
     """
     found = [
         Listed(extension=one, trouble=_trouble(one))

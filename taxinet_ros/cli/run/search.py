@@ -277,7 +277,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
 
     Raises:
         UsageError: bad input, or the run does not fail again.
-        InfraError: the bench broke.
+        InfraError: the test bench failed.
         RecordError: the record cannot be written.
     """
     check_workers(options.workers)

@@ -164,7 +164,7 @@ def make_up_options(
     """Validate the options.
 
     Args:
-        perception: as of :class:`.graph.GraphOptions`.
+        perception: as for :class:`.graph.GraphOptions`.
         controller: likewise.
         out: new folder for bags and logs; None: one below ``bags/``.
         record: whether there is a recorder.
@@ -175,7 +175,7 @@ def make_up_options(
         silent_s: silence after which a node is reported [s].
         latency: ``NAME=LATENCY`` of perception or controller.
         free: simulated time follows the wall clock.
-        real_time_factor: simulated seconds per wall-clock second then, or ``max``.
+        real_time_factor: with ``free``, simulated seconds per wall-clock second, or ``max``.
         namespace: namespace of every name in the graph; '' for none.
         world: name of the world of the runs.
 
@@ -218,7 +218,7 @@ def make_up_options(
 
 
 def run_up(options: UpOptions) -> int:
-    """Keep the graph up until somebody stops it.
+    """Keep the graph up until it is stopped.
 
     Returns:
         Exit code: that of the interrupt that stopped it; 4 if it could not be kept up.

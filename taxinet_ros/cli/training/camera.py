@@ -117,7 +117,7 @@ def new_picture(out: Path | None, stem: str) -> Path:
 
 
 def _next_free(wanted: Path) -> Path:
-    """``wanted``, or where that exists, the next of ``NAME-2.png``, … that does not."""
+    """First path of ``wanted``, ``NAME-2.png``, ``NAME-3.png``, … that does not exist."""
     candidate, number = wanted, 1
     while candidate.exists() or candidate.is_symlink():
         number += 1

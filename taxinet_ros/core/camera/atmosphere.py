@@ -1,4 +1,4 @@
-"""Haze, mirrored sky, glare, skyline and rain between ground and lens."""
+"""Atmospheric effects: haze, sky reflections, glare, skyline and rain."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from taxinet_ros.core.camera.light import Light
 _SHEET_HEIGHT, _SHEET_WIDTH = 400, 720
 _SLANT = 0.12
 _LEVELS = 20
-"""Number of intensity steps. A process caches one sheet (0.25 MB) per step: drawing takes 0.1 s,
-and a campaign needs all of them.
+"""Number of intensity steps. A process caches one sheet (0.25 MB) per step: drawing one takes
+0.1 s, and a campaign needs all of them.
 """
 _MASK64 = (1 << 64) - 1
 
 
 def scramble(number: int) -> int:
-    """Steele, Lea and Flood's splitmix64: spreads neighbouring numbers over 64 bits."""
+    """Hash a number to 64 bits (splitmix64; Steele, Lea and Flood)."""
     mixed = (number + 0x9E3779B97F4A7C15) & _MASK64
     mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & _MASK64
     mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & _MASK64
@@ -30,10 +30,10 @@ def scramble(number: int) -> int:
 
 
 class RainSheet:
-    """Streaks of one scenario's rain, as light to be added to a picture."""
+    """Rain streaks of one scenario, as light added to an image."""
 
     def __init__(self, light: Light, height: int, width: int) -> None:
-        """Prepare the streaks; ``height`` and ``width`` are the picture's [px]."""
+        """Prepare the streaks for images of ``height`` by ``width`` pixels."""
         brightness = 0.16 * light.sky_low * (0.4 + 0.6 * light.rain)
         shares = np.arange(256)[:, None] * (brightness / 255)
         table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
@@ -45,7 +45,7 @@ class RainSheet:
         self._size = (height, width)
 
     def at(self, stamp_ns: int) -> NDArray[np.uint8]:
-        """Light to add at a stamp, (height, width, 3); a read-only view."""
+        """Light to add at a stamp, (height, width, 3); a view, not to be modified."""
         height, width = (math.ceil(side / self._larger) for side in self._size)
         bits = scramble(stamp_ns)
         top = bits % (_SHEET_HEIGHT - height + 1)
@@ -56,7 +56,7 @@ class RainSheet:
 
 @lru_cache(maxsize=_LEVELS + 1)
 def _streaks(level: int) -> NDArray[np.uint8]:
-    """Streaks of one of the :data:`_LEVELS` steps of intensity; near drops are long and broad."""
+    """Streaks of one of the :data:`_LEVELS` intensity steps; near drops are long and broad."""
     rng = np.random.default_rng(500)
     sheet = np.zeros((_SHEET_HEIGHT, _SHEET_WIDTH), np.float32)
     for thickness, length, count, weight in (
@@ -77,11 +77,11 @@ def _streaks(level: int) -> NDArray[np.uint8]:
 
 _WATER_SHARE = 0.55
 _SPRAY_SHARE = 0.16
-"""Uniform veil of full rain, as a share: spray in the air and drops on the lens."""
+"""Opacity of the uniform veil in full rain: spray in the air and drops on the lens."""
 SPARSE_PX, _LESS_SPARSE_PX = 15, 5
-"""Distance of the columns for which directions are computed, in a usual lens and in a wide one;
-between them, interpolation errs by less than a tenth of the panorama's columns. The larger divides
-the picture's width."""
+"""Spacing of the columns for which directions are computed, for usual and for wide lenses; the
+interpolation error between them is below a tenth of a panorama column. The larger divides the
+image width."""
 _WIDE_FOCAL_PX = 200.0
 _GLARE_STRENGTH = 120.0
 _LEAST_GLARE = 1.0
@@ -135,10 +135,10 @@ class Atmosphere:
         """Light the ground and add haze, water, glare and skyline.
 
         Args:
-            ground: its daylight colours, (height, width, 3).
+            ground: daylight colours, (height, width, 3).
             curve: their display codes in the scenario's light, (256,).
-            rays: homogenous pixel to a direction in ``map``, (3, 3).
-            height_m: the camera's height above ground [m].
+            rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
+            height_m: camera height above ground [m].
             picture: output image, (height, width, 3).
         """
         pixels.develop(ground, curve, *self._air.veil(rays, height_m, *self._size), picture)

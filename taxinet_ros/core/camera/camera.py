@@ -35,7 +35,7 @@ from taxinet_ros.core.camera.airframe import (
     drawing,
 )
 from taxinet_ros.core.camera.atmosphere import SPARSE_PX, Atmosphere, RainSheet, scramble
-from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.place.catalogue import default_runway
@@ -145,6 +145,7 @@ class Camera:
         """
         self.model = model = model or scenario.camera_model
         runway = runway or scenario.runway
+        track = None if scenario.line.is_runway else scenario.line
         self._light = scenario_light(scenario, runway, model)
         self._intrinsics, (height, width), *taken_from = model.inner_view
         # The renderer's pictures are so many columns wide; what is too many is cut off.
@@ -157,8 +158,10 @@ class Camera:
         hidden = parts.hidden if parts else np.zeros(height, np.int32)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
-            ground = ground_atlas(runway, crossing=scenario.crossing)
-        self._ground = GroundView(ground, grain_atlas(), gain, hidden, width)
+            ground = ground_atlas(runway, track, crossing=scenario.crossing)
+        self._ground = GroundView(
+            ground, grain_atlas(), gain, hidden, width, ground_layout(runway, track)
+        )
         self._clouds = CloudShade(self._light, height, width)
         self._atmosphere = Atmosphere(self._light, height, width, float(self._intrinsics[0, 0]))
         self._rain = RainSheet(self._light, height, width) if self._light.rain > 0 else None

@@ -1,8 +1,8 @@
 """Light and weather of a scenario: sun, irradiance of the ground, shade of single clouds.
 
 The sun's position comes from the library astral (NOAA's equations, with refraction); irradiance and
-exposure follow from it and the weather. Under single clouds sun and shade drift by as the aircraft
-rolls along.
+exposure are computed from it and the weather. Single clouds cast a fixed pattern of shade on the
+ground.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def sun_position(
 
     Args:
         date: ISO date.
-        time_of_day_s: local clock time after midnight [s], by the runway's time zone.
+        time_of_day_s: local time since midnight [s], in the runway's time zone.
         runway: runway of the observer; None for KMWH 04.
 
     Raises:
-        UsageError: the date or the time cannot be read.
+        UsageError: invalid date or time.
     """
     if not math.isfinite(time_of_day_s):
         raise UsageError(f'sun: time of day is {time_of_day_s}, not a number of seconds')
@@ -78,7 +78,7 @@ _SHOULDER = 0.8
 class _Cloud:
     """Photometry of a cloud kind: shares of the clear sky's light, tint and visibility.
 
-    The sun is half a degree wide; thin cloud before it scatters its light forwards, into a glow.
+    The sun is half a degree wide; thin cloud in front of it scatters its light into a wider glow.
     """
 
     beam: float
@@ -114,7 +114,7 @@ _CLOUDS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Light:
-    """Irradiance of level ground, times the exposure.
+    """Light and weather of a scenario; irradiance is for level ground, times the exposure.
 
     Attributes:
         sun: unit vector towards the sun in ``map``, (3,).
@@ -123,8 +123,8 @@ class Light:
         diffuse: irradiance from the sky on level ground, RGB, after exposure.
         sky_low, sky_high: display colour 0..255 of the sky at the horizon and 15 deg up.
         sun_width_rad: angular width of the sun, including glow in the clouds [rad].
-        visibility_m: distance at which haze leaves 1/e of a contrast [m].
-        wetness: 0 dry .. 1 under water film.
+        visibility_m: distance at which haze reduces contrast to 1/e [m].
+        wetness: 0 dry .. 1 covered by a water film.
         rain: intensity 0..1.
         clouds: cloud kind.
     """
@@ -150,7 +150,7 @@ class Light:
         """Display-code factor of ground in cloud shade, RGB, 0..1.
 
         Args:
-            sun_share: share of the beam transmitted by the clouds overhead, 0..1.
+            sun_share: share of the beam transmitted by the clouds at the observer, 0..1.
         """
         factor: Colour = (self.diffuse / (self.diffuse + sun_share * self.direct)) ** (1 / GAMMA)
         return factor
@@ -214,10 +214,10 @@ def _weathered(scenario: Scenario, elevation_rad: float) -> tuple[Colour, Colour
     direct, diffuse = _clear(elevation_rad)
     thinned = 1 - 0.45 * scenario.rain_fraction
     grey = float(LUMINANCE @ (direct + diffuse)) * np.array(cloud.tint)
-    # Under a closed cover the colour of a low sun only tints the clouds a little.
+    # Under a closed cover, the colour of a low sun tints the clouds only slightly.
     grey *= 0.75 + 0.25 * (direct + diffuse) / float(LUMINANCE @ (direct + diffuse))
     diffuse = cloud.clear_diffuse * diffuse + cloud.cloud_diffuse * grey
-    # Rain falls from the thick parts of a cover, which let hardly any beam through.
+    # Rain falls from the thick parts of a cover, which transmit hardly any beam.
     return direct * cloud.beam * (1 - scenario.rain_fraction) ** 2, diffuse * thinned
 
 
@@ -227,14 +227,14 @@ def _sky(
     """Display colours of the sky at the horizon and 15 degrees above it."""
     clear = cloud.clear_diffuse
     grey = float(LUMINANCE @ diffuse) * np.array(cloud.tint)
-    # Level ground under a uniform sky of radiance L receives L (in units where white reflects it).
+    # In units where white reflects L, level ground under a uniform sky of radiance L receives L.
     horizon = clear * (0.35 * direct + 2.6 * diffuse) + (1 - clear) * 1.15 * grey
     above = clear * 2.4 * diffuse * np.array([0.80, 0.98, 1.12]) + (1 - clear) * 1.25 * grey
     return display_code(horizon), display_code(above)
 
 
 def display_code(linear: Colour) -> Colour:
-    """Display code 0..255 of a linear exposure, 1 = white; compressed above 0.8."""
+    """Display code 0..255 of a linear exposure (1 = white); compressed above 0.8."""
     over = np.maximum(linear - _SHOULDER, 0)
     bent = np.minimum(linear, _SHOULDER) + (1 - _SHOULDER) * (1 - np.exp(-over / (1 - _SHOULDER)))
     code: Colour = 255 * np.maximum(bent, 0) ** (1 / GAMMA)
@@ -255,14 +255,14 @@ _CELL_M = 8.0
 _SHAPE = (416, 80)  # x and y cells: -100..3,228 m and -320..320 m
 _START_X_M, _START_Y_M = -100.0, -320.0
 _COVER = {'scattered': (0.75, 0.60), 'broken': (-0.15, 0.45)}
-"""Noise level above which there is cloud, and the transmission of a cloud."""
+"""Noise threshold of cloud, and the transmission of a cloud."""
 
 
 class CloudShade:
     """Transmission of the sun's beam by single clouds, and their shade."""
 
     def __init__(self, light: Light, height: int, width: int) -> None:
-        """Prepare for pictures of ``height`` by ``width`` pixels."""
+        """Prepare for images of ``height`` by ``width`` pixels."""
         self._light = light
         casts = light.clouds in _COVER and light.direct.max() > 0.01 * light.total.max()
         self._beam = _beam(light.clouds) if casts else None
@@ -287,8 +287,8 @@ class CloudShade:
 
         Args:
             colour: daylight colours of the ground.
-            rays: homogenous pixel to a direction in ``map``, (3, 3).
-            camera: the camera's place in ``map`` (3,).
+            rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
+            camera: camera position in ``map`` (3,).
         """
         if self._beam is None:
             return

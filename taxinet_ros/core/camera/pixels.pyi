@@ -1,9 +1,8 @@
-"""What the camera and the network's input do once per pixel: compiled from ``native/``.
+"""Per-pixel operations of the camera and of the network's input, compiled from ``native/``.
 
-Equal arguments give equal bytes on every processor; only angles and exponentials, once per row or
-column, are the C library's, whose last bit may differ. What is given is not copied in secret:
-arrays are of the types and shapes that are said, in C order, or a ``ValueError`` or ``TypeError``
-tells which is not.
+Equal arguments give equal bytes on every processor, except that the last bit of angles and
+exponentials (one per row or column) depends on the C library. Arrays are never converted
+implicitly: one of the wrong type, shape or order (C) raises ``ValueError`` or ``TypeError``.
 """
 
 from collections.abc import Sequence
@@ -18,23 +17,23 @@ _Three = tuple[float, float, float]
 _Four = tuple[float, float, float, float]
 
 class Sight:
-    """How one pose sees the ground: the few numbers from which every pixel's texels follow.
+    """Ground projection of one pose: the parameters that determine every pixel's texels.
 
-    With the ray of pixel (u, v) as d = A (u, v, 1) in ``map`` and the camera at height h over the
-    place c, the ground point is c + h (dx, dy) w with w = -1/dz.
+    With the ray of pixel (u, v) as d = A (u, v, 1) in ``map`` and the camera at height h above the
+    point c, the ground point is c + h (dx, dy) w with w = -1/dz.
     """
 
     def __init__(self, rays: _Doubles, camera: _Doubles, height: int, width: int) -> None:
-        """Take A, (3, 3), the camera's place in ``map`` (3,) [m], and the picture's size [px]."""
+        """Store A, (3, 3), the camera position in ``map`` (3,) [m], and the image size [px]."""
 
     def fall(self) -> tuple[_Floats, _Floats]:
-        """The two parts of -dz: by column (width,), and by row (height,)."""
+        """Two summands of -dz: by column (width,), and by row (height,)."""
 
     def density(self, axis: int, texel_m: float) -> tuple[_Floats, _Floats]:
         """Factors on (dz)^2 that give pixels per texel along an axis of ``map``.
 
-        Of the footprint's side along v, by column (width,); and of the one along u, by row
-        (height,). The smaller one counts.
+        The first is for the footprint's side along v, by column (width,); the second for the side
+        along u, by row (height,). The smaller one applies.
         """
 
     def coordinate(self, axis: int, unit_m: float, origin: float) -> _Three:
@@ -45,10 +44,10 @@ class Sight:
         """
 
     def first_row_nearer_than(self, reach_m: float) -> int:
-        """First row whose middle lies within ``reach_m`` ahead; the number of rows if none."""
+        """First row whose middle is within ``reach_m`` ahead; the number of rows if none."""
 
 class Ruler:
-    """What of the way from a pixel to its texels depends neither on the pose nor on the light."""
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light."""
 
     def __init__(
         self,
@@ -65,28 +64,28 @@ class Ruler:
         tile_m: float,
         grain_reach_m: float,
     ) -> None:
-        """Take the measures of the textures.
+        """Set the dimensions of the textures.
 
         Args:
-            least_fall: -dz from which on downwards the ground is looked up; above it is the last.
-            along: along the runway, unit of the coordinate [m], its beginning, and the size of the
-                texels that footprints are measured in [m].
-            along_limits: least and most of it, counted from the far end of the ripmap, that end,
-                and the scale of the coarsest level.
-            across: the same across the runway.
-            across_limits: the same.
-            bend: ends of the fine part of the ruler across the runway, the factor, less 1, by which
-                it is finer, and the distance from it that counts as outside.
-            bend_levels: levels that the coarse part is coarser.
-            grain_along: of the grain, texels of a tile at the footprints' unit, twice that, the
-                finest level's scale, and the end of the ripmap.
-            grain_across: the same across the runway.
-            tile_m: size of a tile of grain [m].
-            grain_reach_m: distance ahead to which there is grain [m].
+            least_fall: minimum of -dz; pixels above it use the ground at this value.
+            along: along the runway: unit of the coordinate [m], its origin, and texel size for
+                footprints [m].
+            along_limits: minimum and maximum of the coordinate, counted from the far end of the
+                ripmap; that end; and the scale of the coarsest level.
+            across: like ``along``, across the runway.
+            across_limits: like ``along_limits``, across the runway.
+            bend: start and end of the fine columns across the runway, the factor, minus 1, by which
+                they are finer, and the distance from them that counts as outside.
+            bend_levels: number of levels between fine and coarse columns.
+            grain_along: texels of a grain tile in the footprints' unit, twice that, the scale of
+                the finest level, and the end of the ripmap.
+            grain_across: like ``grain_along``, across the runway.
+            tile_m: size of a grain tile [m].
+            grain_reach_m: distance ahead up to which grain is drawn [m].
         """
 
 class Ground:
-    """The ground's textures, ready to be photographed. Not to be shared between threads."""
+    """The ground's textures, ready for rendering. Not thread-safe."""
 
     def __init__(
         self,
@@ -97,28 +96,28 @@ class Ground:
         neutral: tuple[int, int, int],
         scale: float,
     ) -> None:
-        """Keep the textures; they are not copied.
+        """Store the textures without copying them.
 
         Args:
             atlas: ripmap of the ground's colours, (rows, columns, 3).
-            grain: ripmap of the factor on them, (rows, columns, 3).
-            dither: factor on the footprints' density, (height, width) of the pictures.
-            ruler: measures of both.
-            neutral: the grain where there is none.
+            grain: ripmap of the grain factor on them, (rows, columns, 3).
+            dither: factor on the footprints' density, (height, width) of the images.
+            ruler: dimensions of both textures.
+            neutral: grain value used beyond the grain's reach.
             scale: factor on the product of ground and grain.
         """
 
     def sample(self, out: _Bytes, sight: Sight, hidden: NDArray[np.int32]) -> None:
-        """Fill a picture with the ground as one pose sees it.
+        """Render the ground for one pose.
 
         Args:
-            out: the picture, (height, width, 3).
-            sight: of the pose.
-            hidden: how many columns at the left of each row are left as they are, (height,).
+            out: output image, (height, width, 3).
+            sight: ground projection of the pose.
+            hidden: number of columns at the left of each row that are not rendered, (height,).
         """
 
 class Air:
-    """The air of one scenario, its water and its low sun: what they add to rows and columns."""
+    """Atmosphere of one scenario: effects of haze, water and a low sun on rows and columns."""
 
     def __init__(
         self,
@@ -132,12 +131,12 @@ class Air:
         sun_yaw_rad: float,
         glare_width_rad: float,
     ) -> None:
-        """Take the measures.
+        """Set the parameters.
 
         Args:
-            visibility_m: distance at which haze leaves 1/e of a contrast [m].
-            film: share of the ground that is covered by water, 0..1.
-            spray: share of the picture that spray veils evenly, 0..1.
+            visibility_m: distance at which haze reduces contrast to 1/e [m].
+            film: share of the ground covered by water, 0..1.
+            spray: opacity of the uniform spray, 0..1.
             sky_low: display colour of the sky at the horizon, 0..255.
             sky_high: display colour of the sky 15 degrees up, 0..255.
             glare: brightness of the glare, in display codes.
@@ -148,70 +147,71 @@ class Air:
     def veil(
         self, rays: _Doubles, height_m: float, height: int, width: int
     ) -> tuple[_Doubles, _Doubles]:
-        """What haze and, where wet, the sky's mirror image make of the upper rows of the ground.
+        """Effect of haze and of the sky's reflection in water on the upper rows of the ground.
 
         Args:
-            rays: homogenous pixel to a direction in ``map``, (3, 3).
-            height_m: the camera's height above ground [m].
-            height: of the picture [px].
-            width: of the picture [px].
+            rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
+            height_m: camera height above ground [m].
+            height: image height [px].
+            width: image width [px].
 
         Returns:
-            The share of its colour that each row keeps, in 255ths (n,), and what is added (n, 3).
+            Remaining share of the ground's colour in each row, in 255ths (n,), and the added colour
+            (n, 3).
         """
 
     def shine(self, rays: _Doubles, height: int, width: int) -> tuple[_Floats, _Floats] | None:
-        """A broad shine on the ground under a low sun, strongest at grazing angles.
+        """Broad glare on the ground under a low sun, strongest at grazing angles.
 
         Returns:
-            Its strength by row (height,) and by column (width,), for :func:`add_shine`; None where
-            the sun is too far aside.
+            Strength by row (height,) and by column (width,), for :func:`add_shine`; None if the sun
+            is too far to the side.
         """
 
 class Panorama:
-    """What stands above the ground at the horizon."""
+    """Panorama above the end of the ground."""
 
     def __init__(
         self, codes: _Bytes, lowest_rad: float, step_rad: float, end_tan: float, spacing_px: int
     ) -> None:
-        """Keep the panorama; it is not copied.
+        """Store the panorama without copying it.
 
         Args:
-            codes: display colours (rows, columns, 3). Columns begin at yaw -pi and go round.
+            codes: display colours (rows, columns, 3). Columns cover 360 degrees from yaw -pi.
             lowest_rad: elevation of row 0 [rad].
-            step_rad: elevation from one row to the next [rad].
+            step_rad: elevation step between rows [rad].
             end_tan: tangent of the depression at which the ground ends.
-            spacing_px: distance of the columns of a picture for which directions are computed,
-                odd; they are interpolated in between.
+            spacing_px: spacing of the image columns for which directions are computed, odd;
+                directions are interpolated between them.
         """
 
     def lay_over(self, picture: _Bytes, rays: _Doubles) -> None:
-        """Replace what is above the end of the ground, in place.
+        """Draw the panorama above the end of the ground, in place.
 
         Args:
-            picture: (height, width, 3), its width a multiple of the spacing.
-            rays: homogenous pixel to a direction in ``map``, (3, 3).
+            picture: image (height, width, 3); its width is a multiple of the spacing.
+            rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
         """
 
 class Reduction:
-    """Reduces frames to grey pictures, in bands from the top, each in a proportion of its own."""
+    """Reduces frames to grey images, in bands from the top, each with its own row ratio."""
 
     def __init__(
         self, height: int, width: int, bands: Sequence[tuple[int, int]], columns: int
     ) -> None:
-        """Prepare the averages.
+        """Prepare the weights.
 
         Args:
-            height: of a frame [px].
-            width: of a frame [px].
-            bands: rows of each band of it, and the rows that are made of them.
-            columns: of the picture [px], at least half of the frame's.
+            height: frame height [px].
+            width: frame width [px].
+            bands: number of frame rows and of output rows of each band.
+            columns: output width [px], at least half of the frame's.
         """
 
     def reduce(self, frame: _Bytes) -> _Bytes:
-        """Grey levels (rows, columns), a new array, of a frame (height, width, 3) RGB.
+        """Reduce a frame (height, width, 3) RGB to grey levels (rows, columns), a new array.
 
-        Luma after ITU-R BT.601, averaged over areas; the numbers are OpenCV's.
+        Luma of ITU-R BT.601, averaged over areas; the values equal OpenCV's.
         """
 
 def outlines(
@@ -222,59 +222,59 @@ def outlines(
     nearest_m: float,
     farthest_px: float,
 ) -> list[NDArray[np.int32]]:
-    """Where the convex parts of a body lie in the picture.
+    """Project the convex parts of a body into the image.
 
     Args:
-        corners: of all parts, (N, 3), in the camera's optical frame [m].
+        corners: corners of all parts, (N, 3), in the camera's optical frame [m].
         starts: index of the first corner of each part, in order.
         intrinsics: camera matrix, (3, 3), without skew.
-        size: height and width of the picture [px].
-        nearest_m: depth at which a part is cut off that comes nearer.
-        farthest_px: distance from the picture's corner beyond which nothing is told.
+        size: image height and width [px].
+        nearest_m: minimum depth; parts are clipped there.
+        farthest_px: limit to which pixel coordinates are clamped.
 
     Returns:
-        Of each part that may touch the picture, points (n, 2) in sixteenths of a pixel, whose hull
-        is its outline.
+        For each part that may touch the image, points (n, 2) in sixteenths of a pixel, whose convex
+        hull is its outline.
     """
 
 def tint_rows(picture: _Bytes, shares: _Doubles) -> None:
-    """Keep of each row, in place, a share in 255ths by channel: (rows, 3)."""
+    """Multiply each row, in place, by a share in 255ths per channel, (rows, 3)."""
 
 def tint_masked(picture: _Bytes, mask: _Bytes, depth: Sequence[float] | _Doubles) -> None:
-    """Darken a part of a picture, in place, where a mask (rows, columns) is not 0.
+    """Darken a part of an image, in place, where a mask (rows, columns) is not 0.
 
     Args:
-        picture: the part; its rows may lie apart.
-        mask: 255 for full darkness.
-        depth: what that takes of each channel, 0..1.
+        picture: the part; its rows may be non-contiguous.
+        mask: 255 for full darkening.
+        depth: full darkening per channel, 0..1.
     """
 
 def develop(
     ground: _Bytes, curve: _Bytes, kept: _Doubles, added: _Doubles, picture: _Bytes
 ) -> None:
-    """Make a lit picture of the ground, and lay a veil over its upper rows.
+    """Light the ground and apply haze to the upper rows.
 
     Args:
         ground: daylight colours, (rows, columns, 3).
-        curve: what becomes of each code, (256,).
-        kept: share in 255ths that each of the first n rows keeps, (n,).
-        added: what is added to it, (n, 3).
-        picture: where it goes, of the ground's size.
+        curve: display code of each ground code, (256,).
+        kept: remaining share in 255ths of each of the first n rows, (n,).
+        added: colour added to them, (n, 3).
+        picture: output image of the ground's size.
     """
 
 def lay_over(picture: _Bytes, kept: _Bytes, added: _Bytes) -> None:
-    """Lay a picture over a part of one, in place: a share in 255ths of each code, and a sum.
+    """Blend a layer over a part of an image, in place.
 
     Args:
-        picture: the part, (rows, columns, 3); its rows may lie apart.
-        kept: the share that shines through, of the same size.
-        added: what is added to it, of the same size.
+        picture: the part, (rows, columns, 3); its rows may be non-contiguous.
+        kept: remaining share of each code in 255ths, of the same size.
+        added: codes added, of the same size.
     """
 
 def add_shine(
     picture: _Bytes, by_row: _Floats, by_column: _Floats, tint: tuple[float, float, float]
 ) -> None:
-    """Add light, in place: the product of a strength by row, one by column, one by channel."""
+    """Add light, in place: the product of strengths by row, by column and by channel."""
 
 def instruction_sets() -> list[str]:
-    """What is taken here of the code that is written for newer processors; none on old ones."""
+    """Instruction-set extensions that are used on this processor; empty on old ones."""

@@ -1,7 +1,7 @@
-"""Panorama of the horizon: far fields, hills, trees, hangars and the sky.
+"""Panorama of the horizon: far fields, hills, trees, hangars and sky.
 
-A panorama in azimuth and elevation, made once per scenario; its shapes are made once per process.
-The camera looks down, so only its lowest rows are visible, at the upper image edge.
+The panorama in azimuth and elevation is made once per scenario, its shapes once per process. The
+camera looks down, so only the lowest rows are visible, at the upper image edge.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from taxinet_ros.core.camera.texture import Floats, smooth_noise
 
 COLUMNS, ROWS, COLUMNS_PER_DEGREE = 1440, 160, 4
 LOWEST_RAD, STEP_RAD = math.radians(-0.5), math.radians(0.1)
-"""Elevation of row 0's centre and step between rows; columns go round the compass."""
+"""Elevation of the centre of row 0, and step between rows; columns cover 360 degrees of azimuth."""
 
 GROUND_END_TAN = 0.0022
 """Tangent of the depression above which the panorama replaces the ground (about 0.9 km away)."""
@@ -32,7 +32,7 @@ _HANGARS = np.array(
 
 
 _COVER = {'scattered': (0.6, 20.0), 'broken': (-0.2, 26.0), 'cirrus': (0.3, 8.0)}
-"""Noise level above which there is cloud, and how much brighter it is, in display codes."""
+"""Noise threshold of cloud, and the added brightness in display codes."""
 
 _GLOW_TINT = (1.0, 0.86, 0.62)
 
@@ -68,9 +68,9 @@ def _profile(seed: int, cell: float) -> NDArray[np.float32]:
 
 
 def _sky(light: Light) -> Floats:
-    """Gradient from the horizon upwards, clouds, and the glow round a low sun; (3, ROWS, COLUMNS).
+    """Sky gradient, clouds, and the glow around a low sun; (3, ROWS, COLUMNS).
 
-    Display codes, not yet cut to 0..255.
+    Display codes, not yet clipped to 0..255.
     """
     elevation = LOWEST_RAD + STEP_RAD * np.arange(ROWS)
     rise = np.clip(elevation / math.radians(15), 0, 1)[:, None]

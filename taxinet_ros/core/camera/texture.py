@@ -1,12 +1,12 @@
-"""Seeded noise for procedural textures; a pure function of its arguments in every process.
+"""Procedural textures: seeded noise, and anisotropic mip pyramids ("ripmaps") in one atlas.
 
-Alias-free texture lookup with an anisotropic mip pyramid ("ripmap") in one atlas.
+Noise is a pure function of its arguments in every process. Ripmaps give alias-free lookup.
 
-The level (i, j) of a texture of H rows and W columns holds it shrunk by 2^i along the rows' axis
-and by 2^j along the columns' axis, at row H(2 - 2^(1-i)) and column W(2 - 2^(1-j)) of an atlas of
-2H x 2W. A runway consists of long features along two axes, so a filter with one width per axis
-suits it better than an isotropic pyramid, and one atlas means one lookup per pixel. Row t (in
-level-0 rows, from the upper edge) at level i lies at 2H + p(t - 2H) with p = 2^-i.
+Level (i, j) of a texture of H rows and W columns is reduced by 2^i along the rows' axis and by 2^j
+along the columns' axis; it starts at row H(2 - 2^(1-i)) and column W(2 - 2^(1-j)) of an atlas of
+2H x 2W. Runway features are long along two axes, so a filter with one width per axis suits them
+better than an isotropic pyramid, and one atlas allows one lookup per pixel. Row t (in level-0 rows,
+from the upper edge) at level i is at 2H + p(t - 2H) with p = 2^-i.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def smooth_noise(seed: int, shape: tuple[int, int], cell: tuple[float, float]) -
     noise: Floats = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR).astype(
         np.float32, copy=False
     )
-    noise *= np.float32(1.4)  # compensates the deviation lost by interpolation
+    noise *= np.float32(1.4)  # compensates for the deviation lost by interpolation
     return noise
 
 
@@ -60,6 +60,6 @@ def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
         target = atlas[:, column : column + columns]
         # Halving by bilinear interpolation is the mean of two, and faster than INTER_AREA.
         cv2.resize(level, (columns, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR_EXACT)
-    # Fill beyond the last level, where interpolation may reach across the border.
+    # Fill beyond the last level, because interpolation may read across the border.
     atlas[:, column + columns :] = atlas[:, column + columns - 1 : column + columns]
     return atlas

@@ -1,6 +1,6 @@
 """Assumed bounds and rates of signals, and the predicate margins they allow.
 
-A user writes ``cte=-25:25`` and ``cte=3``.
+Text form: ``cte=-25:25`` for a bound, ``cte=3`` for a rate.
 """
 
 from __future__ import annotations
@@ -44,25 +44,38 @@ def parse_assumptions(
     """Parse bounds and rates, see :func:`parse_bounds` and :func:`parse_rates`.
 
     Raises:
-        UsageError: see there.
+        UsageError: an invalid bound or rate.
     """
     return Assumptions(bounds=parse_bounds(bounds, signals), rates=parse_rates(rates, signals))
+
+
+def check_read(assumptions: Assumptions, formulas: Iterable[ast.Formula]) -> None:
+    """Check that some formula reads each signal that is assumed about.
+
+    Raises:
+        UsageError: an assumption has no effect.
+    """
+    read = {name for formula in formulas for name in ast.signal_names(formula)}
+    for kind, assumed in (('bound', assumptions.bounds), ('rate', assumptions.rates)):
+        for name in assumed:
+            if name not in read:
+                raise UsageError(f'{kind} {name}: has no effect: no requirement reads {name}')
 
 
 def parse_bounds(
     texts: Iterable[str], signals: Collection[str] | None = None
 ) -> dict[str, tuple[float, float]]:
-    """Read bounds, each ``SIGNAL=LOW:HIGH`` in the unit of the signal; an end may be ``inf``.
+    """Parse bounds, each ``SIGNAL=LOW:HIGH`` in the unit of the signal; an end may be ``inf``.
 
     Args:
         texts: the bounds.
         signals: known names; None: those of a run (:data:`.specs.SIGNALS`).
 
     Returns:
-        Least and greatest value by signal, as :class:`Monitor` takes them.
+        Minimum and maximum by signal, in the form that :class:`Monitor` takes.
 
     Raises:
-        UsageError: an unknown signal, one that is named twice, or no such numbers.
+        UsageError: an unknown or repeated signal, or an invalid range.
     """
     found: dict[str, tuple[float, float]] = {}
     for text in texts:
@@ -80,17 +93,17 @@ def parse_bounds(
 def parse_rates(
     texts: Iterable[str], signals: Collection[str] | None = None
 ) -> dict[str, float]:
-    """Read rate limits, each ``SIGNAL=RATE`` in the unit of the signal per second.
+    """Parse rate limits, each ``SIGNAL=RATE`` in the unit of the signal per second.
 
     Args:
         texts: the limits.
         signals: known names; None: those of a run (:data:`.specs.SIGNALS`).
 
     Returns:
-        Greatest change per second by signal, as :class:`Monitor` takes them.
+        Maximum change per second by signal, in the form that :class:`Monitor` takes.
 
     Raises:
-        UsageError: an unknown signal, one that is named twice, or no such number.
+        UsageError: an unknown or repeated signal, or an invalid rate.
     """
     found: dict[str, float] = {}
     for text in texts:
@@ -141,8 +154,8 @@ class Envelope:
 
     Args:
         names: signals that the formula reads, in the order of the value tuples.
-        bounds: least and greatest value of some signals, in the unit of the signal.
-        rates: greatest change per second of some signals, in the unit of the signal per second.
+        bounds: minimum and maximum of some signals, in the unit of the signal.
+        rates: maximum change per second of some signals, in the unit of the signal per second.
 
     Raises:
         UsageError: an empty or NaN range, or a rate that is negative or not finite.
@@ -244,7 +257,7 @@ def _arithmetic(op: ast.ArithmeticOp, left: Range, right: Range) -> Range:
         case '-':
             return _sound([left[0] - right[1], left[1] - right[0]])
         case '*':
-            # An infinite end means any finite value, however large, and 0 times that is 0.
+            # An infinite end stands for arbitrarily large finite values, so 0 times it is 0.
             return _sound([a * b if a and b else 0.0 for a in left for b in right])
         case '/':
             if right[0] <= 0 <= right[1] or any(map(math.isinf, right)):
@@ -262,7 +275,7 @@ def _function(name: ast.FunctionName, args: list[Range]) -> Range:
         case 'abs':
             return max(0.0, lows[0], -highs[0]), max(-lows[0], highs[0])
         case 'sqrt':
-            # A negative argument has no root; the sample that has one is refused.
+            # A negative argument has no root; samples with one are rejected.
             return (
                 (math.sqrt(max(0.0, lows[0])), math.sqrt(highs[0])) if highs[0] >= 0 else ANYTHING
             )

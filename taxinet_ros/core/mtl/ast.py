@@ -1,8 +1,8 @@
 """Nodes of the formula syntax tree, and their text form.
 
 Nodes are frozen, hashable and compare by structure. They take positional arguments because a tree
-of keyword arguments is unreadable. Printing puts every operand of a logical or temporal operator
-in parentheses, so no reader needs to know any precedence; the text parses back to an equal tree.
+of keyword arguments is unreadable. Every operand of a logical or temporal operator is printed in
+parentheses, so the text does not depend on precedence; it parses back to an equal tree.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FUNCTION_ARITY: dict[FunctionName, tuple[int, int | None]] = {
     'min': (2, None),
     'max': (2, None),
 }
-"""Least and most number of arguments of each function (None: any number)."""
+"""Minimum and maximum number of arguments of each function (None: unlimited)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Logic:
 
 @dataclass(frozen=True, slots=True)
 class Temporal:
-    """always and eventually look ahead over the window; historically and once look back."""
+    """Unary temporal operator: always, eventually (future); historically, once (past)."""
 
     op: UnaryTemporalOp
     interval: Interval
@@ -162,7 +162,7 @@ class Temporal:
 
 @dataclass(frozen=True, slots=True)
 class TemporalPair:
-    """``left until right`` looks ahead, ``left since right`` looks back."""
+    """Binary temporal operator: ``left until right`` (future), ``left since right`` (past)."""
 
     op: BinaryTemporalOp
     interval: Interval
@@ -177,7 +177,7 @@ Formula = Compare | Not | Logic | Temporal | TemporalPair
 
 
 def atoms(formula: Formula) -> tuple[Compare, ...]:
-    """The distinct predicates of a formula, in the order in which they are written."""
+    """Distinct predicates of a formula, in order of appearance."""
     found: dict[Compare, None] = {}
 
     def visit(node: Formula) -> None:

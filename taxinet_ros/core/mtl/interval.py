@@ -1,8 +1,8 @@
 """Robust satisfaction interval: the values the robustness of a formula can still take.
 
-While a run goes on it is known only that rho lies between two bounds (Deshmukh et al., Formal
-Methods in System Design 51, 2017). For a complete run both equal rho; for a stopped or aborted run
-only an interval is known.
+During a run, rho is only known to lie between two bounds (Deshmukh et al., Formal Methods in System
+Design 51, 2017). For a complete run both equal rho; for a stopped or aborted run only an interval
+is known.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RobustnessInterval(NamedTuple):
     """Bounds on the robustness of one formula on one run, in the unit of its predicate.
 
     Attributes:
-        lower, upper: least and greatest robustness; equal where rho is known.
+        lower, upper: minimum and maximum robustness; equal if rho is known.
     """
 
     lower: float
@@ -95,7 +95,7 @@ class RobustnessInterval(NamedTuple):
 
         Args:
             digits: format of a number, without its sign.
-            width: least width of a rho that is known.
+            width: minimum width of a known rho.
         """
         if self.exact:
             return f'rho {self.lower:+{width}{digits}}'
@@ -105,7 +105,7 @@ class RobustnessInterval(NamedTuple):
         """E.g. ``rho -0.50``, ``rho <=-0.50``, or ``rho -1.00 to +2.00``; for tables.
 
         Args:
-            width: least width of rho, or of its only finite bound.
+            width: minimum width of rho, or of its only finite bound.
         """
         if not self.exact and math.isfinite(self.lower) and math.isfinite(self.upper):
             return f'rho {self.lower:+.2f} to {self.upper:+.2f}'

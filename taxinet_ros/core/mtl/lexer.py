@@ -1,4 +1,4 @@
-"""Formula text to tokens. Aliases and Unicode signs become the plain words here."""
+"""Formula tokenizer. Replaces aliases and Unicode signs by the plain words."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from taxinet_ros.errors import UsageError
 Kind = Literal['number', 'name', 'word', 'sign', 'end']
 
 MAX_TOKENS = 500
-"""Longer formulas are refused: they are unreadable, and evaluation recurses over the tree."""
+"""Longer formulas are rejected: they are unreadable, and evaluation recurses over the tree."""
 
 _SHOWN = 40
-"""Characters of a word that an error message repeats."""
+"""Maximum number of characters of a word shown in an error message."""
 
 WORDS = frozenset(
     {
@@ -55,7 +55,7 @@ class Token:
     Attributes:
         kind: kind of token.
         text: its plain form (``always`` for ``G``).
-        column: where it starts, counted from 1.
+        column: start column, counted from 1.
         raw: the original text.
     """
 
@@ -71,16 +71,16 @@ class Token:
 
 
 def fail(where: str, column: int, message: str) -> NoReturn:
-    """Raise the one-line error of a formula text."""
+    """Raise a one-line error about a formula text."""
     raise UsageError(f'{where}: column {column}: {message}')
 
 
 def tokens(text: str, where: str) -> list[Token]:
-    """Split a formula text into tokens, ended by one of kind ``end``.
+    """Split a formula text into tokens, followed by one of kind ``end``.
 
     Args:
         text: the formula.
-        where: what the text is, for error messages.
+        where: description of the text for error messages.
 
     Raises:
         UsageError: an invalid character, or more than :data:`MAX_TOKENS` tokens.
@@ -99,7 +99,7 @@ def tokens(text: str, where: str) -> list[Token]:
 
 
 def check_parentheses(found: Sequence[Token], where: str) -> None:
-    """Check for unmatched parentheses, for a clearer error than the parser's.
+    """Check for unmatched parentheses; the error is clearer than the parser's.
 
     Raises:
         UsageError: an unmatched parenthesis.

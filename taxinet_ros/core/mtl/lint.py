@@ -1,6 +1,7 @@
-"""Lint requirements before any run: readable form, errors and warnings.
+"""Lint requirements before a run: readable form, errors and warnings.
 
-E.g. ``always over the run: |steering| <= 0.3 rad (17.19 deg)``; then windows, thresholds, units.
+Readable form: ``always over the run: |steering| <= 0.3 rad (17.19 deg)``. Checks windows,
+thresholds and units.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ Units = Mapping[str, str]
 
 
 def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
-    """Dimension of an expression parsed into SI, as far as known."""
+    """Dimension of an expression in SI units, as far as known."""
     match expr:
         case ast.Number():
             return PURE
@@ -46,7 +47,7 @@ def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
             one, two = quantity_of(left, units), quantity_of(right, units)
             if op in '+-':
                 return added(one, two)
-            # A number may have had a unit of its own, which is no longer known.
+            # A number may have been written with a unit, which is no longer known.
             known = one.pure == two.pure
             return multiplied(one, two, 1 if op == '*' else -1) if known else Quantity()
         case ast.Function(name, args):
@@ -127,7 +128,7 @@ def _when(interval: ast.Interval, outermost: bool, *, past: bool) -> str:
 
 
 def _expr(expr: ast.Expr, dimension: Dimension | None) -> str:
-    """An expression whose value has a dimension, which the numbers added in it have too."""
+    """Readable form of an expression; numbers added in it have the same dimension."""
     match expr:
         case ast.Number(value):
             return value_words(value, dimension)
@@ -153,7 +154,7 @@ def _closed(expr: ast.Expr, dimension: Dimension | None) -> str:
 
 
 _LARGE_RAD = 1.6
-"""Integer angles beyond it were probably meant in degrees: as radians they exceed 90 degrees."""
+"""Larger integer angles were probably meant in degrees: as radians they exceed 90 degrees."""
 _MOST_CASES = 256
 """Maximum number of cases tried per part of a formula."""
 _Read = ast.Expr | ast.Formula | tuple[ast.Expr, ast.Expr]
@@ -177,7 +178,7 @@ class Setting:
 
     @property
     def stamps_ns(self) -> range:
-        """Of the samples of a run."""
+        """Stamps of the samples of a run."""
         return range(0, self.horizon_ns + 1, self.period_ns)
 
     def box(self, formula: ast.Formula) -> dict[str, Range]:
@@ -186,7 +187,7 @@ class Setting:
 
 
 def spec_line(spec: Spec, setting: Setting) -> str:
-    """One line on how a requirement is parsed, with signal ranges and horizon."""
+    """One-line description of a parsed requirement, with signal ranges and horizon."""
     box = setting.box(spec.formula)
     ranges = [range_words(name, ends, setting.units) for name, ends in box.items()]
     reach_ns = max((window.latest_ns for window in _windows(spec.formula)), default=0.0)
@@ -196,7 +197,7 @@ def spec_line(spec: Spec, setting: Setting) -> str:
 
 
 def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
-    """Check that every window can hold a sample of a run of this length.
+    """Check that every window can contain a sample of a run of this length.
 
     Args:
         spec: the requirement.
@@ -204,8 +205,8 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
         period_ns: time between samples [ns], or 0 if unknown.
 
     Raises:
-        UsageError: a window starts after the end of the run, ends before its start, or can hold no
-            sample, so it cannot be evaluated.
+        UsageError: a window cannot be evaluated: it starts after the end of the run, ends before
+            its start, or can contain no sample.
     """
     length = seconds_words(horizon_ns)
     for window in _windows(spec.formula):
@@ -258,13 +259,14 @@ def warnings(spec: Spec, setting: Setting) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Window:
-    """A window of a formula and its position on the run.
+    """A window of a formula and its position in the run.
 
     Attributes:
         words: the operator without its operands.
-        earliest_ns: start of its first position [ns], and latest_ns the end of its last [ns].
+        earliest_ns: start of its first position [ns].
+        latest_ns: end of its last position [ns].
         first_end_ns: end of its first position [ns].
-        ahead: it looks ahead.
+        ahead: whether it looks ahead.
     """
 
     words: str
@@ -277,7 +279,7 @@ class _Window:
 def _windows(
     formula: ast.Formula, begin_ns: float = 0, end_ns: float = 0
 ) -> Iterator[_Window]:
-    """The windows of a formula evaluated from ``begin_ns`` to ``end_ns`` of a run."""
+    """Windows of a formula that is evaluated from ``begin_ns`` to ``end_ns`` of a run."""
     match formula:
         case ast.Not(child):
             yield from _windows(child, begin_ns, end_ns)
@@ -317,7 +319,7 @@ def _cut_windows(spec: Spec, horizon_ns: int) -> Iterator[str]:
 
 
 def _atom_warnings(atom: ast.Compare, setting: Setting, box: Mapping[str, Range]) -> Iterator[str]:
-    """Warnings on predicates without value or with a likely wrong unit."""
+    """Warnings on predicates that may be undefined or that likely have a wrong unit."""
     for part in (*_parts(atom.left), *_parts(atom.right)):
         match part:
             case ast.Arithmetic('/', _, right):
@@ -338,7 +340,7 @@ def _atom_warnings(atom: ast.Compare, setting: Setting, box: Mapping[str, Range]
 def _certain(
     atom: ast.Compare, margin: Range, setting: Setting, box: Mapping[str, Range]
 ) -> str:
-    """Reason why a predicate is constant, or ''."""
+    """Reason why a predicate is always true or always false, or ''."""
     if margin[0] <= 0 <= margin[1]:
         return ''
     names = ast.signal_names(atom)
@@ -353,7 +355,7 @@ def _certain(
 
 
 def _settled(formula: ast.Formula) -> Iterator[tuple[ast.Formula, bool]]:
-    """Outermost parts that are logically constant."""
+    """Outermost parts that are logically constant, with their truth value."""
     match formula:
         case ast.Logic(_, left, right):
             truths = _truths(formula)
@@ -410,7 +412,7 @@ def _true(formula: ast.Formula, case: Mapping[_Read, float]) -> bool:
 
 
 def _reading(leaf: ast.Formula) -> tuple[_Read, float, bool, bool]:
-    """Expression of a leaf, its threshold, whether |.| is compared, and if it must be above."""
+    """Expression of a leaf, its threshold, whether |.| is compared, whether it must be above."""
     if not isinstance(leaf, ast.Compare):
         return leaf, 0.0, False, True
     one, two, above = leaf.left, leaf.right, leaf.op in ('>', '>=')

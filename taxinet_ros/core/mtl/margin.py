@@ -1,8 +1,8 @@
-"""Values of predicates: the signed margin by which a comparison holds.
+"""Margins of predicates: the signed distance by which a comparison holds.
 
-A comparison is compiled to Python once, for single samples or for whole columns of them. Both are
-made from one text and do the same IEEE operations in the same order, so online and offline agree to
-the last bit.
+A comparison is compiled to Python once, for single samples or for whole columns. Both come from the
+same text and do the same IEEE operations in the same order, so online and offline evaluation agree
+bit for bit.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy.typing as npt
 from taxinet_ros.core.mtl import ast
 
 Values = Sequence[float]
-"""Signal values at one sample, in the order of the names that the margin was compiled with."""
+"""Signal values at one sample, in the order of the names passed at compilation."""
 
 Column = npt.NDArray[np.float64]
 
 
 class Margins:
-    """The margins of a formula's predicates, by sample of a growing trace.
+    """Margins of a formula's predicates at each sample of a growing trace.
 
     Args:
         formula: the formula.
@@ -43,28 +43,28 @@ class Margins:
         ]
 
     def of(self, values: Values) -> list[float]:
-        """Margin of each predicate at a sample; one that has no value is NaN or infinite."""
+        """Margin of each predicate at a sample; NaN or infinite where undefined."""
         try:
             return [evaluate(values) for evaluate in self._evaluators]
         except (ZeroDivisionError, ValueError):
             return [math.nan]
 
     def append(self, margins: list[float]) -> None:
-        """Take the margins of a sample, as :meth:`of` gives them, for the next of the trace."""
+        """Append the margins of the next sample, as returned by :meth:`of`."""
         for at, (append, append_negated) in enumerate(self._appends):
             append(margins[at])
             append_negated(-margins[at])
 
     def column(self, atom: ast.Compare, negated: bool) -> Sequence[float]:
-        """The margins of a predicate, or minus them; they grow with the trace."""
+        """Margins of a predicate, or minus them; the sequence grows with the trace."""
         return self._columns[atom][negated]
 
 
 def compile_margin(atom: ast.Compare, names: Sequence[str]) -> Callable[[Values], float]:
-    """A function that gives an atom's margin: right - left for ``<=`` and ``<``, else left - right.
+    """Compile an atom's margin: right - left for ``<=`` and ``<``, else left - right.
 
-    The result is NaN or infinite where the expression has no finite value (division by zero, the
-    root of a negative number, overflow); the caller must refuse such a sample.
+    The result is NaN or infinite where the expression has no finite value (division by zero, root
+    of a negative number, overflow); the caller must reject such a sample.
     """
     evaluate = _compile_sample(atom, tuple(names))
 
@@ -79,7 +79,7 @@ def compile_margin(atom: ast.Compare, names: Sequence[str]) -> Callable[[Values]
 
 @functools.lru_cache
 def _compile_sample(atom: ast.Compare, names: tuple[str, ...]) -> Callable[[Values], float]:
-    """The same, but raising ZeroDivisionError or ValueError for some of what has no value."""
+    """Like :func:`compile_margin`, but may raise ZeroDivisionError or ValueError if undefined."""
     words = {'abs': abs, 'sqrt': math.sqrt, 'min': _least, 'max': _greatest}
     margin: Callable[[Values], float] = _compile(atom, names, words)
     return margin
@@ -97,7 +97,7 @@ def _compile_column(
 def margin_column(
     atom: ast.Compare, names: tuple[str, ...], columns: Sequence[Column], count: int
 ) -> Column:
-    """The margins of an atom at all samples of a trace.
+    """Compute the margins of an atom at all samples of a trace.
 
     Args:
         atom: the predicate.
@@ -109,7 +109,7 @@ def margin_column(
         (count,) margins; NaN or infinite where there is no finite value.
     """
     try:
-        # What raises here has no finite value at some sample.
+        # An exception means that there is no finite value at some sample.
         with np.errstate(divide='raise', invalid='raise', over='ignore', under='ignore'):
             margins = _compile_column(atom, names)(columns)
         return margins if np.ndim(margins) else np.full(count, margins)
@@ -121,7 +121,7 @@ def margin_column(
 
 def _compile(atom: ast.Compare, names: Sequence[str], words: Mapping[str, Any]) -> Any:
     small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
-    # Made of numbers, operators and the words above alone, for that is all that nodes hold.
+    # Safe: nodes contain only numbers, operators and the function names of ``words``.
     text = f'lambda v: {_python(large, names)} - {_closed(small, names)}'
     return eval(text, {'__builtins__': {}, **words})
 
@@ -135,8 +135,8 @@ def _python(expr: ast.Expr, names: Sequence[str]) -> str:
         case ast.Negative(child):
             return f'-{_closed(child, names)}'
         case ast.Arithmetic(op, left, right):
-            # Python groups to the left as well: a long sum needs no parentheses, of which Python
-            # takes 200 at most.
+            # Python is left-associative too, so a long sum needs no parentheses (Python allows at
+            # most 200 nested ones).
             sum_in_product = op in '*/' and isinstance(left, ast.Arithmetic) and left.op in '+-'
             first = (_closed if sum_in_product else _python)(left, names)
             return f'{first} {op} {_closed(right, names)}'
@@ -150,7 +150,7 @@ def _closed(expr: ast.Expr, names: Sequence[str]) -> str:
 
 
 def _least(*args: float) -> float:
-    # min and max drop a NaN or keep it, depending on the order; it must always come through.
+    # Whether min and max keep a NaN depends on the argument order; it must always propagate.
     return math.nan if any(map(math.isnan, args)) else min(args)
 
 

@@ -1,22 +1,21 @@
-"""Core form: what offline and online evaluation really compute.
+"""Core form of a formula, used by offline and online evaluation.
 
-Negation is pushed down to the atoms, so every operator is monotone in its operands, and each is
-either of the kind that takes the lowest of its operands (and, always, historically, and the duals
-of until and since) or of the kind that takes the highest. The dual of an operator is the same
-operator of the other kind on the duals of its operands.
+Negation is pushed down to the atoms, so every operator is monotone in its operands. Each operator
+takes either the lowest of its operands (and, always, historically, and the duals of until and
+since) or the highest. The dual of an operator is the same operator of the other kind, applied to
+the duals of its operands.
 
 A bounded until is split after Donzé, Ferrère and Maler (Efficient robust monitoring for STL,
 CAV 2013, section 3)::
 
     p until[a,b] q  =  eventually[a,b] q  and  always[0,a) p  and  (p until q) at t + a
 
-where "at t + a" is the first sample at or after it. Time is in integer nanoseconds, so the half
-open [0,a) is the closed [0,a-1]. Since is split alike, backwards.
+where "at t + a" is the first sample at or after that time. Time is in integer nanoseconds, so the
+half-open [0,a) is the closed [0,a-1]. Since is split the same way, backwards.
 
-The split names an operand twice, so nested ones would double at each level if they were copied.
-They are not: equal subformulas become one object, the core form is a graph without cycles, and
-whoever walks it keeps what is done by the object's id. Never hash or compare core nodes by
-structure.
+The split uses an operand twice, so copies would double at each level of nesting. To avoid this,
+equal subformulas are one object: the core form is a directed acyclic graph, and a traversal caches
+results by object id. Never hash or compare core nodes by structure.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from taxinet_ros.core.mtl.sliding import INF
 
 @dataclass(frozen=True, slots=True)
 class CoreAtom:
-    """The margin of a predicate, or minus it."""
+    """Margin of a predicate, or minus it."""
 
     atom: ast.Compare
     negated: bool
@@ -45,7 +44,7 @@ class CoreJoin:
 
 @dataclass(frozen=True, slots=True)
 class CoreWindow:
-    """Lowest or highest of the operand over a window ahead of the sample, or behind it."""
+    """Minimum or maximum of the operand over a future or past window."""
 
     lowest: bool
     past: bool
@@ -57,8 +56,8 @@ class CoreWindow:
 class CoreChain:
     """Unbounded until and since (``lowest`` False) or their duals (True).
 
-    ``reach_ns`` is how far beyond the sample the operands matter, None for the whole run. Left
-    None stands for the constant that makes no difference: unbounded once and historically.
+    ``reach_ns`` is how far from the sample the operands matter; None for the whole run. ``left``
+    None stands for the neutral constant: unbounded once and historically.
     """
 
     lowest: bool
@@ -72,7 +71,7 @@ class CoreChain:
 class CoreShift:
     """The operand at the first sample at or after t + delay; past: the last at or before t - delay.
 
-    ``lowest`` tells what an absent sample is worth: +inf if True, -inf if False.
+    ``lowest`` gives the value where there is no such sample: +inf if True, -inf if False.
     """
 
     lowest: bool
@@ -85,7 +84,7 @@ Core = CoreAtom | CoreJoin | CoreWindow | CoreChain | CoreShift
 
 
 def window_offsets(interval: ast.Interval, past: bool) -> tuple[float, float]:
-    """Bounds of a window relative to the sample [ns]: ints, or +-inf where it is unbounded."""
+    """Bounds of a window relative to the sample [ns]: ints, or +-inf if unbounded."""
     high_ns = INF if interval.high_ns is None else interval.high_ns
     return (-high_ns, -interval.low_ns) if past else (interval.low_ns, high_ns)
 

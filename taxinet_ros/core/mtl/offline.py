@@ -28,7 +28,7 @@ Array = npt.NDArray[Any]
 Stamps = npt.NDArray[np.int64]
 
 _TOO_LATE_NS = 2**62
-"""A stamp and the longest window have to add up without overflow."""
+"""Upper limit of stamps: a stamp plus the longest window must not overflow."""
 
 
 def robustness(
@@ -44,11 +44,12 @@ def robustness(
         signals: (n,) values of each signal that the formula reads; others are ignored.
 
     Returns:
-        rho; +-inf where the answer rests on an empty window. Never NaN.
+        rho; +-inf if it results from an empty window. Never NaN.
 
     Raises:
-        UsageError: no samples, a stamp that is negative, repeated, backward or not an integer, a
-            signal missing, of another length or not finite, or a predicate without finite value.
+        UsageError: no samples; a stamp that is negative, repeated, decreasing or not an integer; a
+            signal that is missing, has another length or is not finite; a predicate that is not
+            finite.
     """
     stamps = _checked_stamps(stamps_ns)
     names, atoms, core = _prepare(formula)
@@ -57,7 +58,7 @@ def robustness(
     rho = _Evaluator(
         stamps, lambda atom, negated: -margins[atom] if negated else margins[atom]
     ).at_first(core)
-    # Adding zero turns -0.0 into 0.0, the sign of which would depend on the order of evaluation.
+    # Adding 0.0 turns -0.0 into 0.0: the sign would depend on the order of evaluation.
     return rho + 0.0
 
 
@@ -65,16 +66,16 @@ def robustness_range(
     formula: ast.Formula, stamps_ns: Sequence[int] | Array,
     margins: Mapping[ast.Compare, tuple[float, float]],
 ) -> tuple[float, float]:
-    """Least and greatest robustness of any trace with these stamps.
+    """Minimum and maximum robustness of any trace with these stamps.
 
     Args:
         formula: the formula.
         stamps_ns: as for :func:`robustness`.
-        margins: least and greatest margin of each predicate, which are taken to be independent of
-            each other; so the range may be wider than what traces reach, never narrower.
+        margins: minimum and maximum margin of each predicate. Predicates are assumed independent,
+            so the range may be wider than what traces reach, never narrower.
 
     Returns:
-        The two ends; both are +inf, or -inf, where the windows alone decide, not any sample.
+        Minimum and maximum; both are +inf, or both -inf, if rho depends on no sample.
     """
     stamps = _checked_stamps(stamps_ns)
 
@@ -89,7 +90,7 @@ def robustness_range(
 
 @functools.lru_cache
 def _prepare(formula: ast.Formula) -> tuple[tuple[str, ...], tuple[ast.Compare, ...], Core]:
-    """What of an evaluation is the same for all traces: signals, predicates, core form."""
+    """Parts of an evaluation that do not depend on the trace: signals, predicates, core form."""
     return ast.signal_names(formula), ast.atoms(formula), normalise(formula)
 
 
@@ -150,7 +151,7 @@ class _Evaluator:
         self._done: dict[int, Column] = {}
 
     def at_first(self, core: Core) -> float:
-        """Value at the first sample alone, without the windows of the others."""
+        """Value at the first sample only; skips the windows of all others."""
         if isinstance(core, CoreJoin):
             return (min if core.lowest else max)(map(self.at_first, core.children))
         if not isinstance(core, CoreWindow) or core.past:
@@ -167,7 +168,7 @@ class _Evaluator:
         return float(window.min() if core.lowest else window.max())
 
     def _values(self, core: Core) -> Column:
-        """Values at all samples; those of a subformula that stands in several places once."""
+        """Values at all samples; shared subformulas are evaluated once."""
         if id(core) not in self._done:
             self._done[id(core)] = self._evaluated(core)
         return self._done[id(core)]
@@ -205,7 +206,7 @@ class _Evaluator:
             sources = stamps.searchsorted(stamps - core.delay_ns, 'right') - 1
         else:
             sources = stamps.searchsorted(stamps + core.delay_ns, 'left')
-        # Beyond either end stands what an absent sample is worth: index n, and -1, which is n too.
+        # Absent samples have index n or -1; both select the appended value.
         return np.append(values, empty_value(core.lowest))[sources]
 
 
@@ -214,7 +215,7 @@ def _extreme(lowest: bool) -> np.ufunc:
 
 
 def _running(lowest: bool, past: bool, values: Column) -> Column:
-    """Extreme of all values up to each sample, or from it on."""
+    """Extreme of all values up to each sample (past), or from it on."""
     if past:
         return _extreme(lowest).accumulate(values)
     return _extreme(lowest).accumulate(values[::-1])[::-1]

@@ -1,4 +1,4 @@
-"""Formula text to formula nodes, by operator precedence, with hints at what was meant."""
+"""Formula parser (operator precedence), with hints for likely mistakes."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ _MEANS = {'cross_track_error': 'cte', 'heading': 'he', 'heading_error': 'he'}
 
 
 def hint(token: Token, before: Token | None, names: Collection[str] = ()) -> str:
-    """A half sentence to append, with its own '; ' at the head, or ''.
+    """Hint to append to an error message, starting with '; ', or ''.
 
     Args:
-        token: the token that was wrong.
+        token: the unexpected token.
         before: the token before it.
-        names: signals and predicates that could be meant.
+        names: known signals and predicates.
     """
     said = _SAYS.get(token.raw)
     if said is None and token.kind == 'name' and token.raw not in names:
@@ -86,7 +86,7 @@ def _resembling(word: str, names: Collection[str], of_number: bool) -> str | Non
 
 
 MAX_DEPTH = 50
-"""Deepest nesting of parentheses and prefix operators."""
+"""Maximum nesting of parentheses and prefix operators."""
 _MAX_WINDOW_NS = 10**18
 _EXACT = decimal.Context(
     prec=60, traps=[decimal.Inexact, decimal.InvalidOperation, decimal.Overflow]
@@ -105,15 +105,16 @@ _Node = ast.Expr | ast.Formula
 
 
 class _Part(NamedTuple):
-    """What was read so far of a formula.
+    """A parsed part of a formula.
 
     Attributes:
-        node: what it means.
-        start: its first token.
-        quantity: of a number, what is known of its dimension.
+        node: syntax tree.
+        start: first token.
+        quantity: dimension of a number, as far as known.
         unit: the first number in it that has a unit, and that unit; or None.
         constant: it is a number and reads no signal.
-        clash: where it adds up unlike dimensions, and how: an error once a unit stands beside it.
+        clash: position and message of a sum or comparison of different dimensions; an error only if
+            it is combined with a number that has a unit.
     """
 
     node: _Node
@@ -134,12 +135,12 @@ def parse(
 
     Args:
         text: e.g. ``eventually[0:10](always(abs(cte) <= 1.5))``.
-        signals: names that the formula may read; where it is a mapping, with their units.
+        signals: names that the formula may read; a mapping gives their units too.
         predicates: formulas by name, which the text may use as in VerifAI's ``F[0, 10] G name``.
-        where: what the text is, at the head of an error message.
+        where: description of the text; error messages start with it.
 
     Raises:
-        UsageError: the text is no formula; the message names the column and what was expected.
+        UsageError: invalid formula; the message gives the column and what was expected.
     """
     named: dict[str, ast.Formula] = {}
     for name, body in (predicates or {}).items():
@@ -152,7 +153,7 @@ def parse(
 
 
 def _check_written_out(formula: ast.Formula, signals: Collection[str], where: str) -> None:
-    """See that the text that goes into bags and tables can be read back."""
+    """Check that the text written to bags and tables can be parsed again."""
     if ast.size(formula) <= MAX_TOKENS:
         try:
             _Parser(str(formula), signals, {}, where).whole()
@@ -257,7 +258,7 @@ class _Parser:
         return _Part(ast.Logic(cast(ast.LogicOp, op.text), first, second), left.start)
 
     def _calculated(self, op: Token, left: _Part, right: _Part) -> _Part:
-        """A comparison, or a sum, difference, product or quotient."""
+        """Build a comparison, sum, difference, product or quotient."""
         low, high = self._expr(left), self._expr(right)
         if _POWER[op.text] == _COMPARE:
             both = self._beside(left, right)
@@ -276,16 +277,16 @@ class _Parser:
         return self._finite(both._replace(node=node, start=left.start), op)
 
     def _finite(self, part: _Part, token: Token) -> _Part:
-        """Refuse a constant that is none: it would void every run, not fail it."""
+        """Reject a constant that is not finite: it would make every run invalid."""
         if part.constant and not math.isfinite(_value(cast(ast.Expr, part.node))):
             self._fail(token, f'{part.node} has no finite value')
         return part
 
     def _beside(self, left: _Part, right: _Part) -> _Part:
-        """Two parts that are added or compared, as that of them whose dimension is known.
+        """Combine two parts that are added or compared; returns the one with known dimension.
 
-        A written unit beside another dimension is refused. What is compared without any is in SI,
-        and up to whoever wrote it.
+        A number with a unit of another dimension is rejected. Numbers without units are in SI and
+        not checked.
         """
         known = right if left.quantity.pure else left
         if not left.quantity.agrees(right.quantity):
@@ -303,7 +304,7 @@ class _Parser:
                               added(left.quantity, right.quantity))
 
     def _together(self, one: _Part, two: _Part, quantity: Quantity) -> _Part:
-        """What is known of two parts in one, as the first; a clash beside a unit is refused."""
+        """Merge two parts into the first; a clash combined with a unit is rejected."""
         clash, unit = one.clash or two.clash, one.unit or two.unit
         if clash and unit:
             self._fail(*clash)
@@ -358,7 +359,7 @@ class _Parser:
         )
 
     def _unit(self) -> str:
-        """Take the unit that stands next, if one does."""
+        """Consume a unit if one comes next; '' if not."""
         name, sign, per = (*self._tokens[self._at : self._at + 3], *self._tokens[-1:] * 2)[:3]
         ratio = f'{name.text}/{per.text}'
         if sign.text == '/' and ratio in UNITS and per.text not in self._names:
@@ -439,7 +440,7 @@ class _Parser:
             units = ', '.join(_UNIT_NS)
             self._fail(wrong, f'expected {then} or a unit ({units}), got {wrong}{told}')
         try:
-            # Exact, so that 0.1 is 100 ms to the nanosecond and nothing is rounded silently.
+            # Exact arithmetic: 0.1 is 100 ms to the nanosecond, nothing is rounded silently.
             time_ns = _EXACT.multiply(_EXACT.create_decimal(token.text), _UNIT_NS[unit])
             whole_ns = _EXACT.to_integral_exact(time_ns)
         except decimal.DecimalException:
@@ -453,7 +454,7 @@ class _Parser:
 def _pair(
     word: str, interval: ast.Interval, left: ast.Formula, right: ast.Formula
 ) -> ast.Formula:
-    """Until and since are nodes; unless (weak until) and release are said with until."""
+    """Node of until or since; unless (weak until) and release are expressed with until."""
     if word == 'unless':
         lasting = ast.Temporal('always', ast.Interval(0, interval.high_ns), left)
         return ast.Logic('or', ast.TemporalPair('until', interval, left, right), lasting)
@@ -464,7 +465,7 @@ def _pair(
 
 
 def _value(expr: ast.Expr) -> float:
-    """The value of an expression without signals; NaN where it has none."""
+    """Value of an expression without signals; NaN if undefined."""
     return compile_margin(ast.Compare('<=', ast.Number(0.0), expr), ())(())
 
 

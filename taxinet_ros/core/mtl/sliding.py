@@ -12,7 +12,7 @@ INF = float('inf')
 
 
 def empty_value(lowest: bool) -> float:
-    """The least (greatest) of no values: +inf (-inf)."""
+    """Minimum (maximum) of no values: +inf (-inf)."""
     return INF if lowest else -INF
 
 
@@ -32,9 +32,9 @@ def slide(
     Args:
         stamps_ns: strictly increasing stamps [ns].
         values: value at each stamp; stamps beyond the last value have none.
-        rows: indices of the samples to do, ascending.
+        rows: indices of the samples to evaluate, ascending.
         low_ns: start of the window relative to the sample [ns]; an int, or -inf.
-        high_ns: its end relative to the sample [ns]; an int, or inf.
+        high_ns: end of the window relative to the sample [ns]; an int, or inf.
         lowest: True for the minimum.
 
     Returns:
@@ -61,16 +61,16 @@ def slide(
 
 
 class Stairs(Sequence[float]):
-    """Extreme of each window, by the index of the sample at which it is asked.
+    """Extreme of each window, indexed by the sample that the window belongs to.
 
     Args:
         lowest: True for the minimum.
 
     Attributes:
         rows: number of windows.
-        cap: least of what may still come; it counts for lowest windows open <= i < never.
+        cap: minimum of possible later values; applies to lowest windows open <= i < never.
         open: index of the first window into which samples may still fall.
-        never: index of the first window that starts beyond the end of the run.
+        never: index of the first window that starts after the end of the run.
     """
 
     __slots__ = (
@@ -131,9 +131,9 @@ class Stairs(Sequence[float]):
         return found
 
     def take(self, value: float, start: int, stop: int) -> int:
-        """Let a sample fall into the windows start <= i < stop; none before takes any more.
+        """Add a sample to the windows start <= i < stop; earlier windows get no more samples.
 
-        ``stop`` never falls. Returns the index of the first window that changed, or ``stop``.
+        ``stop`` never decreases. Returns the index of the first window that changed, or ``stop``.
         """
         starts, tops, changed = self._starts, self._tops, stop
         if self._reached < stop:

@@ -1,4 +1,4 @@
-"""The signals that formulas may read, with units, and the formulas that are shipped by name."""
+"""Signals that formulas may read, with units, and the named formulas that are shipped."""
 
 from __future__ import annotations
 
@@ -30,17 +30,18 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'unusable_share': '1',
     }
 )
-"""Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` (distance along the runway) are ground
-truth; ``steering`` is the command; the estimates are the perception's. Signs are those of
+"""Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` are ground truth relative to the track,
+which by default is the runway's centreline; ``x`` is the distance along it. ``steering`` is the
+command; the estimates are from the perception. Signs are defined in
 :mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive. ``estimate_gap``
-is the time since the last usable estimate, 0 where this frame has one; ``unusable_share`` is the
-number of frames so far without one over that of all frames of the run, so it only grows."""
+is the time since the last usable estimate, 0 if this frame has one; ``unusable_share`` is the
+number of frames so far without one divided by that of all frames of the run; it only grows."""
 
 CENTRELINE_TOLERANCE_M = 1.5
 """Largest |cross-track error| that counts as on the centreline [m] (the paper's two formulas)."""
 
 SETTLING_TIME_S = 10
-"""Time that phi_eventually allows to reach the centreline for good [s]."""
+"""Time within which phi_eventually requires the aircraft to be on the centreline to stay [s]."""
 
 LONGEST_BLIND_S = 0.5
 """Longest time without a usable estimate in ``usable`` [s]: 2.5 m of taxiing."""
@@ -54,7 +55,7 @@ class Spec:
     """A named requirement.
 
     Attributes:
-        name: snake_case identifier, fit for topics, columns and file names.
+        name: snake_case identifier, valid in topics, columns and file names.
         formula: the formula.
         text: the formula fully parenthesised; it parses back to an equal formula.
     """
@@ -69,7 +70,7 @@ class Spec:
     @classmethod
     @takes(text=TEXT)
     def parse(cls, text: str) -> Spec:
-        """Read a requirement as a user writes it; see :func:`parse_spec`."""
+        """Parse a requirement; see :func:`parse_spec`."""
         return parse_spec(text)
 
 
@@ -96,8 +97,8 @@ SHIPPED: Mapping[str, Spec] = MappingProxyType({
         strict=True,
     )
 })
-"""The formulas that can be asked for by name. The paper prints ``CTE <= 1.5``; its tool monitors
-1.5 - |CTE| (VerifAI, examples/xplane), and so do these."""
+"""The shipped formulas by name. The paper prints ``CTE <= 1.5``; its tool monitors 1.5 - |CTE|
+(VerifAI, examples/xplane), and so do these."""
 
 _NAMED = re.compile(r'\s*([A-Za-z_][A-Za-z0-9_]*)\s*=(?![=>])(.*)', re.DOTALL)
 _NAME = re.compile(r'[a-z][a-z0-9_]*')
@@ -106,10 +107,10 @@ _NAME = re.compile(r'[a-z][a-z0-9_]*')
 def parse_spec(
     text: str, predicates: Mapping[str, str] | None = None, signals: Collection[str] = SIGNALS,
 ) -> Spec:
-    """Read a requirement as a user writes it.
+    """Parse a requirement.
 
     Args:
-        text: the name of a formula that is shipped or that a package has, ``NAME=FORMULA``, or a
+        text: the name of a formula that is shipped or provided by a package, ``NAME=FORMULA``, or a
             bare formula. A bare formula is named ``spec_`` and a hash of its parenthesised text, so
             its name does not depend on spacing or aliases.
         predicates: formulas by name that the formula may use.
@@ -120,11 +121,11 @@ def parse_spec(
     """
     word = text.strip()
     if word in SHIPPED:
-        registry.find(registry.REQUIREMENTS, word)  # Refuses a package that has it too.
+        registry.find(registry.REQUIREMENTS, word)  # Rejects a package that defines it too.
         return _readable(SHIPPED[word], signals)
     named = _NAMED.fullmatch(text)
     if named is not None:
-        # Spaces for the name keep the columns of error messages those of the typed text.
+        # Spaces in place of the name keep the columns of error messages right.
         return _named(named.group(1), ' ' * named.start(2) + named.group(2), predicates, signals)
     if word.isidentifier() and word not in (predicates or {}):
         return _readable(_of_package(word), signals)
@@ -134,10 +135,10 @@ def parse_spec(
 
 
 def _of_package(name: str) -> Spec:
-    """The requirement that an installed package has under a name.
+    """Requirement that an installed package provides under a name.
 
     Raises:
-        UsageError: there is none, its package cannot be imported, or it is no formula.
+        UsageError: an unknown name, a package that cannot be imported, or an invalid formula.
     """
     extension = registry.find(registry.REQUIREMENTS, name)
     if extension is None:

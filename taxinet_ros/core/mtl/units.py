@@ -1,8 +1,8 @@
-"""Units in formulas: what people may write behind a number, and whether it fits beside a signal.
+"""Units of numbers in formulas, and dimension checks against the signals.
 
-Numbers are compared in SI units: metres, seconds, radians. A number with a unit is converted when
-it is read, so formulas, their texts and their robustness know SI only. A number without one takes
-the unit of what it is compared with, as it always did.
+Numbers are compared in SI units: metres, seconds, radians. A number with a unit is converted by the
+parser, so formulas, their texts and their robustness are in SI only. A number without a unit takes
+the unit of the quantity that it is compared with.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 Dimension = tuple[int, int, int]
-"""Exponents of length, time and angle. Angles count, so that degrees do not pass for metres."""
+"""Exponents of length, time and angle; angle is a dimension, so degrees never match metres."""
 
 SHARE: Dimension = (0, 0, 0)
 LENGTH: Dimension = (1, 0, 0)
@@ -29,14 +29,14 @@ _NAMES = {
     TURN_RATE: 'a turn rate',
 }
 DIMENSIONS = tuple(_NAMES)
-"""Those that have a name."""
+"""The named dimensions."""
 
 _EXACT = decimal.Context(prec=60)
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit, and how many of the SI unit it is; None for degrees, whose factor is irrational."""
+    """A unit and its factor to SI; the factor is None for degrees, where it is irrational."""
 
     dimension: Dimension
     factor: decimal.Decimal | None
@@ -62,7 +62,7 @@ def _units() -> dict[str, Unit]:
 
 
 UNITS: Mapping[str, Unit] = MappingProxyType(_units())
-"""Every unit that a number in a formula may have, the SI unit of each dimension first."""
+"""Every unit allowed for a number in a formula, the SI unit of each dimension first."""
 
 MEANT = {
     'degree': 'deg', 'degrees': 'deg', 'radian': 'rad', 'radians': 'rad', 'meter': 'm',
@@ -70,11 +70,11 @@ MEANT = {
     'seconds': 's', 'minutes': 'min', 'kn': 'kt', 'kts': 'kt', 'knots': 'kt', 'kmh': 'km/h',
     'kph': 'km/h', 'mps': 'm/s', 'percent': '%', 'M': 'm', 'Deg': 'deg', 'DEG': 'deg',
 }  # fmt: skip
-"""Spellings that are none, and what is meant."""
+"""Unsupported spellings, and the unit that was probably meant."""
 
 
 def in_si(number: str, unit: str) -> float:
-    """The value of a written number with a unit, in SI, rounded once; infinite where too large."""
+    """Convert the text of a number with a unit to SI, rounded once; infinite if too large."""
     factor = UNITS[unit].factor
     if factor is None:
         return math.radians(float(number))
@@ -85,31 +85,31 @@ def in_si(number: str, unit: str) -> float:
 
 
 def dimension_of(unit: str) -> Dimension | None:
-    """Dimension of a signal's unit; None where there is none of that name."""
+    """Dimension of a signal's unit; None for an unknown unit."""
     if unit == '1':
         return SHARE
     return UNITS[unit].dimension if unit in UNITS else None
 
 
 def si_unit(dimension: Dimension | None) -> str:
-    """The unit in which values of a dimension are compared; '' where it has no name here."""
+    """SI unit in which values of a dimension are compared; '' if it has no name here."""
     names = (name for name, unit in UNITS.items() if unit.dimension == dimension)
     return '' if dimension in (None, SHARE) else next(names, '')
 
 
 def kind_words(dimension: Dimension) -> str:
-    """A dimension in words, with the units that it can be written in: ``a length (m, km, …)``."""
+    """A dimension in words, with its units: ``a length (m, km, …)``."""
     units = ', '.join(name for name, unit in UNITS.items() if unit.dimension == dimension)
     return f'{_NAMES.get(dimension, "another kind of number")}{f" ({units})" if units else ""}'
 
 
 class Quantity(NamedTuple):
-    """What is known of the dimension of an expression.
+    """Dimension of an expression, as far as known.
 
     Attributes:
-        dimension: None where nothing is known: a signal without unit, or a sum of unlike terms.
-        pure: it is made of numbers without units, which may stand beside anything.
-        product: it was multiplied or divided; radians in it may have become part of a length.
+        dimension: None if unknown: a signal without unit, or a sum of different dimensions.
+        pure: it consists of numbers without units, which are compatible with everything.
+        product: it is a product or quotient; radians in it may have become part of a length.
     """
 
     dimension: Dimension | None = None
@@ -117,7 +117,7 @@ class Quantity(NamedTuple):
     product: bool = False
 
     def agrees(self, other: Quantity) -> bool:
-        """Whether the two may be compared or added, as far as is known."""
+        """Whether the two can be compared or added, as far as known."""
         one, two = self.dimension, other.dimension
         if one is None or two is None or one == two:
             return True
@@ -128,7 +128,7 @@ PURE = Quantity(pure=True)
 
 
 def added(one: Quantity, two: Quantity) -> Quantity:
-    """The quantity of a sum, a difference, or the lesser or greater of two."""
+    """Quantity of a sum, difference, minimum or maximum."""
     if one.dimension is None or two.dimension is None:
         known = one.dimension is not None or (two.pure and not one.pure)
         return one if known else two
@@ -138,7 +138,7 @@ def added(one: Quantity, two: Quantity) -> Quantity:
 
 
 def multiplied(one: Quantity, two: Quantity, power: int) -> Quantity:
-    """The quantity of a product (``power`` 1) or of a quotient (-1)."""
+    """Quantity of a product (``power`` 1) or of a quotient (-1)."""
     if two.pure:
         return one
     if two.dimension is None or (one.dimension is None and not one.pure):
@@ -150,7 +150,7 @@ def multiplied(one: Quantity, two: Quantity, power: int) -> Quantity:
 
 
 def rooted(one: Quantity) -> Quantity:
-    """The quantity of a square root."""
+    """Quantity of a square root."""
     if one.dimension is None:
         return one
     if any(exponent % 2 for exponent in one.dimension):
@@ -160,7 +160,7 @@ def rooted(one: Quantity) -> Quantity:
 
 
 def value_words(value: float, dimension: Dimension | None) -> str:
-    """A value with its unit, and again in the unit that people think in."""
+    """A value with its SI unit and, in parentheses, in the customary unit (deg, kt, km)."""
     unit = si_unit(dimension)
     number = f'{value:.6g}{f" {unit}" if unit else ""}'
     if dimension in (ANGLE, TURN_RATE):

@@ -1,1 +1,1 @@
-"""Timing of answers: latencies, late frames, free runs."""
+"""Timing of runs: lockstep, latencies and free runs."""

@@ -1,11 +1,11 @@
-"""Bookkeeping of free runs, whose simulated time follows the wall clock without waiting.
+"""Bookkeeping of free runs, in which simulated time follows the wall clock without waiting.
 
-The simulator owns one per run, in the place of the lockstep's. A frame is answered by the first
-command that names it, whenever that comes; the command that answers the newest frame holds, from
-the next frame on. A frame is settled once a newer one is commanded: what comes for it later counts
-for nothing, so monitor and recorder know at last which frames have no answer. They are no part of
-what is tested: the simulator waits for them where their queues would overflow, which is counted as
-a delay of its own. Wall-clock times come in as arguments.
+The simulator has one per run, instead of a lockstep. A frame is answered by the first command that
+names it, at any time; the command for the newest frame applies from the next frame on. A frame is
+settled once a newer one has a command: later answers to it are ignored, so monitor and recorder
+know which frames stay unanswered. Monitor and recorder are not under test: the simulator waits for
+them if their queues would overflow, and the frame then counts as late. Wall-clock times are passed
+as arguments.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from taxinet_ros.core.pacing.lockstep import WINDOW, Lockstep
 
 _STEP_S = 0.1
 _AT_ONCE, _UNFINISHED = 2, 4
-"""Most frames settled in one step, and most that are settled and not judged and recorded."""
+"""Maximum frames settled per step, and maximum frames settled but not yet judged and recorded."""
 
 _LATE_SHARE = 0.1
-"""A frame that goes out later by more than this share of a step is an overrun."""
+"""A frame published late by more than this share of a step is an overrun."""
 
 _LIST_WORDS = ('applied', 'frame_s', 'estimate_s', 'command_s', 'estimate_seq', 'command_seq')
 
 
 @dataclass(kw_only=True)
 class FreeRunAccount:
-    """How a free run went, frame by frame; times are of the wall clock [s], 0 at the first frame.
+    """Timing record of a free run, by frame; wall-clock times [s], 0 at the first frame.
 
     Attributes:
-        applied: number of the frame whose command held from each frame to the next; -1: none yet.
-        frame_s: when each frame went out.
-        estimate_s, command_s: when the answers to it came; NaN where none did.
-        estimate_seq, command_seq: the newest frame then; -1 where none came.
-        overruns: frames that went out late, by more than a tenth of a step.
-        stale: answers that came after one to a newer frame, and had no effect.
+        applied: number of the frame whose command applied from each frame to the next; -1: none.
+        frame_s: time of publication of each frame.
+        estimate_s, command_s: arrival times of the answers; NaN if there was none.
+        estimate_seq, command_seq: newest frame at that time; -1 if there was none.
+        overruns: number of frames published late, by more than a tenth of a step.
+        stale: number of answers that arrived after one to a newer frame and had no effect.
     """
 
     applied: list[int] = field(default_factory=list)
@@ -51,16 +51,16 @@ class FreeRunAccount:
     stale: int = 0
 
     def to_words(self) -> dict[str, str]:
-        """For a bag's metadata; the inverse of :meth:`from_words`."""
+        """Text form for a bag's metadata; the inverse of :meth:`from_words`."""
         lists = {name: ' '.join(map(repr, getattr(self, name))) for name in _LIST_WORDS}
         return {**lists, 'overruns': str(self.overruns), 'stale': str(self.stale)}
 
     @classmethod
     def from_words(cls, words: Mapping[str, str]) -> FreeRunAccount:
-        """Read back what :meth:`to_words` gave.
+        """Parse the output of :meth:`to_words`.
 
         Raises:
-            KeyError, ValueError: it is none.
+            KeyError, ValueError: invalid words.
         """
         lists: dict[str, Any] = {
             name: [(float if name.endswith('_s') else int)(word) for word in words[name].split()]
@@ -71,10 +71,10 @@ class FreeRunAccount:
     def figures(self) -> dict[str, float]:
         """Summary figures by name; unknown ones are omitted.
 
-        ``unanswered``: frames without a command; ``late``: answers that came after the next frame;
-        ``perception`` and ``loop`` latency, from the frame to the estimate and to the command, by
-        the wall clock and in simulated time (to the frame from which it could take effect);
-        ``factor``: simulated seconds per second of the wall clock, as achieved.
+        ``unanswered``: frames without a command; ``late``: answers after the next frame;
+        ``perception`` and ``loop`` latency, from the frame to the estimate and to the command, in
+        wall-clock and in simulated time (to the frame from which it could take effect); ``factor``:
+        achieved real-time factor.
         """
         found = {
             'frames': float(len(self.frame_s)),
@@ -99,7 +99,7 @@ class FreeRunAccount:
 
 
 def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
-    """Median, 95 % quantile (nearest rank) and greatest of some latencies [s]."""
+    """Median, 95 % quantile (nearest rank) and maximum of latencies [s]."""
     if not values:
         return {}
     ordered = sorted(values)
@@ -111,7 +111,7 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
 
 
 def free_run_line(free: Mapping[str, float]) -> str:
-    """How a free run went, by its :meth:`FreeRunAccount.figures`."""
+    """One-line summary of a free run from its :meth:`FreeRunAccount.figures`."""
     words = [f'{free["unanswered"]:.0f} of {free["frames"]:.0f} frames unanswered']
     if 'loop_wall_median_s' in free:
         words.append(
@@ -123,10 +123,10 @@ def free_run_line(free: Mapping[str, float]) -> str:
 
 
 class Pace:
-    """When frames are due by the wall clock.
+    """Wall-clock schedule of frames.
 
     Args:
-        factor: simulated seconds per second of the wall clock; 0: as fast as it goes.
+        factor: real-time factor (simulated per wall-clock seconds); 0: as fast as possible.
     """
 
     def __init__(self, factor: float) -> None:
@@ -134,17 +134,17 @@ class Pace:
         self._due_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """The first frame goes out now."""
+        """Note the publication of the first frame."""
         self._due_s = now_s + self.step_s
 
     def due(self, now_s: float) -> bool:
-        """Whether the next frame is to go out."""
+        """Whether the next frame is due."""
         return now_s >= self._due_s
 
     def out(self, now_s: float) -> bool:
-        """It goes out now; True where that is late.
+        """Note the publication of the next frame; True if it is late.
 
-        What is lost by a whole step or more is not caught up, or frames would come too fast.
+        A delay of a whole step or more is not caught up, because frames would then be too fast.
         """
         late_s = now_s - self._due_s
         self._due_s = now_s + self.step_s if late_s >= self.step_s else self._due_s + self.step_s
@@ -152,11 +152,11 @@ class Pace:
 
 
 class FreeRun(Lockstep):
-    """Bookkeeping of one free run; see :class:`Lockstep` for what both have in common.
+    """Bookkeeping of one free run; see :class:`Lockstep` for the common interface.
 
     Attributes:
-        account: how it goes.
-        newest: the newest frame that is commanded; -1 for none.
+        account: timing record of the run.
+        newest: newest frame with a command; -1 for none.
         settled: frames up to this one get no more answers.
         closed: whether the time of the last frame is over.
     """
@@ -165,7 +165,7 @@ class FreeRun(Lockstep):
         self, *, participants: Sequence[str], chain: Sequence[str], followers: Sequence[str],
         last_seq: int, factor: float,
     ) -> None:
-        """See :class:`Lockstep`; ``factor`` as of :class:`Pace`."""
+        """See :class:`Lockstep`; ``factor``: see :class:`Pace`."""
         super().__init__(
             participants=participants, chain=chain, followers=followers, last_seq=last_seq,
         )
@@ -179,7 +179,7 @@ class FreeRun(Lockstep):
         self._heard_s: dict[str, float] = {}
 
     def begin(self, seq: int, now_s: float = 0.0) -> None:
-        """A new frame is out, from which on the newest command holds."""
+        """Note a new frame; the newest command applies from it on."""
         account = self.account
         if seq == 0:
             self._begun_s = now_s
@@ -196,7 +196,7 @@ class FreeRun(Lockstep):
             seens.append(-1)
 
     def answer(self, node: str, seq: int, now_s: float = 0.0) -> bool:
-        """Note the answer of a node of the chain; True for the newest so far."""
+        """Note the answer of a chain node; False for a repeated or stale one."""
         self._heard_s[node] = now_s
         account = self.account
         first = node == self._chain[0]
@@ -217,7 +217,7 @@ class FreeRun(Lockstep):
         return True
 
     def progress(self, node: str, seq: int, arrived: int = -1, now_s: float = 0.0) -> None:
-        """Note how far a follower has come: what it is done with, and what has reached it."""
+        """Note a follower's progress: the last frame processed and the last one received."""
         super().progress(node, seq)
         self._heard_s[node] = now_s
         if node in self._arrived:
@@ -225,7 +225,7 @@ class FreeRun(Lockstep):
 
     @property
     def may_advance(self) -> bool:
-        """False: in a free run, answers do not advance time."""
+        """Always False: in a free run, answers do not advance time."""
         return False
 
     @property
@@ -234,10 +234,10 @@ class FreeRun(Lockstep):
         return all(arrived > self.seq - WINDOW for arrived in self._arrived.values())
 
     def settle(self) -> tuple[list[int], list[int]]:
-        """Settle what can be: the frames among it without an estimate, and without a command.
+        """Settle frames; return those without an estimate and those without a command.
 
-        To be called once in each step. An estimate may be overtaken by the command made from a
-        newer one, so it is given until the next call.
+        Call once per step. An estimate may arrive after the command for a newer frame, so it has
+        time until the next call.
         """
         last = min(self._settle_to, self.settled + _AT_ONCE, self._finished + _UNFINISHED)
         fresh = range(self.settled + 1, last + 1)
@@ -245,7 +245,7 @@ class FreeRun(Lockstep):
         self._settle_to = self._next_settle_to
         self._next_settle_to = self.last_seq if self.closed else self.newest
         account = self.account
-        # A command is made from an estimate, so that there was one.
+        # A command implies that there was an estimate.
         return (
             [seq for seq in fresh if account.estimate_seq[seq] < 0 > account.command_seq[seq]],
             [seq for seq in fresh if account.command_seq[seq] < 0],
@@ -256,9 +256,9 @@ class FreeRun(Lockstep):
         return min(self._progress.values(), default=self.last_seq)
 
     def missing(self) -> list[str]:
-        """Names of those whose answer is awaited now: only before the first frame, and at the end.
+        """Names of awaited nodes; only before the first frame and at the end.
 
-        Amid the run nobody is waited for, see :meth:`silent`.
+        During the run no node is awaited; see :meth:`silent`.
         """
         if self._not_ready:
             return sorted(self._not_ready)
@@ -268,13 +268,13 @@ class FreeRun(Lockstep):
 
     @property
     def complete(self) -> bool:
-        """Whether the last frame's time is over and every follower is done with it."""
+        """Whether the time of the last frame is over and every follower has processed it."""
         return self.closed and self.settled == self.last_seq and not self.missing()
 
     def silent(self, now_s: float, limit_s: float) -> str:
-        """Node that has been silent for too long, or ''; of several, the first to fall silent.
+        """Node that has been silent for too long, or ''; of several, the one silent the longest.
 
-        Whom others await, and whom the simulator waits for, is silent before them.
+        That is the cause: the others, and the simulator, wait for it.
         """
         limit_s = max(limit_s, 3 * self.pace.step_s)
         awaited = [*([] if self.closed else self._chain), *self._progress]

@@ -1,16 +1,16 @@
 """Timing of answers: immediate, delayed by a fixed or random latency, or free-running.
 
-The lockstep has simulated time wait for every answer, so a loop runs as if perception and
-controller took no time at all. A latency gives them some, and leaves the run deterministic: the
-answer to the frame of time t holds from t plus the latency on. Control steps are 0.1 s apart, so a
-latency works as the next whole number of steps: 0.05 s as 0.1 s. A free run has time go on by the
-clock of the wall, whoever has answered, and comes out another way each time.
+In lockstep, simulated time waits for every answer, as if perception and controller took no time. A
+latency simulates their computing time and keeps the run deterministic: the answer to the frame of
+time t takes effect at t plus the latency. Control steps are 0.1 s apart, so a latency is rounded up
+to whole steps: 0.05 s acts as 0.1 s. In a free run, time follows the wall clock regardless of
+answers, so results vary.
 
-At each step the command holds that answers the newest frame of all whose latency is over; one that
-is overtaken by the answer to a newer frame never holds. Until the first one is there the aircraft
-rolls on as it does when a run starts: actuators keep what they were told last (the zero-order hold
-of Astrom and Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.3), and a brake that
-nobody asked for would be a disturbance that the latency under test did not cause.
+At each step, the command in effect is the one for the newest frame whose latency has passed; a
+command overtaken by that for a newer frame never takes effect. Before the first command, the
+aircraft keeps its initial motion: actuators keep their last command (zero-order hold; Astrom and
+Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.3), and braking would be a
+disturbance not caused by the latency under test.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class Law:
 
     Attributes:
         kind: ``constant``, ``uniform`` or ``normal``.
-        first: the constant, the least, or the mean [s].
-        second: the greatest, or the standard deviation [s]; 0 of a constant.
+        first: the constant, minimum, or mean [s].
+        second: the maximum, or standard deviation [s]; 0 for a constant.
     """
 
     kind: str
@@ -77,7 +77,7 @@ class Law:
         return f'{self.kind}({_number_words(self.first)},{_number_words(self.second)})'
 
     def latency_s(self, chance: float) -> float:
-        """The latency [s] of which a share ``chance`` (0 <= chance < 1) of all is less."""
+        """Quantile of the latency [s] at probability ``chance``, 0 <= chance < 1."""
         if self.kind == _UNIFORM:
             return self.first + chance * (self.second - self.first)
         if self.kind == _NORMAL:
@@ -95,10 +95,10 @@ class Timing:
     """Timing of the answers of a run; by default immediate.
 
     Attributes:
-        laws: latency by name, of :data:`LATE_NODES` in their order; none that is 0.
-        draws: seed and index of the run whose draws are repeated; None where each run has its own.
-        free: simulated time goes by the clock of the wall, and answers count whenever they come.
-        factor: simulated seconds per second of the wall clock in a free run; 0: as fast as it goes.
+        laws: latency by name, in the order of :data:`LATE_NODES`; without zeros.
+        draws: seed and index of the run whose draws are repeated; None: each run has its own.
+        free: simulated time follows the wall clock, and answers take effect when they arrive.
+        factor: real-time factor of a free run; 0: as fast as possible.
     """
 
     laws: tuple[tuple[str, Law], ...] = ()
@@ -137,11 +137,11 @@ class Timing:
     def latencies_ns(self, seed: int, index: int) -> Iterator[int]:
         """Latency of the answer to each frame, from frame 0 on [ns].
 
-        Each name draws from a stream of its own, which seed, index and name determine.
+        Each name has its own random stream, determined by seed, index and name.
 
         Args:
-            seed: of the campaign.
-            index: of the run in it.
+            seed: seed of the campaign.
+            index: index of the run in it.
         """
         seed, index = self.draws or (seed, index)
         streams = [
@@ -162,7 +162,7 @@ def parse_latency(words: Iterable[str]) -> Timing:
     """Parse ``--latency``.
 
     Args:
-        words: each ``NAME=LATENCY``, or several of them with spaces between.
+        words: each ``NAME=LATENCY``, or several separated by spaces.
 
     Raises:
         UsageError: an entry is invalid.
@@ -189,10 +189,10 @@ def parse_latency(words: Iterable[str]) -> Timing:
 
 
 def parse_timing(words: str) -> Timing:
-    """Read back :attr:`Timing.words`.
+    """Parse :attr:`Timing.words`.
 
     Raises:
-        UsageError: they are not of this version.
+        UsageError: words of another version.
     """
     kind, _, rest = words.partition(' ')
     if not words:
@@ -205,13 +205,13 @@ def parse_timing(words: str) -> Timing:
 
 
 def free_timing(factor: str) -> Timing:
-    """A free run.
+    """Timing of a free run.
 
     Args:
-        factor: simulated seconds per second of the wall clock; ``max`` or 0: as fast as it goes.
+        factor: real-time factor; ``max`` or 0: as fast as possible.
 
     Raises:
-        UsageError: it is out of range.
+        UsageError: factor out of range.
     """
     try:
         value = 0.0 if factor == MAX else _number(factor)
@@ -256,10 +256,10 @@ def _law(word: str, text: str) -> Law:
 
 
 def _number(text: str) -> float:
-    """Parse a plain decimal number; Python's 1_0 and non-ASCII digits are refused.
+    """Parse a plain decimal number; rejects Python's 1_0 and non-ASCII digits.
 
     Raises:
-        ValueError: it is none.
+        ValueError: not a number.
     """
     if not _PLAIN.fullmatch(text.strip()):
         raise ValueError(text)
@@ -275,22 +275,22 @@ class LateAnswers(Generic[Answer]):
     """Pending answers, and the one in effect.
 
     Attributes:
-        held: number of the frame whose answer holds; -1 for what holds before any.
+        held: number of the frame whose answer is in effect; -1 before the first.
     """
 
     def __init__(self, first: Answer) -> None:
-        """``first`` holds until an answer is there."""
+        """``first`` is in effect until the first answer."""
         self.held = -1
         self._held = first
         self._waiting: dict[int, tuple[int, Answer]] = {}
 
     def put(self, seq: int, due_ns: int, answer: Answer) -> None:
-        """An answer to frame ``seq`` that takes effect at ``due_ns``, if no newer one does."""
+        """Add the answer to frame ``seq``; it takes effect at ``due_ns`` unless a newer one has."""
         if seq > self.held:
             self._waiting[seq] = due_ns, answer
 
     def newest(self, now_ns: int) -> Answer:
-        """The answer in effect at ``now_ns``: that to the newest frame due."""
+        """Return the answer in effect at ``now_ns``: that to the newest frame due."""
         due = [seq for seq, (due_ns, _) in self._waiting.items() if due_ns <= now_ns]
         if due:
             self.held = max(due)

@@ -1,10 +1,10 @@
-"""Folders of camera frames from elsewhere, each frame with its true position: ``labels.csv``.
+"""Folders of external camera frames with their true positions in ``labels.csv``.
 
-One line per frame, with the columns of :data:`COLUMNS` in any order; further columns are let be.
-Cross-track and heading error have the signs of :mod:`taxinet_ros.core.types`, the heading error is
-in degrees, and the distance is counted along the runway from an origin of the folder's own.
-All but the pictures themselves is checked when the labels are read; pictures are read one at a
-time. Nothing outside the folder is opened, and nothing in it is written to.
+One line per frame, with the columns of :data:`COLUMNS` in any order; other columns are ignored.
+Cross-track and heading error have the signs of :mod:`taxinet_ros.core.types`. The heading error is
+in degrees; the distance is along the runway from an arbitrary origin of the folder. The labels are
+checked when they are read; images are read one at a time, on demand. Files outside the folder are
+never opened, and the folder is never written to.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _MOST_PIXELS = 64_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LabelledFrame:
-    """One frame and where its camera's aircraft stood.
+    """One frame with the true position of the aircraft.
 
     Attributes:
         image: name in the labels, relative to the folder.
         path: the file.
         truth: true tracking error.
-        distance_m: distance along the runway [m], from the folder's own origin.
+        distance_m: distance along the runway [m], from the origin of the folder.
     """
 
     image: str
@@ -48,16 +48,16 @@ class LabelledFrame:
     distance_m: float
 
     def picture(self) -> NDArray[np.uint8]:
-        """The frame as a camera frame, (200, 360, 3) uint8 RGB; other sizes are brought to it.
+        """Load the frame as (200, 360, 3) uint8 RGB; other sizes are resized.
 
         Raises:
-            UsageError: the file is no picture with 8 bits per channel, is damaged, or is huge.
+            UsageError: the file is not an image with 8 bits per channel, is damaged or too large.
         """
         return usual_frame(_decode(self.path))
 
 
 def read_labelled_frames(folder: Path) -> tuple[LabelledFrame, ...]:
-    """The frames that a folder's ``labels.csv`` lists, in its order.
+    """Read the frames listed in a folder's ``labels.csv``, in its order.
 
     Raises:
         UsageError: no such folder or file, a missing column, a value that is not a finite number,
@@ -79,12 +79,12 @@ def read_labelled_frames(folder: Path) -> tuple[LabelledFrame, ...]:
 def labelled_frames(
     folder: Path, rows: Iterable[tuple[int, Mapping[str, object]]], where: str
 ) -> tuple[LabelledFrame, ...]:
-    """Check labels that were read from a table of any kind.
+    """Check labels from a table and return the frames.
 
     Args:
-        folder: holds the images.
+        folder: folder of the images.
         rows: line number and values by column name; values are text or numbers.
-        where: name of the table, to head errors.
+        where: name of the table for error messages.
 
     Raises:
         UsageError: as :func:`read_labelled_frames`.
@@ -138,12 +138,12 @@ def _number(row: Mapping[str, object], column: str, where: str) -> float:
 
 
 def _inside(folder: Path, image: str, where: str) -> Path:
-    """The image's file, links followed, which must lie in the folder."""
+    """Path of an image, which must be inside the folder after links are resolved."""
     path = folder / image
     try:
         outside = not path.resolve().is_relative_to(folder.resolve())
         missing = not path.is_file()
-    except (OSError, RuntimeError, ValueError):  # a name that cannot be, links in a ring
+    except (OSError, RuntimeError, ValueError):  # invalid name, or circular links
         outside, missing = False, True
     if outside:
         raise UsageError(
@@ -157,7 +157,7 @@ def _inside(folder: Path, image: str, where: str) -> Path:
 
 
 def _decode(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3) uint8 RGB; Pillow, unlike OpenCV, writes no complaints of its own."""
+    """Pixels (H, W, 3) uint8 RGB; Pillow, unlike OpenCV, prints no messages."""
     try:
         with Image.open(path, formats=FORMATS) as image:
             fits = image.width * image.height <= _MOST_PIXELS

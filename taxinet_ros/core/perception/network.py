@@ -1,9 +1,8 @@
-"""TaxiNet: a small convolutional network that reads the tracking error off a camera frame.
+"""TaxiNet: a small convolutional network that estimates the tracking error from a camera frame.
 
-It runs in onnxruntime, on one thread, deterministically, silently, on the processor; torch is for
-training only. onnxruntime answers three times as fast as torch does on one picture, and its import
-costs a run's start a tenth of torch's. It and onnx are imported by the function that needs them, so
-that nobody else waits for them.
+It runs in onnxruntime on the CPU, deterministically, on one thread and without log output; torch is
+used for training only. On one image, onnxruntime is three times as fast as torch, and its import
+takes a tenth of the time. onnxruntime and onnx are imported lazily, by the functions that use them.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.rig.camera_model import LEAST_SIDE_PX, MOST_SIDE_PX
 
 FATAL = 4
-"""onnxruntime's least talkative level; every error comes back as an exception."""
+"""Highest log severity level of onnxruntime; errors are raised as exceptions."""
 
 
 def open_session(data: bytes) -> Any:
-    """A session with a model: on one machine equal inputs give equal answers, in any process.
+    """Open a session; on one machine equal inputs give equal outputs, in any process.
 
     Args:
-        data: the model, ONNX; weights in further files are not looked for.
+        data: the ONNX model; weights in external files are not loaded.
 
     Raises:
-        Exception: onnxruntime's own, which have no other base.
+        Exception: onnxruntime's exceptions have no other base class.
     """
     import onnxruntime
 
@@ -41,7 +40,7 @@ def open_session(data: bytes) -> Any:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
     options.add_session_config_entry('session.load_model_format', 'ONNX')
-    # Further files would be looked for in the working folder. In what is no folder are none.
+    # External data files would be searched in the working directory; os.devnull has none.
     options.add_session_config_entry(
         'session.model_external_initializers_file_folder_path', os.devnull)
     return onnxruntime.InferenceSession(
@@ -51,9 +50,9 @@ def open_session(data: bytes) -> Any:
 IMAGE_SHAPE = (200, 360, 3)
 """Height, width and channels of the frames that networks take (RGB, uint8)."""
 INPUT_SHAPE = (64, 192)
-"""Height and width of the network's grey picture."""
+"""Height and width of the network's grey image."""
 _FAR_ROWS = 40
-"""Rows of a frame from the top, from the horizon to some 15 m ahead, that keep their height."""
+"""Number of rows at the top of a frame (horizon to about 15 m ahead) that are not reduced."""
 _REDUCTION = pixels.Reduction(
     *IMAGE_SHAPE[:2],
     [(_FAR_ROWS, _FAR_ROWS), (IMAGE_SHAPE[0] - _FAR_ROWS, INPUT_SHAPE[0] - _FAR_ROWS)],
@@ -65,7 +64,7 @@ HE_SCALE_RAD = math.radians(30.0)
 """Heading error [rad] at an output of 1."""
 _SCALES = np.array([CTE_SCALE_M, HE_SCALE_RAD])
 _MEAN, _DEVIATION = 0.449, 0.226
-"""Of grey levels 0..1: the customary ones, of ImageNet's pictures."""
+"""Mean and standard deviation of grey levels 0..1 (the usual ImageNet values)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,7 +73,7 @@ class Architecture:
 
     Attributes:
         channels: output channels of each convolution.
-        kernels: kernel size of each convolution, odd; the padding keeps the borders in view.
+        kernels: kernel size of each convolution, odd; the padding is half of it.
         hidden: units of the hidden layer.
     """
 
@@ -101,7 +100,7 @@ ARCHITECTURES = {
         channels=(16, 32, 64, 96, 96), kernels=(5, 3, 3, 3, 3), hidden=64
     ),
 }
-"""Architectures by the word that a model card names them with."""
+"""Architectures by their name in model cards."""
 DEFAULT_ARCHITECTURE = 'cnn5-64x192'
 
 
@@ -127,22 +126,21 @@ def usual_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reduce a camera frame, (height, width, 3) uint8 RGB, to the grey picture (64, 192) uint8.
+    """Reduce a camera frame, (height, width, 3) uint8 RGB, to the grey image (64, 192) uint8.
 
-    Far ahead a metre is a pixel or two, at the wheels hundreds; so the top of the frame keeps its
-    rows, and the rest is pressed into the remaining ones.
+    A metre covers one or two pixels far ahead and hundreds near the wheels. So the top rows of the
+    frame are kept, and the others are averaged into the remaining rows.
     """
     return _REDUCTION.reduce(np.ascontiguousarray(usual_frame(image)))
 
 
 def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Bring grey pictures, (N, 64, 192) uint8, to about mean 0 and deviation 1 in daylight.
+    """Scale grey images, (N, 64, 192) uint8, to about mean 0 and deviation 1 in daylight.
 
-    The scale is fixed, as in the open TaxiNet studies: a dark picture stays dark, and whether that
-    matters is the network's business.
+    The scale is fixed, as in the open TaxiNet studies: dark images stay dark.
 
     Returns:
-        The network's input, (N, 1, 64, 128) float32.
+        The network's input, (N, 1, 64, 192) float32.
     """
     levels = pictures.astype(np.float32)[:, np.newaxis]
     levels *= np.float32(1 / (255 * _DEVIATION))
@@ -151,50 +149,50 @@ def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def scaled(cte_m: NDArray[np.float64], he_rad: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What the network should answer, (N, 2) float32, for true errors [m] and [rad]."""
+    """Target outputs of the network, (N, 2) float32, for true errors [m] and [rad]."""
     return np.stack([cte_m / CTE_SCALE_M, he_rad / HE_SCALE_RAD], axis=1).astype(np.float32)
 
 
 def unscaled(outputs: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Cross-track [m] and heading errors [rad], (N, 2), that outputs (N, 2) stand for."""
+    """Cross-track [m] and heading errors [rad], (N, 2), from network outputs (N, 2)."""
     errors: NDArray[np.float64] = outputs.astype(np.float64) * _SCALES
     return errors
 
 
 class TaxiNet:
-    """A network ready to look.
+    """A network ready for inference.
 
-    It runs on one thread: on one machine the same frame gives the same answer to the bit, in any
-    process, however busy the machine is.
+    It runs on one thread: on one machine the same frame gives bit-identical results in any process
+    and under any load.
     """
 
     def __init__(
         self, architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
     ) -> None:
-        """Build the network with ``weights``, of the names and shapes it asks for."""
+        """Build the network; ``weights`` have the names and shapes of the architecture."""
         self._session = open_session(onnx_model(architecture, weights))
 
     def infer(self, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Cross-track [m] and heading errors [rad], (N, 2), seen on grey pictures (N, 64, 192)."""
+        """Estimate cross-track [m] and heading errors [rad], (N, 2), from images (N, 64, 192)."""
         (outputs,) = self._session.run(None, {'pictures': normalise(pictures)})
         return unscaled(outputs)
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8."""
         cte_m, he_rad = self.infer(shrink(image)[np.newaxis])[0]
         return float(cte_m), float(he_rad)
 
 
 _OPSET = 17
-_IR_VERSION = 8  # the one of that operator set
+_IR_VERSION = 8  # matches the operator set
 
 
 def onnx_model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]) -> bytes:
-    """The network as a model from ``pictures`` (N, 1, 64, 192) to ``answers`` (N, 2), float32.
+    """Build the ONNX model: ``pictures`` (N, 1, 64, 192) to ``answers`` (N, 2), float32.
 
     Args:
         architecture: the layers.
-        weights: of the names and shapes that it asks for.
+        weights: arrays with the names and shapes of the architecture.
 
     Raises:
         ValueError: a weight is missing, unknown or of another shape.

@@ -1,9 +1,9 @@
-"""Interchangeable perceptions: a camera frame or the truth in, an estimated tracking error out.
+"""Interchangeable perceptions: input a camera frame or the truth, output a tracking error.
 
-One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, what an
-installed package adds (:mod:`taxinet_ros.registry`), or a file: weights that ``taxinet train`` has
-written, anybody's network in ONNX, or a function in a Python file (``FILE.py:NAME``). An unknown
-word is an error: a network test that silently ran on the truth would prove nothing.
+A perception is selected by a name or a file: ``truth``, a shipped network such as ``taxinet`` or
+``original``, a name added by an installed package (:mod:`taxinet_ros.registry`), weights written by
+``taxinet train``, a network in ONNX, or a function in a Python file (``FILE.py:NAME``). An unknown
+name is an error, with no fallback to the truth.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
 
 NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
-"""Answer of a perception without an estimate."""
+"""Result of a perception that has no estimate."""
 
 
 class Perception(Protocol):
-    """Estimates the tracking error once per control step, from nothing but its arguments.
+    """Estimates the tracking error once per control step, from its arguments only.
 
     Attributes:
-        word: its name where it is shipped or comes with a package; for a file ``weights``,
-            ``onnx`` or ``python``.
-        fingerprint: SHA-256 of the weights file, of the ONNX file with its description after it,
-            of the Python file with those that it lists, or of the package; empty for the truth.
-        needs_image: whether it looks at camera frames.
+        word: name, if shipped or provided by a package; for a file ``weights``, ``onnx`` or
+            ``python``.
+        fingerprint: SHA-256 of the weights file, of the ONNX file followed by its description, of
+            the Python file and those that it lists, or of the package; empty for the truth.
+        needs_image: whether it uses camera frames.
     """
 
     word: str
@@ -67,10 +67,10 @@ class Perception(Protocol):
             truth: the true tracking error.
 
         Returns:
-            The estimate, :data:`NO_ESTIMATE` where none can be made.
+            The estimate, or :data:`NO_ESTIMATE`.
 
         Raises:
-            UserCodeError: somebody's function failed; no other raises.
+            UserCodeError: a user function failed; other perceptions do not raise.
         """
         ...
 
@@ -93,7 +93,7 @@ class Network(Protocol):
     """Interface of networks that evaluate a frame."""
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8."""
         ...
 
 
@@ -103,7 +103,7 @@ class NetworkPerception(Perception):
     needs_image = True
 
     def __init__(self, network: Network, *, word: str, fingerprint: str) -> None:
-        """See :class:`Perception` for what ``word`` and ``fingerprint`` are."""
+        """See :class:`Perception` for ``word`` and ``fingerprint``."""
         self.word = word
         self.fingerprint = fingerprint
         self._network = network
@@ -122,12 +122,12 @@ class NetworkPerception(Perception):
 class UserPerception(Perception):
     """A user function: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
 
-    It answers a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None where it cannot tell.
-    One that has ``needs_image = False`` is given the true :class:`TrackingError` instead.
+    It returns a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None for no estimate. With
+    ``needs_image = False`` it receives the true :class:`TrackingError` instead of the image.
     """
 
     def __init__(self, code: UserCode) -> None:
-        """Load it.
+        """Load the function.
 
         Raises:
             UsageError: the file's code fails.
@@ -146,11 +146,11 @@ class UserPerception(Perception):
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """Return its estimate; invalid without its input or with a non-finite number."""
+        """Return the function's estimate; invalid without input or with a non-finite number."""
         if self.needs_image:
             if image is None or not is_frame(image):
                 return NO_ESTIMATE
-            argument: object = image.copy()  # it may write on what is its own
+            argument: object = image.copy()  # the function may modify its argument
         elif truth is None:
             return NO_ESTIMATE
         else:
@@ -159,7 +159,7 @@ class UserPerception(Perception):
 
 
 def read_estimate(answer: Any) -> TrackingError | None:
-    """The estimate that a function of somebody's answered; None where it is none."""
+    """Convert the return value of a user function to an estimate; None if invalid."""
     if answer is None:
         return NO_ESTIMATE
     if not isinstance(answer, TrackingError):
@@ -171,21 +171,21 @@ def read_estimate(answer: Any) -> TrackingError | None:
 
 
 def perception_names() -> list[str]:
-    """The words that choose a perception: the truth, shipped networks, what packages add."""
+    """Names of perceptions: the truth, shipped networks, and those added by packages."""
     return names(PERCEPTIONS)
 
 
 def make_perception(word_or_file: str) -> Perception:
-    """The perception of a name, or the network in a file.
+    """Create a perception from a name or a file.
 
     Args:
         word_or_file: a name of :func:`perception_names`; or a ``.safetensors`` file with its model
-            card beside it, an ``.onnx`` file with its description
+            card next to it, an ``.onnx`` file with its description
             (:mod:`taxinet_ros.core.perception.onnx.sidecar`), or a function in a Python file
             (:mod:`taxinet_ros.core.user_code`).
 
     Raises:
-        UsageError: unknown word (the known ones are listed), or what cannot be used.
+        UsageError: an unknown name (the known ones are listed), or an unusable file or package.
     """
     extension = find(PERCEPTIONS, word_or_file)
     if extension is not None:
@@ -203,11 +203,11 @@ def check_perception(word_or_file: str, *, graph: bool = False) -> str:
     """Check that :func:`make_perception` will work, without building a network.
 
     Args:
-        word_or_file: as there.
-        graph: it is for a graph, so a node elsewhere does too.
+        word_or_file: as for :func:`make_perception`.
+        graph: the perception is for a ROS graph, so an external node is allowed too.
 
     Returns:
-        The fingerprint that the perception will have; '' where only its node will tell.
+        Fingerprint of the perception; '' for an external node, which reports it later.
 
     Raises:
         UsageError: as :func:`make_perception`.
@@ -227,7 +227,7 @@ def check_perception(word_or_file: str, *, graph: bool = False) -> str:
 
 
 def _loaded(extension: Extension) -> Path | PluginCode | Perception:
-    """What stands behind a name: the file of a network, somebody's code, or a class of ours."""
+    """Load what a name refers to: a network file, code of a package, or a built-in perception."""
     found: Any = extension.load()
     if isinstance(found, Path):
         if found.suffix not in (SUFFIX, ONNX_SUFFIX):
@@ -241,7 +241,7 @@ def _loaded(extension: Extension) -> Path | PluginCode | Perception:
 
 
 def _network(path: Path, word: str) -> Perception:
-    """The network in a file: one of ours, or a third party's once it has been tried."""
+    """Perception of a network file: safetensors weights, or a third-party ONNX after a trial."""
     if path.suffix == ONNX_SUFFIX:
         theirs, fingerprint = tried_network(path)
         return NetworkPerception(theirs, word=word, fingerprint=fingerprint)

@@ -1,20 +1,20 @@
-"""Perceptions that put the truth, or a spoiled truth, in the place of what a network estimates.
+"""Perceptions that replace a network's estimate by the truth or by degraded truth.
 
-The paper finds out whose fault a failure is in this way: the network is replaced by the ground
-truth and the counterexample is tested again (section "Error analysis and debugging"). Here one
-estimate alone may be replaced too, or come late, or be wrong by noise. One word chooses:
+The paper localises faults in this way: the network is replaced by the ground truth and the
+counterexample is tested again (section "Error analysis and debugging"). Here a single estimate may
+also be replaced, delayed, or disturbed by noise. The substitution is selected by a word:
 
 ==========================  ====================================================================
-``as-recorded``             the network as it is; the control
+``as-recorded``             the unchanged network (control)
 ``truth``                   a perfect estimate
 ``truth-heading``           the network's cross-track error with the true heading error
 ``truth-cte``               the network's heading error with the true cross-track error
-``delayed:SECONDS``         the network's estimate of so long ago
-``truth-delayed:SECONDS``   the truth of so long ago
-``noisy:SIGMA_M``           the truth, its cross-track error spoiled by correlated noise
+``delayed:SECONDS``         the network's estimate, delayed
+``truth-delayed:SECONDS``   the truth, delayed
+``noisy:SIGMA_M``           the truth with correlated noise on the cross-track error
 ==========================  ====================================================================
 
-Unlike others these perceptions may remember: each is made for one run, and is asked once in every
+Unlike others, these perceptions may have state: each is made for one run and evaluated once per
 control step.
 """
 
@@ -39,13 +39,13 @@ AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE = (
 _PLAIN = (AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE)
 _DELAYED, _TRUTH_DELAYED, _NOISY = 'delayed', 'truth-delayed', 'noisy'
 _AMOUNTS = {_DELAYED: 30.0, _TRUTH_DELAYED: 30.0, _NOISY: 20.0}
-"""Words that take an amount, and the largest: seconds, seconds, metres."""
+"""Words with an amount, and its maximum: seconds, seconds, metres."""
 
 KNOWN = (*_PLAIN, 'delayed:SECONDS', 'truth-delayed:SECONDS', 'noisy:SIGMA_M')
-"""What may be asked for."""
+"""Valid substitutions."""
 
 NOISE_TIME_S = 1.0
-"""Correlation time of the noise [s]: about as long as a picture stays alike to a taxiing aircraft.
+"""Correlation time of the noise [s]: about how long camera frames stay similar while taxiing.
 
 White noise hardly disturbs a steering law that averages over many frames."""
 
@@ -54,11 +54,11 @@ _STEP_S = CONTROL_PERIOD_NS / NS_PER_S
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Substitution:
-    """What takes the place of a network's estimate.
+    """Replacement of a network's estimate.
 
     Attributes:
         kind: the word without its amount.
-        amount: seconds of delay, or standard deviation [m]; 0 where the kind has none.
+        amount: delay [s] or standard deviation [m]; 0 if the kind has none.
     """
 
     kind: str
@@ -66,16 +66,16 @@ class Substitution:
 
     @property
     def word(self) -> str:
-        """How people write it; equal substitutions have equal words."""
+        """Text form; equal substitutions have equal words."""
         return f'{self.kind}:{self.amount:g}' if self.kind in _AMOUNTS else self.kind
 
 
 def parse_substitution(text: str) -> Substitution:
-    """The substitution that a word of :data:`KNOWN` asks for.
+    """Parse a substitution; see :data:`KNOWN`.
 
     Raises:
-        UsageError: there is none by that name, or its amount is missing, out of range, or a delay
-            that is not a whole number of control steps.
+        UsageError: unknown word; an amount that is missing or out of range; or a delay that is not
+            a whole number of control steps.
     """
     kind, colon, rest = (part.strip() for part in text.partition(':'))
     if kind in _PLAIN and not colon:
@@ -93,19 +93,19 @@ def parse_substitution(text: str) -> Substitution:
     steps = amount / _STEP_S
     if kind != _NOISY and abs(steps - round(steps)) > 1e-6:
         raise UsageError(f'--with {text}: a delay has to be a multiple of {_STEP_S:g} s')
-    # Text goes by six digits; the amount must not be another than what is written down of it.
+    # The text form has six digits; round the amount so that both are equal.
     return Substitution(kind=kind, amount=float(f'{amount:g}'))
 
 
 def substituted(
     substitution: Substitution, network: Perception, seed: Sequence[int]
 ) -> Perception:
-    """A perception for one run.
+    """Create the perception for one run.
 
     Args:
-        substitution: what takes the network's place.
-        network: the perception whose failure is looked into.
-        seed: of the noise: equal seeds, equal noise.
+        substitution: replacement of the network's estimate.
+        network: the perception whose failure is analysed.
+        seed: seed of the noise; equal seeds give equal noise.
     """
     kind, amount = substitution.kind, substitution.amount
     if kind == AS_RECORDED:
@@ -120,10 +120,10 @@ def substituted(
 
 
 class HalfTruth(Perception):
-    """A network of whose two estimates one is replaced by the truth."""
+    """A network with one of its two estimates replaced by the truth."""
 
     def __init__(self, network: Perception, *, cte: bool) -> None:
-        """``cte``: the cross-track error is the true one; else the heading error is."""
+        """Replace the cross-track error if ``cte``, else the heading error."""
         self.word = TRUTH_CTE if cte else TRUTH_HEADING
         self.fingerprint = network.fingerprint
         self.needs_image = network.needs_image
@@ -131,13 +131,13 @@ class HalfTruth(Perception):
         self._cte = cte
 
     def begin(self) -> None:
-        """Have the network forget what came before."""
+        """Reset the network."""
         self._network.begin()
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """Half what the network sees, half the truth; none where either is missing."""
+        """Combine the network's estimate with the truth; invalid if either is missing."""
         seen = self._network.estimate(image, truth)
         if truth is None or not seen.usable:
             return NO_ESTIMATE
@@ -147,10 +147,10 @@ class HalfTruth(Perception):
 
 
 class Delayed(Perception):
-    """What another perception estimated some time ago; before that, its first estimate."""
+    """Delayed estimates of another perception; its first estimate until the delay has passed."""
 
     def __init__(self, perception: Perception, delay_s: float) -> None:
-        """``delay_s``: how long ago [s], a whole number of control steps."""
+        """``delay_s``: delay [s], a whole number of control steps."""
         self.word = f'{perception.word} {delay_s:g} s ago'
         self.fingerprint = perception.fingerprint
         self.needs_image = perception.needs_image
@@ -158,31 +158,31 @@ class Delayed(Perception):
         self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
 
     def begin(self) -> None:
-        """Forget what came before."""
+        """Reset the perception and clear the buffer."""
         self._perception.begin()
         self._estimates.clear()
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """The oldest estimate that is no older than the delay."""
+        """Return the oldest estimate not older than the delay."""
         self._estimates.append(self._perception.estimate(image, truth))
         return self._estimates[0]
 
 
 class NoisyTruth(Perception):
-    """The truth with a cross-track error that wanders about the true one; the heading is true.
+    """The truth with correlated noise on the cross-track error; the heading error is exact.
 
-    The noise is normal with mean 0, from the first step on with the standard deviation asked for,
-    and its autocorrelation falls to 1/e in :data:`NOISE_TIME_S` (Ornstein-Uhlenbeck process,
-    sampled exactly: Gillespie, Physical Review E 54, 1996).
+    The noise is normal with mean 0 and the given standard deviation from the first step on; its
+    autocorrelation falls to 1/e in :data:`NOISE_TIME_S` (Ornstein-Uhlenbeck process, sampled
+    exactly: Gillespie, Physical Review E 54, 1996).
     """
 
     fingerprint = ''
     needs_image = False
 
     def __init__(self, sigma_m: float, seed: Sequence[int]) -> None:
-        """``sigma_m``: standard deviation [m]; ``seed``: of the noise, whole numbers from 0."""
+        """``sigma_m``: standard deviation [m]; ``seed``: seed of the noise, integers >= 0."""
         self.word = f'truth with noise of {sigma_m:g} m'
         self._random = np.random.default_rng(seed)
         self._sigma_m = sigma_m
@@ -192,7 +192,7 @@ class NoisyTruth(Perception):
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """The truth, off by the noise of this step."""
+        """Return the truth plus the noise of this step."""
         error_m = self._error_m
         fresh = math.sqrt(1 - self._keep**2) * self._sigma_m
         self._error_m = self._keep * error_m + fresh * self._random.standard_normal()

@@ -1,8 +1,8 @@
-"""A network on disk: weights ``NAME.safetensors`` and, beside them, the model card ``NAME.json``.
+"""Network files: weights ``NAME.safetensors`` with a model card ``NAME.json`` next to them.
 
-The format (https://github.com/huggingface/safetensors) holds arrays and nothing that runs, unlike
-a pickle. The card says where the weights come from and what they are worth; its checksum ties the
-two files together. Nothing is used that was not checked, and checking needs no torch.
+The format (https://github.com/huggingface/safetensors) contains arrays only and, unlike a pickle,
+no code. The card records the origin and accuracy of the weights, and their checksum. Both files are
+fully checked before use; torch is not needed.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from taxinet_ros.files.plain_values import Section, load_json
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
 SOURCE_KINDS = ('program', 'folder', 'runs')
-"""Where pictures come from: rendered scenes of a Scenic program, a folder with a label table, or
-the failed runs of a campaign."""
+"""Sources of images: rendered scenes of a Scenic program, a folder with a label table, or the
+failed runs of a campaign."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Source:
-    """Where pictures come from.
+    """Source of images.
 
     Attributes:
         kind: one of :data:`SOURCE_KINDS`.
-        name: of the program, folder or campaign.
+        name: name of the program, folder or campaign.
         sha256: digest of the program's text, of the folder's labels and images, or of the
             campaign's ledger.
     """
@@ -50,27 +50,27 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelCard:
-    """Where a network comes from, and how well it sees in the world it was trained in.
+    """Origin of a network and its accuracy on validation data.
 
     Attributes:
-        architecture: word of :data:`~taxinet_ros.core.perception.network.ARCHITECTURES`.
-        training_data: where the training pictures came from.
-        validation_data: where the validation pictures came from; empty if they were held back
-            from the training data.
-        seed: of the scenes, the first weights and the order of training.
-        images: pictures that were trained on.
-        validation: others, that chose the epoch and that the errors were measured on.
-        varied: whether the look of the rendered world varied.
-        augment: whether pictures were changed a little each time they were seen.
-        epochs, batch, learning_rate, patience: how it was trained.
-        best_epoch: the one with the lowest validation loss, whose weights these are.
-        errors: absolute errors on the validation pictures: for each of
+        architecture: key of :data:`~taxinet_ros.core.perception.network.ARCHITECTURES`.
+        training_data: sources of the training images.
+        validation_data: sources of the validation images; empty if they were held out of the
+            training data.
+        seed: seed of the scenes, the initial weights and the training order.
+        images: number of training images.
+        validation: number of validation images; used to select the epoch and measure the errors.
+        varied: whether the appearance of the rendered world was randomized.
+        augment: whether images were augmented.
+        epochs, batch, learning_rate, patience: training parameters.
+        best_epoch: epoch with the lowest validation loss; the weights are from it.
+        errors: absolute errors on the validation images: for each of
             :data:`ERROR_QUANTITIES` the :data:`ERROR_STATISTICS`, [m] and [degrees].
         weights_sha256: digest of the weights file.
-        package_version: of this package at the time.
+        package_version: version of this package at the time of training.
         date: ISO date of the training (UTC).
-        command_line: what makes these weights again.
-        start_sha256: digest of the weights that the training began from; None for fresh ones.
+        command_line: command that reproduces the weights.
+        start_sha256: digest of the weights that training started from; None for random ones.
     """
 
     architecture: str
@@ -98,7 +98,7 @@ _ABOUT = 'weights: '
 
 
 def card_error(path: Path, what: str) -> UsageError:
-    """What is wrong with a file of weights, or with its card, in one line."""
+    """One-line error about a weights file or its card."""
     return UsageError(f'{_ABOUT}{path}: {what}')
 
 
@@ -106,7 +106,7 @@ def load_card(path: Path) -> ModelCard:
     """Read a card and check every entry.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: an invalid card; one line on the first error.
     """
     try:
         values = load_json(path.read_text(encoding='utf-8'))
@@ -158,18 +158,18 @@ SHIPPED = {
     word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}'
     for word in registry.SHIPPED[registry.PERCEPTIONS] if word != 'truth'
 }
-"""Weights by the word that chooses them. ``original`` has learned in the part of S_falsif's world
-that the paper's network may have been trained in, ``broad`` in all of it, and ``taxinet``, which
-began as ``broad``, further where that one failed. The others are the paper's: retrained on scenes
-of S_falsif, on those of a Halton sequence through it, and more where on the runway the original
-failed (section 3.4); and ``generic`` trained further on a fifth more scenes: of S_falsif, of the
-crossing, and of where it failed (appendix A.1)."""
+"""Shipped weights by name. ``original`` was trained in the part of S_falsif's world that the
+paper's network may have been trained in, ``broad`` in all of it; ``taxinet`` is ``broad`` trained
+further where that one failed. The others follow the paper: retrained on scenes of S_falsif, on a
+Halton sequence through it, and with more scenes where on the runway the original failed (section
+3.4); and ``generic`` trained further on a fifth more scenes: of S_falsif, of the crossing, and of
+where it failed (appendix A.1)."""
 (
     TAXINET, BROAD, ORIGINAL, GENERIC, HALTON, SPECIALISED, ITERATIVE_GENERIC, ITERATIVE_CROSSING,
     ITERATIVE_LEARNED,
 ) = SHIPPED.values()
 MAX_BYTES = 64 << 20
-"""Largest file that is read; the shipped one is below 1 MiB."""
+"""Maximum size of a weights file; shipped files are below 1 MiB."""
 Weights = Mapping[str, NDArray[np.float32]]
 
 
@@ -182,22 +182,22 @@ class Model:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the weights, by which bags and tables know the network."""
+        """SHA-256 of the weights; identifies the network in bags and tables."""
         return self.card.weights_sha256
 
 
 def weights_path(word_or_file: str | Path) -> Path:
-    """The file of a shipped network's word, or the file itself."""
+    """Path of a shipped network's weights, or the given file."""
     return SHIPPED.get(str(word_or_file), Path(word_or_file))
 
 
 def card_path(path: Path) -> Path:
-    """The model card that belongs to a weights file."""
+    """Path of the model card of a weights file."""
     return path.with_suffix('.json')
 
 
 def to_bytes(weights: Weights) -> bytes:
-    """The weights file of ``weights``; equal weights give equal bytes."""
+    """Serialize weights as safetensors; equal weights give equal bytes."""
     return safetensors.numpy.save(dict(weights))
 
 
@@ -207,9 +207,9 @@ def digest(data: bytes) -> str:
 
 
 def save_model(path: Path, data: bytes, card: ModelCard) -> None:
-    """Write the weights file's bytes and their card, each complete or not at all.
+    """Write the weights file and its card, each atomically.
 
-    A stop between the two leaves a pair that :func:`load_model` refuses.
+    An interruption between the two leaves a pair that :func:`load_model` rejects.
 
     Raises:
         UsageError: the folder cannot be written to.
@@ -225,10 +225,10 @@ def save_model(path: Path, data: bytes, card: ModelCard) -> None:
 
 
 def load_model(path: Path) -> Model:
-    """Read weights and card, and check everything about them.
+    """Read weights and card, and check both completely.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: invalid weights or card; one line on the first error.
     """
     data = _read(path)
     weights = _parse(path, data)
@@ -269,7 +269,7 @@ def _parse(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     try:
         return safetensors.numpy.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError) as error:
-        # A type of number that numpy lacks is a KeyError there.
+        # safetensors raises KeyError for a number type that numpy lacks.
         reason = ' '.join(str(error).split())
         raise card_error(
             path, f'is not a complete safetensors file ({reason}); copy it again'

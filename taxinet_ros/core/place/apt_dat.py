@@ -1,9 +1,9 @@
 """Reads places from a user's ``apt.dat`` of X-Plane or FlightGear.
 
-Format: X-Plane airport data, versions 1000 to 1200 (developer.x-plane.com). Read are rows 1 (land
-airport), 100 (runway), 110 to 116 (pavements and their nodes), 120 (painted lines), 1201 and 1202
-(taxi routes); all others are passed by. The file of the whole world has 350 MB: it is mapped into
-memory and searched for the one airport; nothing else is read.
+Format: X-Plane airport data, versions 1000 to 1200 (developer.x-plane.com). The reader uses rows 1
+(land airport), 100 (runway), 110 to 116 (pavements and their nodes), 120 (painted lines), 1201 and
+1202 (taxi routes) and ignores others. The global file has 350 MB: it is memory-mapped and searched
+for the requested airport; only that part is parsed.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ VERSIONS = range(1000, 1201)
 _AIRPORT, _END = (b'1', b'16', b'17'), b'99'
 _CHUNK = 1 << 24
 _CURVE_STEPS = 8
-"""Pieces that a curve is drawn with."""
+"""Number of line segments per curve."""
 _CATEGORIES = {
     0: 'visual', 1: 'visual', 2: 'nonprecision', 3: 'precision', 4: 'nonprecision',
     5: 'precision', 6: 'nonprecision', 7: 'precision',
 }
-"""By the code of a runway's markings: none, visual, then the FAA's, the UK's and EASA's."""
+"""Category by runway marking code: none, visual, then FAA, UK and EASA markings."""
 _ASPHALT, _CONCRETE = (1, *range(20, 39)), (2, *range(50, 58))
-"""Surface codes; from version 1200 on there are shades of both."""
+"""Surface codes; version 1200 adds shades of both."""
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """One row: its number in the file from 1, its code, and what follows."""
+    """One row: its number in the file (from 1), its code, and the remaining words."""
 
     number: int
     code: int
@@ -67,7 +67,7 @@ class _RunwayRow:
 
 @dataclass(slots=True)
 class _Airport:
-    """What the rows of an airport say, coordinates in degrees."""
+    """Parsed rows of an airport, coordinates in degrees."""
 
     icao: str
     title: str
@@ -80,18 +80,17 @@ class _Airport:
 
 
 def read_airport_place(path: Path, icao: str, runway: str, time_zone: str = '') -> Place:
-    """The place of one runway of an airport, taxied along from the end that is named.
+    """Read the place of one runway of an airport; the named end is the origin.
 
     Args:
         path: an ``apt.dat`` or ``apt.dat.gz``.
         icao: the airport's identifier.
-        runway: number of the end, as ``04`` or ``16R``.
-        time_zone: by its IANA name; where it is '', whole hours by the longitude, for the file does
-            not tell.
+        runway: designation of the end, such as ``04`` or ``16R``.
+        time_zone: IANA name; '': whole hours from the longitude, because the file has no time zone.
 
     Raises:
-        UsageError: the file cannot be read or is none of these, has no such airport or runway, or a
-            row is not as it should be.
+        UsageError: the file is unreadable or of another format, has no such airport or runway, or
+            has an invalid row.
     """
     airport = _Reader(path).airport(icao.upper())
     wanted = runway.upper().zfill(3 if runway[-1:].isalpha() else 2)
@@ -113,13 +112,13 @@ def read_airport_place(path: Path, icao: str, runway: str, time_zone: str = '') 
 
 
 class _Reader:
-    """Reads one airport out of a file."""
+    """Reads one airport from a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def airport(self, icao: str) -> _Airport:
-        """The airport of an identifier."""
+        """Parse an airport, selected by identifier."""
         try:
             rows = list(self._rows(icao))
         except (OSError, EOFError) as error:
@@ -140,7 +139,7 @@ class _Reader:
         return UsageError(f'{self._path}: row {row.number}: {what}')
 
     def _rows(self, icao: str) -> Iterator[_Row]:
-        """The rows of an airport, from its row 1 on; none where there is none."""
+        """Rows of an airport, from its row 1 on; none if it is not in the file."""
         if self._path.suffix == '.gz':
             with gzip.open(self._path, 'rb') as stream:
                 yield from self._section(enumerate(stream, start=1), icao)
@@ -159,7 +158,7 @@ class _Reader:
                 yield from self._of_airport(lines)
 
     def _section(self, lines: Iterator[tuple[int, bytes]], icao: str) -> Iterator[_Row]:
-        """The same out of lines that can be read but once."""
+        """Rows of an airport from a stream of lines, read once."""
         self._check_header([line for _, line in (next(lines, (0, b'')), next(lines, (0, b'')))])
         wanted = icao.encode()
         for number, line in lines:
@@ -194,7 +193,7 @@ class _Reader:
             yield _Row(number, int(text[0]), text[1:])
 
     def _take(self, airport: _Airport, rows: list[_Row]) -> None:
-        """Sort the rows of an airport into what they are about."""
+        """Process the rows of an airport by their code."""
         inside: tuple[_Row, list[_Row]] | None = None
         for row in rows:
             if 111 <= row.code <= 116:
@@ -257,7 +256,7 @@ class _Reader:
                 airport.lines.append((style, [*points, points[0]] if closed else points))
 
     def _contours(self, rows: list[_Row]) -> Iterator[tuple[list[Point], int, bool]]:
-        """Lines through nodes: their points, the style of their paint, and whether they close."""
+        """Contours of node rows: points, paint style, and whether the contour is closed."""
         nodes: list[tuple[Point, Point | None]] = []
         style = 0
         for row in rows:
@@ -291,7 +290,7 @@ class _Reader:
 
 
 def _start_of(whole: mmap.mmap, icao: bytes) -> int:
-    """Where the row of an airport begins, or -1."""
+    """Offset of an airport's row, or -1."""
     at = -1
     while (at := whole.find(b' ' + icao, at + 1)) >= 0:
         start = whole.rfind(b'\n', 0, at) + 1
@@ -302,7 +301,7 @@ def _start_of(whole: mmap.mmap, icao: bytes) -> int:
 
 
 def _lines_before(whole: mmap.mmap, end: int) -> int:
-    """Number of lines before a place in the file."""
+    """Number of lines before an offset."""
     return sum(
         whole[at:min(at + _CHUNK, end)].count(b'\n') for at in range(0, end, _CHUNK)
     )
@@ -316,13 +315,13 @@ def _chained(
 
 
 def _flattened(nodes: list[tuple[Point, Point | None]], *, closed: bool) -> list[Point]:
-    """The line through nodes with their control points, curves drawn with short pieces."""
+    """Polyline through nodes with control points; curves become short segments."""
     found = [nodes[0][0]]
     pairs = list(pairwise(nodes))
     if closed and len(nodes) > 1:
         pairs.append((nodes[-1], nodes[0]))
     for (start, leaving), (end, beyond) in pairs:
-        # The control point is of the way on; that of the way in is its mirror image.
+        # The control point is for the outgoing curve; the incoming one uses its mirror image.
         arriving = None if beyond is None else (2 * end[0] - beyond[0], 2 * end[1] - beyond[1])
         controls = [control for control in (leaving, arriving) if control is not None]
         steps = _CURVE_STEPS if controls else 1
@@ -331,7 +330,7 @@ def _flattened(nodes: list[tuple[Point, Point | None]], *, closed: bool) -> list
 
 
 def _bezier(points: list[Point], share: float) -> Point:
-    """A point of a Bézier curve (de Casteljau)."""
+    """Point of a Bézier curve (de Casteljau)."""
     while len(points) > 1:
         points = [
             (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
@@ -341,7 +340,7 @@ def _bezier(points: list[Point], share: float) -> Point:
 
 
 def _document(airport: _Airport, row: _RunwayRow, end: int, time_zone: str) -> dict[str, Any]:
-    """The place as the keys and values of a file of a place."""
+    """Keys and values of the place, as in a place file."""
     near, far = row.ends[end], row.ends[1 - end]
     frame = RunwayFrame(near.position_deg, far.position_deg, airport.elevation_m)
 
@@ -404,7 +403,7 @@ def _document(airport: _Airport, row: _RunwayRow, end: int, time_zone: str) -> d
 def _crossing(
     other: _RunwayRow, row: _RunwayRow, in_map: Callable[[Point], list[float]], length_m: float
 ) -> Iterator[dict[str, Any]]:
-    """Another runway as one that crosses, if it does and is at least as wide."""
+    """Entry for another runway that crosses this one and is at least as wide."""
     (x0, y0), (x1, y1) = (in_map(end.position_deg) for end in other.ends)
     if other.width_m < row.width_m or y0 * y1 >= 0:
         return
@@ -416,7 +415,7 @@ def _crossing(
 
 
 def _as_pavement(other: _RunwayRow, in_map: Callable[[Point], list[float]]) -> dict[str, Any]:
-    """Another runway of the airport as a paved area."""
+    """Pavement entry for another runway of the airport."""
     (x0, y0), (x1, y1) = (in_map(end.position_deg) for end in other.ends)
     share = other.width_m / 2 / max(math.hypot(x1 - x0, y1 - y0), 1.0)
     dx, dy = share * (y0 - y1), share * (x1 - x0)
@@ -432,6 +431,6 @@ def _surface_word(code: int) -> str:
 
 
 def _plain(text: str) -> str:
-    """An identifier as the beginning of a place's name."""
+    """Convert an airport identifier to the start of a place's name."""
     plain = ''.join(sign for sign in text.lower() if sign.isalnum() and sign.isascii())
     return plain if plain[:1].isalpha() else f'a{plain}'

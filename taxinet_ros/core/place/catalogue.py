@@ -10,6 +10,10 @@ from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import make_place, read_place
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.place.track import Track
+
+SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
+"""Tracks at the shipped places, see :class:`.track.Track`."""
 
 _OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
 """``FILE:ICAO/RUNWAY``, and the time zone where it is told."""
@@ -43,14 +47,28 @@ find_place = PLACES.find
 typed_place = PLACES.typed
 
 
+@lru_cache(maxsize=64)
+def find_track(place: str, track: str) -> Track:
+    """The track of a scenario.
+
+    Args:
+        place: as for :func:`find_place`.
+        track: its name there.
+
+    Raises:
+        UsageError: there is no such place, or no such track at it.
+    """
+    return find_place(place).track(track)
+
+
 def load_place(word: str) -> str:
-    """A place as a scenario has it: ``Scenario(place=load_place('mine.yaml'))``.
+    """Load a place for a scenario: ``Scenario(place=load_place('mine.yaml'))``.
 
     Args:
         word: a shipped name, a YAML file, or ``apt.dat:ICAO/RUNWAY`` (docs/world.md).
 
     Raises:
-        UsageError: it is none of these, or the file is not as it should be.
+        UsageError: none of these, or an invalid file.
     """
     return typed_place(str(word)).text
 

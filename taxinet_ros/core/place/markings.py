@@ -1,7 +1,7 @@
-"""A runway's paint after FAA AC 150/5340-1: what each category has, in the sizes of its width.
+"""Runway markings according to FAA AC 150/5340-1, by category and runway width.
 
-The circular gives sizes for runways 150 ft wide; on narrower ones what lies beside the centreline
-moves in and narrows in proportion.
+The circular gives dimensions for runways 150 ft wide; on narrower ones, lateral positions and
+widths of markings beside the centreline are scaled in proportion.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ EDGE_STRIPE_WIDTH_M = 3 * FOOT_M
 _CENTRELINE_WIDTH_M = {
     'visual': FOOT_M, 'nonprecision': 1.5 * FOOT_M, 'precision': 3 * FOOT_M,
 }
-"""Least widths: 12, 18 and 36 in."""
+"""Minimum widths: 12, 18 and 36 in."""
 
 _EDGE_INSET_M = 0.54
-"""Middle of the edge stripe from the pavement's edge; as in the published pictures of KMWH."""
+"""Distance of the edge stripe's middle from the pavement's edge, as in the images of KMWH."""
 
 _THRESHOLD_START_M, _THRESHOLD_LENGTH_M = 20 * FOOT_M, 150 * FOOT_M
 _THRESHOLD_STRIPE_M = 5.75 * FOOT_M
@@ -35,7 +35,7 @@ _AIMING_LEAST_RUNWAY_M = 4200 * FOOT_M
 _ZONE_LENGTH_M, _ZONE_WIDTH_M, _ZONE_GAP_M = 75 * FOOT_M, 6 * FOOT_M, 5 * FOOT_M
 _ZONE_BARS = ((500, 3), (1500, 2), (2000, 2), (2500, 1), (3000, 1))
 _ZONE_FREE_M = 900 * FOOT_M
-"""No touchdown-zone bars so near the middle of the runway."""
+"""Distance from the middle of the runway without touchdown-zone bars [m]."""
 _BAR_LENGTH_M = 10 * FOOT_M
 _ARROW_SPACING_M, _ARROW_LENGTH_M, _ARROW_HEAD_M = 80 * FOOT_M, 120 * FOOT_M, 45 * FOOT_M
 _ARROW_HALF_M = 7.5 * FOOT_M
@@ -43,11 +43,11 @@ _ARROW_HALF_M = 7.5 * FOOT_M
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Marking:
-    """One painted patch.
+    """One painted polygon.
 
     Attributes:
         kind: ``threshold``, ``designation``, ``centreline``, ``aiming``, ``touchdown`` or ``edge``.
-        polygon: corners (x, y) in ``map`` [m], convex or not, without crossing edges.
+        polygon: corners (x, y) in ``map`` [m] of a simple polygon, convex or not.
     """
 
     kind: str
@@ -56,11 +56,11 @@ class Marking:
 
 @lru_cache(maxsize=16)
 def markings(runway: Runway, *, crossing: bool = True) -> tuple[Marking, ...]:
-    """Everything painted on a runway, in no particular order.
+    """All markings of a runway, in no particular order.
 
     Args:
-        runway: that is painted.
-        crossing: whether what crosses is there and interrupts centreline and edge stripes.
+        runway: the runway.
+        crossing: whether crossing runways exist and interrupt the markings.
     """
     near, far = (_end(runway, end) for end in (0, 1))
     other_end = [
@@ -75,7 +75,7 @@ def markings(runway: Runway, *, crossing: bool = True) -> tuple[Marking, ...]:
 
 
 def _is_clear(marking: Marking, runway: Runway) -> bool:
-    """Whether nothing that crosses would be painted over."""
+    """Whether a marking is clear of all crossing runways."""
     xs = [x for x, _ in marking.polygon]
     y_m = marking.polygon[0][1]
     gaps = (one.clear_x(y_m) for one in runway.crossings)
@@ -88,7 +88,7 @@ def edge_stripe_y_m(runway: Runway) -> float:
 
 
 def centreline_start_m(runway: Runway, end: int = 0) -> float:
-    """Where the centreline's first stripe begins, from the end 0 or 1 [m]."""
+    """Start of the centreline's first stripe, from end 0 or 1 [m]."""
     rows = 2 if runway.designations[end][-1].isalpha() else 1
     text_m = rows * _DIGIT_HEIGHT_M + (rows - 1) * _LETTER_GAP_M
     return _designation_start_m(runway, end) + text_m + 40 * FOOT_M
@@ -96,7 +96,7 @@ def centreline_start_m(runway: Runway, end: int = 0) -> float:
 
 def _designation_start_m(runway: Runway, end: int) -> float:
     start = runway.displaced_m[end] + _THRESHOLD_START_M
-    # Without threshold stripes the designation stands where they would.
+    # Without threshold stripes, the designation is in their place.
     return start if runway.category == 'visual' else start + _THRESHOLD_LENGTH_M + 40 * FOOT_M
 
 
@@ -105,7 +105,7 @@ def _rectangle(kind: str, x0: float, x1: float, y0: float, y1: float) -> Marking
 
 
 def _end(runway: Runway, end: int) -> list[Marking]:
-    """What is painted at one end, as seen from there."""
+    """Markings at one end, in coordinates from that end."""
     found: list[Marking] = []
     if runway.category != 'visual':
         found += _threshold(runway, end)
@@ -117,9 +117,9 @@ def _end(runway: Runway, end: int) -> list[Marking]:
 
 
 def _threshold(runway: Runway, end: int) -> list[Marking]:
-    """Stripes, half of them a side, with a double gap at the centreline."""
+    """Threshold stripes, half of them on each side, with a double gap at the centreline."""
     width_ft = runway.width_m / FOOT_M
-    # Metric runways are named after the next foot size: 45 m counts as 150 ft, 60 m as 200 ft.
+    # Metric widths map to the next size in feet: 45 m counts as 150 ft, 60 m as 200 ft.
     count = max(
         (number for least_ft, number in _THRESHOLD_STRIPES if width_ft >= 0.97 * least_ft),
         default=_THRESHOLD_STRIPES[0][1],
@@ -135,7 +135,7 @@ def _threshold(runway: Runway, end: int) -> list[Marking]:
 
 
 def _displaced(runway: Runway, end: int) -> list[Marking]:
-    """The bar before a displaced threshold, and the arrows along the centreline that lead to it."""
+    """Bar of a displaced threshold, and the arrows along the centreline before it."""
     bar, half = runway.displaced_m[end], runway.half_width_m
     found = [_rectangle('threshold', bar - _BAR_LENGTH_M, bar, -half, half)]
     tip, thin = bar - _BAR_LENGTH_M - 15 * FOOT_M, _CENTRELINE_WIDTH_M['nonprecision'] / 2
@@ -149,8 +149,8 @@ def _displaced(runway: Runway, end: int) -> list[Marking]:
     return found
 
 
-# Digits as strokes in a unit box, (up, right) from the lower left corner: the reader comes from
-# below. Corners are cut as on the ground, where they are drawn without curves.
+# Digits as strokes in (up, right) coordinates [m] from the lower left corner, as read by a landing
+# pilot. Corners are cut, because painted digits have no curves.
 _W, _S, _H = _DIGIT_WIDTH_M, _DIGIT_STROKE_M, _DIGIT_HEIGHT_M
 _M = (_H + _S) / 2  # upper side of the bar at half height
 
@@ -223,7 +223,7 @@ _STROKES: dict[str, tuple[Polygon, ...]] = {
 
 
 def _designation(runway: Runway, end: int) -> list[Marking]:
-    """The number, and before it the letter of a parallel runway."""
+    """Runway number, preceded by the letter of a parallel runway."""
     text, start = runway.designations[end], _designation_start_m(runway, end)
     number, letter = text[:2], text[2:]
     markings = []
@@ -239,7 +239,7 @@ def _designation(runway: Runway, end: int) -> list[Marking]:
 
 
 def _touchdown(runway: Runway, end: int) -> list[Marking]:
-    """Aiming point, and on a precision runway touchdown-zone bars, both sides of the centreline."""
+    """Aiming point and, on a precision runway, touchdown-zone bars, on both sides."""
     scale = min(round(runway.width_m / FOOT_M) / 150, 1.0)
     start, inner = runway.displaced_m[end], _AIMING_INNER_M * scale
     width, gap = _ZONE_WIDTH_M * scale, _ZONE_GAP_M * scale
@@ -263,7 +263,7 @@ def _touchdown(runway: Runway, end: int) -> list[Marking]:
 def _stripe(
     kind: str, x0: float, x1: float, y0: float, y1: float, gaps: list[tuple[float, float]]
 ) -> list[Marking]:
-    """A stripe along the runway, less the gaps, which are in the order of x."""
+    """A stripe along the runway without the gaps, which are ordered by x."""
     pieces, start = [], x0
     for gap0, gap1 in gaps:
         pieces.append((start, min(x1, gap0)))

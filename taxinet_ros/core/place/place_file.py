@@ -1,7 +1,7 @@
 """Reads places from user YAML files and from the JSON in scenarios.
 
-Both are one mapping with the same keys (docs/world.md). Every bad value is one line that names the
-file and the key.
+Both are a mapping with the same keys (docs/world.md). Errors are one line with the file and the
+key.
 """
 
 from __future__ import annotations
@@ -23,6 +23,13 @@ from taxinet_ros.core.place.runway import (
     Runway,
     time_zone,
 )
+from taxinet_ros.core.place.track import (
+    LEAST_RADIUS_M,
+    RUNWAY_TRACK,
+    Track,
+    check_room,
+    make_track,
+)
 from taxinet_ros.files.plain_values import (
     Section,
     expected,
@@ -30,7 +37,7 @@ from taxinet_ros.files.plain_values import (
     read_yaml,
 )
 
-_KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes')
+_KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes', 'tracks')
 _RUNWAY_KEYS = (
     'ends', 'width_m', 'elevation_m', 'length_m', 'bearing_deg', 'category', 'edge_stripes',
     'surface', 'surroundings', 'crossings',
@@ -40,11 +47,13 @@ _CROSSING_KEYS = ('x_m', 'yaw_deg', 'width_m', 'clear_half_m', 'paved_m')
 
 LEAST_LENGTH_M, MOST_LENGTH_M = 700.0, 5500.0
 LEAST_WIDTH_M, MOST_WIDTH_M = 15.0, 80.0
+LEAST_TRACK_M = 7.5
+"""Least width of a taxiway (ICAO Annex 14, 3.9.5, code A)."""
 _LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
-"""How far published figures may be from those of the ends."""
+"""Tolerances of published length (relative) and bearing against those computed from the ends."""
 _RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
 _CLEAR_M, _FILLET_M = 37.5, 85.0
-"""Unless a file says more: shoulder of a crossing runway, and length of the fillets beyond it."""
+"""Defaults: shoulder of a crossing runway, and length of the fillets beyond it."""
 STEEPEST_DEG = 20.0
 _FARTHEST_M = 50_000.0
 
@@ -53,24 +62,24 @@ _DESIGNATION = re.compile(r'(0[1-9]|[12][0-9]|3[0-6])[LCR]?')
 
 
 def read_place(path: Path, shipped: bool = False) -> Place:
-    """The place in a YAML file.
+    """Read the place of a YAML file.
 
     Raises:
-        UsageError: it cannot be read, or a value in it is not as it should be.
+        UsageError: an unreadable file, or an invalid value.
     """
     return make_place(read_yaml(path, option='place'), path, shipped=shipped)
 
 
 def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
-    """The place that plain values stand for.
+    """Build a place from plain values.
 
     Args:
-        values: what a file holds.
-        path: of the file, for the messages.
-        shipped: whether it comes with the program.
+        values: content of a place file.
+        path: path of the file, for error messages.
+        shipped: whether it is shipped with the package.
 
     Raises:
-        UsageError: a value is not as it should be.
+        UsageError: an invalid value.
     """
     top = Section(path, values, _KEYS)
     name = document_name(top, 'kmwh_04')
@@ -89,6 +98,7 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
         pavements=tuple(_pavement(one) for one in _entries(top, 'pavements', _PAVEMENT_KEYS)),
         lines=tuple(_line(one) for one in _entries(top, 'lines', _LINE_KEYS)),
         routes=tuple(_route(one) for one in _entries(top, 'routes', _ROUTE_KEYS)),
+        tracks=_tracks(top, checked=not shipped),
         document=canonical(values),
         shipped=shipped,
     )
@@ -102,7 +112,7 @@ def _matching(section: Section, key: str, pattern: re.Pattern[str], kind: str) -
 
 
 def _entries(section: Section, key: str, known: tuple[str, ...]) -> list[Section]:
-    """A list of mappings that may be left out."""
+    """Sections of an optional list of mappings."""
     return section.sections(key, known) if key in section else []
 
 
@@ -148,7 +158,7 @@ def _runway(section: Section, zone: str) -> Runway:
 def _extent(
     section: Section, near: tuple[float, float], far: tuple[float, float], elevation_m: float
 ) -> tuple[float, float]:
-    """Length [m] and true bearing [deg]: of the ends, or near these as they are published."""
+    """Length [m] and true bearing [deg]: as published, if close to those of the ends."""
     length_m, bearing_deg = _measured(near, far, elevation_m)
     if not LEAST_LENGTH_M <= length_m <= MOST_LENGTH_M:
         raise section.wrong(
@@ -169,9 +179,9 @@ def _extent(
 def _measured(
     near: tuple[float, float], far: tuple[float, float], elevation_m: float
 ) -> tuple[float, float]:
-    """Distance of two points [m], and true bearing of the second at the first [deg].
+    """Distance between two points [m], and true bearing from the first to the second [deg].
 
-    By the ellipsoid's radii of curvature at the middle (mid-latitude formula; WGS84): better than a
+    Mid-latitude formula with the WGS84 ellipsoid's radii of curvature; the error is below a
     centimetre for the length of a runway.
     """
     squared = _FLATTENING * (2 - _FLATTENING)
@@ -228,6 +238,7 @@ def _crossing(section: Section, length_m: float) -> Crossing:
 _PAVEMENT_KEYS = ('surface', 'outline_m', 'holes_m')
 _LINE_KEYS = ('style', 'points_m')
 _ROUTE_KEYS = ('name', 'one_way', 'on_runway', 'points_m')
+_TRACK_KEYS = ('name', 'title', 'width_m', 'painted', 'points_m', 'radius_m')
 
 
 def _pavement(section: Section) -> Pavement:
@@ -257,6 +268,43 @@ def _route(section: Section) -> TaxiRoute:
         on_runway=section.switch('on_runway') if 'on_runway' in section else False,
         points=_points(section, points, 'points_m', 2),
     )
+
+
+def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
+    found: dict[str, Track] = {}
+    for section in _entries(top, 'tracks', _TRACK_KEYS):
+        name = document_name(section, 'exit_left')
+        if name in found or name == RUNWAY_TRACK:
+            raise section.wrong(f'there is a track {name} already', 'name')
+        found[name] = _track(section, name, checked=checked)
+    return tuple(found.values())
+
+
+def _track(section: Section, name: str, *, checked: bool) -> Track:
+    points = _points(section, section.take('points_m', 'points'), 'points_m', 2)
+    width_m = section.number('width_m', LEAST_TRACK_M, MOST_WIDTH_M)
+    try:
+        track = make_track(
+            name, section.text('title', name, kind='a title'), width_m, points,
+            _radii(section, len(points) - 2),
+            painted=section.switch('painted') if 'painted' in section else True,
+        )
+        if checked:  # for shipped ones a test does it, once
+            check_room(track)
+    except ValueError as error:
+        raise section.wrong(f'the track {error}', 'points_m') from None
+    return track
+
+
+def _radii(section: Section, corners: int) -> tuple[float, ...]:
+    """Radius of the arc at each corner: one number for all, or a list."""
+    if not corners:
+        if 'radius_m' in section:
+            raise section.wrong('has no effect: two points have no corner between them', 'radius_m')
+        return ()
+    if isinstance(section.take('radius_m', 'a number of metres'), list):
+        return section.numbers('radius_m', corners, LEAST_RADIUS_M, _FARTHEST_M)
+    return (section.number('radius_m', LEAST_RADIUS_M, _FARTHEST_M),) * corners
 
 
 def _points(section: Section, value: object, key: str, least: int) -> Polygon:

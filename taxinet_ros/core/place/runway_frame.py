@@ -1,11 +1,11 @@
 """The runway frame ``map``: conversion between ``map`` and geodetic coordinates.
 
 x and y are coordinates of a rigid tangent frame: its plane touches the ground at the threshold, x
-points at the far end of the centreline, y is left of it. Height and attitude are taken from the
-level ground below the point instead, because the picture and the flat runway mean those; over
-3 km the ground falls 0.7 m below the tangent plane and tilts by 0.03 degrees. True heading is
-turned into yaw at the point itself, so the convergence of the meridians (0.02 degrees from one
-end of the runway to the other) does not leak into the heading error.
+points to the far end of the centreline, y to the left. Height and attitude refer to the level
+ground below the point instead, as camera and flat runway require; over 3 km the ground falls 0.7 m
+below the tangent plane and tilts by 0.03 degrees. True heading is converted to yaw at the point
+itself, so the meridian convergence (0.02 degrees over the length of the runway) does not affect the
+heading error.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _ecef(latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vecto
 
 
 def _north_east(latitude_rad: float, longitude_rad: float) -> tuple[Vector, Vector]:
-    """Unit vectors to the north and to the east at a point, in ECEF."""
+    """Unit vectors north and east at a point, in ECEF."""
     sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
     sin_lon, cos_lon = math.sin(longitude_rad), math.cos(longitude_rad)
     return (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat), (-sin_lon, cos_lon, 0.0)
@@ -74,17 +74,17 @@ class RunwayFrame:
 
     Attributes:
         length_m: distance from the threshold to the far end of the centreline [m].
-        elevation_m: height of the ground above the ellipsoid [m], the same everywhere.
+        elevation_m: height of the ground above the ellipsoid [m], constant.
     """
 
     def __init__(
         self, threshold_deg: tuple[float, float], end_deg: tuple[float, float], elevation_m: float
     ) -> None:
-        """Lay the frame along a centreline.
+        """Align the frame with a centreline.
 
         Args:
             threshold_deg: geodetic latitude and longitude of the origin [deg].
-            end_deg: the same of the far end of the centreline, on the x axis [deg].
+            end_deg: latitude and longitude of the far end of the centreline, on the x axis [deg].
             elevation_m: height of the ground above the ellipsoid [m].
         """
         latitude, longitude = (math.radians(angle) for angle in threshold_deg)
@@ -105,7 +105,7 @@ class RunwayFrame:
         )
 
     def to_map(self, pose: GeodeticPose) -> MapPose:
-        """Measure: where a pose on the Earth lies in ``map``."""
+        """Convert a geodetic pose to ``map``."""
         point = _ecef(pose.latitude_rad, pose.longitude_rad, pose.altitude_m)
         x_m, y_m, _ = self._tangent(point)
         (north_x, north_y), (east_x, east_y) = self._compass(pose.latitude_rad, pose.longitude_rad)
@@ -114,11 +114,11 @@ class RunwayFrame:
         return MapPose(x_m=x_m, y_m=y_m, z_m=pose.altitude_m - self.elevation_m, yaw_rad=yaw_rad)
 
     def to_geodetic(self, pose: MapPose) -> GeodeticPose:
-        """Place: which pose on the Earth a pose in ``map`` is; the inverse of :meth:`to_map`."""
+        """Convert a pose in ``map`` to a geodetic one; the inverse of :meth:`to_map`."""
         altitude_m = self.elevation_m + pose.z_m
         up_m = pose.z_m
-        # The height is above the ground, not above the tangent plane: each round lands on the
-        # wanted altitude and corrects the sideways slip, which shrinks 2000-fold per round.
+        # The height is above the ground, not above the tangent plane: each iteration corrects the
+        # altitude and the lateral error, which shrinks 2000-fold per iteration.
         for _ in range(3):
             latitude, longitude, reached_m = self._geodetic(pose.x_m, pose.y_m, up_m)
             up_m += altitude_m - reached_m
@@ -151,7 +151,7 @@ class RunwayFrame:
     def _compass(
         self, latitude_rad: float, longitude_rad: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """North and east at a point, as seen from above in ``map``."""
+        """Horizontal components in ``map`` of north and east at a point."""
         north, east = _north_east(latitude_rad, longitude_rad)
         return (
             (_dot(north, self._x), _dot(north, self._y)),

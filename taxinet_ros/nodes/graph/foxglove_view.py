@@ -28,7 +28,7 @@ def check_port(port: int) -> None:
         raise UsageError(f'--foxglove: {NOT_INSTALLED}')
     try:
         with socket.socket() as probe:
-            # As the server does: a port closed a moment ago counts as free.
+            # As in the server: a recently closed port counts as free.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((HOST, port))
     except (OSError, OverflowError) as error:

@@ -81,7 +81,7 @@ class NodePlan:
     """One node to start.
 
     Attributes:
-        name: of the node.
+        name: name of the node.
         executable: executable of this package; '' for a user's command.
         parameters: parameters that override the parameter file.
         command: program and arguments of a user's command; empty for a node of this package.
@@ -193,7 +193,7 @@ def parameter_file(words: Mapping[str, str], share: Path) -> str:
     """The file with the nodes' parameters.
 
     Args:
-        words: as of :func:`plan`.
+        words: see :func:`plan`.
         share: share folder of this package.
 
     Raises:
@@ -210,7 +210,7 @@ class Ending:
 
     Attributes:
         code: exit code of the campaign, or of the node that refused its parameters; None until the
-        launch ends.
+            launch ends.
         why: the reason as text.
     """
 
@@ -229,7 +229,7 @@ class Ending:
         """Record that a process has ended.
 
         Args:
-            pid: of the process.
+            pid: id of the process.
             name: name of the node, if it belongs to the graph.
             code: its exit code; negative: the signal.
 

@@ -37,7 +37,7 @@ class NodeProcess(ChildProcess):
         """Start it.
 
         Args:
-            name: of the node.
+            name: name of the node.
             command: program and arguments.
             domain: ROS domain to join.
             log: file for its output.
@@ -59,7 +59,7 @@ class NodeProcess(ChildProcess):
         """Start a user's command as a node, including its child processes.
 
         Args:
-            name: of the node.
+            name: name of the node.
             command: program and arguments.
             domain: ROS domain to join.
             log: file for its output.
@@ -82,7 +82,7 @@ class NodeProcess(ChildProcess):
         """Start a node of this package; Linux kills it when its parent dies.
 
         Args:
-            name: of the node.
+            name: name of the node.
             kind: node class whose module is the program.
             parameters: the node's ROS parameters.
             domain: ROS domain to join.

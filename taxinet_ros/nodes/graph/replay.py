@@ -137,7 +137,7 @@ class Player(Node):
         try:
             step = next(self._steps, None)
         except Exception as error:
-            # It belongs to the caller of the replay, not to the executor.
+            # For the caller of the replay, not for the executor.
             self.finished.set_exception(error)
             return
         if step is None:
@@ -173,11 +173,11 @@ def replay(
     Camera frames missing from the bag are rendered.
 
     Args:
-        recording: of a run.
+        recording: recording of a run.
         run: facts of the run, possibly modified.
         target: one of :data:`TARGETS`.
         perception: word or file of the perception, if that is the target.
-        controller: word of the controller, likewise.
+        controller: word of the controller, if that is the target.
 
     Returns:
         The node's answers, by the names of :attr:`.recording.Recording.columns`: ``seq`` and the

@@ -56,18 +56,18 @@ class GraphOptions:
             :mod:`taxinet_ros.core.user_code`.
         out: folder for the bags, one folder per run.
         make_out: whether to create a missing ``out``. A campaign creates its own, so if it is
-        missing, it was moved or deleted and must not be replaced.
+            missing, it was moved or deleted and must not be replaced.
         images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], if not default.
-        patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
+        patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], if not default.
         controller: ``steering``, ``FILE.py:NAME``, or a word of :mod:`taxinet_ros.core.user_code`.
         controller_sha256: required hash of the controller's file and the files it lists, so that a
         change during a campaign is detected; '' for any.
         alone: whether only this process may request runs; others are not recorded.
         timing: timing of answers.
         world: name of the world that runs take place in.
-        world_sha256: what the package that brings it has to be; '' where it may be any.
+        world_sha256: required hash of the package that provides it; '' for any.
     """
 
     perception: str
@@ -136,7 +136,7 @@ def campaign_graph(
     Args:
         campaign: campaign whose folder exists.
         controller_sha256: recorded hash of its controller.
-        world_sha256: likewise of the package that brings its world, or ''.
+        world_sha256: recorded hash of the package that provides its world, or ''.
     """
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
@@ -278,7 +278,7 @@ def node_processes(
         domain: ROS domain of the nodes.
         logs: folder for their output.
         without: names of nodes to leave out.
-        remaps: remap remap rules for every node, ``FROM:=TO``.
+        remaps: remap rules for every node, ``FROM:=TO``.
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []

@@ -28,7 +28,7 @@ class UpOptions:
         record: whether there is a recorder.
         domain: ROS domain; None for a free one.
         namespace: absolute namespace of every name in the graph, including its clock; graphs with
-        different namespaces may share a domain set by the user.
+            different namespaces may share a domain set by the user.
         care: supervision options.
     """
 

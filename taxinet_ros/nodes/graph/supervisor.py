@@ -80,7 +80,7 @@ class Pulse:
         self.answered = False
 
     def begin(self, now_s: float) -> None:
-        """Its process starts now: earlier requests will not be answered."""
+        """Reset at the start of its process: earlier requests will not be answered."""
         while self._questions:
             self._forget()
         self.answered = False
@@ -227,7 +227,7 @@ class RunWatch:
         return True
 
     def _follow(self, run_id: str, *, running: bool) -> None:
-        """On news of a run, report deaths that concern it.
+        """Report earlier deaths that concern a run that has become known.
 
         If no node has joined since a death, the run belongs to the dead simulator, or started when
         the dead node was ready.

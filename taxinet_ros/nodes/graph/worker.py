@@ -103,7 +103,7 @@ class _Outbox:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Work until there is no more to do.
+    """Serve run requests until there are no more.
 
     Returns:
         Exit code: 0, or 2 after a usage error.
@@ -133,7 +133,7 @@ def _work(options: GraphOptions, outbox: _Outbox) -> None:
 
     from taxinet_ros.nodes.graph.runner import composed_graph
 
-    cv2.setNumThreads(1)  # the workers share the cores among themselves
+    cv2.setNumThreads(1)  # the workers share the cores
     inbox, end = _Inbox(), threading.Event()
     threading.Thread(target=inbox.listen, daemon=True).start()
     with composed_graph(options) as graph:

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from taxinet_ros.core.mtl import Assumptions, Spec, parse_assumptions, parse_spec
+from taxinet_ros.core.mtl import Assumptions, Spec, check_read, parse_assumptions, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.mtl.live.sample_hold import Sample, SampleHold
 from taxinet_ros.core.mtl.live.signal_source import SignalSource, parse_signals
@@ -114,10 +114,11 @@ def declared_options(node: Node) -> LiveMonitorOptions:
     try:
         found = parse_signals(given['signals'])
         names = {source.name: source.unit for source in found}
+        specs = _parse_specs(given['specs'], names, horizon_ns)
         return LiveMonitorOptions(
             sources=found,
-            specs=_parse_specs(given['specs'], names, horizon_ns),
-            assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names)),
+            specs=specs,
+            assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names), specs),
             sampled_on=_sampler(given['sampled_on'], given['period'], found),
             period_ns=round(given['period'] * NS_PER_S),
             max_age_ns=round(given['max_age'] * NS_PER_S),
@@ -153,10 +154,12 @@ def _parse_specs(
 
 
 def _parse_assumptions(
-    bounds: Sequence[str], rates: Sequence[str], signals: Sequence[str]
+    bounds: Sequence[str], rates: Sequence[str], signals: Sequence[str], specs: Sequence[Spec]
 ) -> Assumptions:
     try:
-        return parse_assumptions(bounds, rates, signals)
+        found = parse_assumptions(bounds, rates, signals)
+        check_read(found, (spec.formula for spec in specs))
+        return found
     except UsageError as error:
         kind, _, rest = str(error).partition(' ')
         raise UsageError(f'{kind}s: {rest}') from None
@@ -236,7 +239,7 @@ class LiveMonitor(Node):
         try:
             return self.resolve_topic_name(source.topic)
         except rclpy_implementation.RCLError as error:
-            # The rest of the message is the place in the C code.
+            # The rest of the message is a location in C code.
             reason = str(error).split(', at /')[0]
             raise UsageError(
                 f"{self.get_name()}: parameter signals: '{source}': {reason}"

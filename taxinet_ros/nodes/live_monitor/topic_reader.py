@@ -88,7 +88,7 @@ def qos_words(qos: QoSProfile) -> str:
 
 
 def _is_interface_package(package: str) -> bool:
-    spec = importlib.util.find_spec(package)  # of a top-level name: does not execute it
+    spec = importlib.util.find_spec(package)  # for a top-level name, this does not execute it
     folders = (spec.submodule_search_locations if spec else None) or []
     return any(
         Path(folder, 'msg', '__init__.py').is_file()

@@ -95,16 +95,16 @@ class ActiveRun:
         """Build the world of the goal's scenario.
 
         Args:
-            goal: of the action.
-            executor: of the node.
+            goal: goal of the action.
+            executor: executor of the node.
             timing: timing of answers.
             make_world: factory of the world.
 
         Raises:
-            UsageError: the scenario has a value out of range, no name that a folder can have, an
-                unknown rule to stop, no formula, one that is none or that a run of this length
-                cannot be judged by, an assumption that is none, or lacks a node that every run
-                needs, or names one that no run has.
+            UsageError: the scenario has a value out of range, a name that is no valid folder name,
+                an unknown stop rule, no formula, an invalid one or one that cannot be evaluated on
+                a run of this length, an invalid assumption, a missing required node, or an unknown
+                node.
             InfraError: the world cannot be built.
         """
         message = goal.request.scenario
@@ -119,7 +119,7 @@ class ActiveRun:
         judging = Judging.from_message(message)
         _ = judging.assumptions  # refused if invalid
         scenario = scenario_of(message)
-        check_specs(judging.parsed_specs, scenario.duration_s, runway=scenario.runway)
+        check_specs(judging.parsed_specs, scenario)
         self.world = make_world(scenario)
         self.camera = scenario.camera_model
         self.first = rolling_on(scenario.speed_mps)
@@ -219,7 +219,7 @@ class RunHealth:
             self._broken = f'run {run_id} broke: {status.kind} {status.who}: {status.detail}'
 
     def look(self, run: ActiveRun | None, waits_for: str) -> Health:
-        """What to tell.
+        """Health since the last look.
 
         Args:
             run: the current run, if any.

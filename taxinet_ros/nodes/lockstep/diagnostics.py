@@ -25,7 +25,6 @@ PARAMETER = Parameter(
 )
 PATIENCE_S = 2.0
 """Waiting time [s] after which a node reports a warning."""
-"""Figures of a free run, see :meth:`.FreeRunAccount.figures`; 0 in lockstep."""
 
 
 @dataclass(frozen=True, kw_only=True)

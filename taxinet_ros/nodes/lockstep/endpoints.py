@@ -6,7 +6,7 @@ run's first messages.
 
 The publishers of a run's topics are pinned at READY; no others are allowed after that. DDS reports
 each matched publisher to a subscription before its first message arrives, and counts them, so a
-publisher that joins, publishes once and leaves is noticed too. rclpy does not tell who sent a
+publisher that joins, publishes once and leaves is noticed too. rclpy does not report who sent a
 message; so a run into which another node has published, or could have, has no verdict.
 """
 
@@ -88,12 +88,12 @@ def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) 
 
 
 def why_silent(node: Node, name: str, names: Sequence[str]) -> str:
-    """What a node of a graph lacks that says nothing, or '': a topic, or an end that fits.
+    """Reason why a node of a graph is silent, or '': a missing topic or incompatible endpoint.
 
     Args:
-        node: who looks.
-        name: of the silent one.
-        names: of the nodes that belong to the graph.
+        node: the observing node.
+        name: name of the silent node.
+        names: names of the nodes of the graph.
     """
     if why := missing_nodes(node, names).get(name):
         return why
@@ -288,9 +288,9 @@ class HeardSpeakers(Speakers):
 
         Args:
             node: the subscribing node.
-            topic: what.
+            topic: the topic.
             callback: called with messages, or their bytes if ``raw``.
-            raw: see above.
+            raw: whether to pass raw bytes.
             on_match: called after a publisher was matched or lost.
             qos: QoS of the subscription, if not the topic's.
         """

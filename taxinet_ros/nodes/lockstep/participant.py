@@ -41,7 +41,7 @@ class Participant(Node):
         run_id: the run the node is prepared for, or ''.
         implementation: name of the implementation; recorded in every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
-        origin: what of which package it is (:func:`.registry.origin_words`), or ''.
+        origin: package that provides it (:func:`.registry.origin_words`), or ''.
         silent_looks: number of :meth:`may_leave` calls since the last message.
     """
 
@@ -268,7 +268,7 @@ class Participant(Node):
     ) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
-            if message is not None:  # else a timer's
+            if message is not None:  # None for a timer
                 self.silent_looks = 0
             if begins:
                 self._begun = True

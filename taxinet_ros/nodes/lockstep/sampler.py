@@ -30,7 +30,13 @@ from taxinet_ros.nodes.running.parameters import Parameter, declare_all
 
 _WATCH_PERIOD_S = 0.1
 _SILENT_LOOKS = 20
+"""Number of checks without a message, after an interrupt, until the simulator counts as gone."""
 _ASK_AGAIN_S = 2.0
+"""Silence [s] after which the result is requested again.
+
+The simulator reports progress several times a second, so it may have ended the run. Its result can
+be lost (once in 3,900 tests on a busy machine) and is kept for a while.
+"""
 PATIENCE = (
     Parameter(
         name='server_timeout', default=30.0, limits=(0.1, 3600.0),
@@ -134,7 +140,7 @@ class ScenarioSampler(Node):
             self._death_notices.publish(notice)
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
-        """End the run in place of the simulator."""
+        """End the run on behalf of the simulator."""
         assert self._request is not None
         assert self._answer is not None
         if kind == InfraKind.DIED:
@@ -236,7 +242,7 @@ class ScenarioSampler(Node):
         if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
             return
         request = self._request
-        half_m = request.scenario.runway.half_width_m if request else KMWH_HALF_WIDTH_M
+        half_m = request.scenario.line.half_width_m if request else KMWH_HALF_WIDTH_M
         result = result_of(found.result, half_m)
         servers = self._servers()
         strangers = [who for gid, who in servers.items() if gid not in self._asked_of]

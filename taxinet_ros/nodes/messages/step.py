@@ -44,11 +44,12 @@ class Motion(NamedTuple):
     """Monitored values of odometry.
 
     Attributes:
-        x_m: position along the runway [m].
+        x_m, y_m: position in ``map`` [m].
         speed_mps: ground speed along the body x axis [m/s].
     """
 
     x_m: float
+    y_m: float
     speed_mps: float
 
 
@@ -65,7 +66,8 @@ def _read_command(message: Any) -> StepMessage:
 
 
 def _read_motion(message: Any) -> StepMessage:
-    motion = Motion(message.pose.pose.position.x, message.twist.twist.linear.x)
+    at = message.pose.pose.position
+    motion = Motion(at.x, at.y, message.twist.twist.linear.x)
     return StepMessage(stamp_of(message.header.stamp), motion)
 
 

@@ -34,7 +34,7 @@ from taxinet_ros.nodes.node_check.record import (
 )
 
 BOTH: Final = ('perception', 'controller')
-"""First poses used for questions: cross-track error [m] and heading error [rad]."""
+"""The roles of a clause that applies to both."""
 _DEGREES = 180.0 / math.pi
 _GRACES_S: Final = {'SIGINT': SIGINT_GRACE_S + SIGTERM_GRACE_S, 'SIGTERM': SIGTERM_GRACE_S}
 _STEERING_LIMIT_RAD, _SPEED_LIMIT_MPS = math.pi / 3, 10.0
@@ -126,7 +126,7 @@ CLAUSES: Final = (
            informative=True),
     Clause('limits', 'largest angle and speed', roles=('controller',), informative=True),
 )
-"""In order of evaluation; clauses blocked by the first broken one are not tried."""
+"""Clauses in order of evaluation; those blocked by the first broken one are not tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -534,8 +534,7 @@ def _disorder(record: Record) -> Judged:
         f'{one.kind}: {"answered" if one.answers else "no answer"}' for one in odd
     )
 
-# Plausibility of its answers
-# ---------------------------------------------------------------------------
+# Plausibility of its answers ---------------------------------------------------------------------
 
 
 def _accuracy(record: Record) -> Judged:

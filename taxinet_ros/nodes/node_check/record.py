@@ -15,6 +15,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 
 SIDES: Final = ((3.0, 0.0), (-3.0, 0.0), (0.0, 0.2), (0.0, -0.2))
+"""First poses used for questions: cross-track error [m] and heading error [rad]."""
 _FOREVER_NS = 2**63 - 1
 
 

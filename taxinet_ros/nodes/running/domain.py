@@ -21,8 +21,8 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 
 _BASE, _PER_DOMAIN = 7400, 250
-"""PB and DG of DDSI-RTPS 2.2, section 9.6.1.1: where the ports of a domain begin, and how many
-there are: of those who listen to all, and of each participant."""
+"""PB and DG of DDSI-RTPS 2.2, section 9.6.1.1: first port of domain 0, and number of ports per
+domain (multicast ports and those of each participant)."""
 
 
 def anybody_here(domain: int) -> bool | None:
@@ -32,8 +32,8 @@ def anybody_here(domain: int) -> bool | None:
         domain: a ROS domain id, 0 to 232.
 
     Returns:
-        True also if another program uses one of the ports. None if ports do not tell: with another
-        middleware than Fast DDS, or if used ports cannot be listed.
+        True also if another program uses one of the ports. None if ports are not conclusive: with
+        another middleware than Fast DDS, or if used ports cannot be listed.
     """
     if not get_rmw_implementation_identifier().startswith('rmw_fastrtps'):
         return None
@@ -55,13 +55,13 @@ _PEERS = 'ROS_STATIC_PEERS'
 """ROS 2 environment variable of static discovery peers."""
 _RESERVED = 'TAXINET_RESERVED_DOMAIN'
 """Environment variable that tells a child which domain its parent has reserved."""
-# Participants announce themselves every 3 s, and their endpoints too: what was missed at first on a
-# busy machine is found after one period (3.4 s was seen) or two.
+# Participants announce themselves and their endpoints every 3 s: what was missed at first on a busy
+# machine is found after one period (3.4 s was observed) or two.
 _LOOK_S, _LOOK_FAR_S = 7.0, 3.5
 _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 _CHOICE = 100
-"""Number of domains to choose from: the ports of those above are given away by Linux."""
+"""Number of domains to choose from: Linux assigns the ports of higher ones dynamically."""
 # Each graph starts its search after the previous one's domain, to avoid remains of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
 _made_sure_of: set[tuple[int, str]] = set()
@@ -71,17 +71,17 @@ _made_sure_of: set[tuple[int, str]] = set()
 def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]:
     """Reserve a ROS domain id that is not in use, even by programs that reserve none.
 
-    Discovery stays on this machine unless the user has set another range. Of the domains from 1 to
-    100 those are passed over that are reserved, and those where anybody is: that is told by the
-    ports of DDS, in some hundredths of a second. Where they do not tell (nodes on other machines
-    may be meant, or another middleware is used) each is listened to for some seconds.
-    ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools; a domain
-    that was set by hand is looked at for some seconds first, unless nobody is there.
+    Discovery is limited to this machine unless the user has set another range. Of the domains from
+    1 to 100, reserved ones and those in use are skipped; the DDS ports show use within a few
+    hundredths of a second. If ports are not conclusive (discovery may reach other machines, or
+    another middleware is used), each domain is observed for some seconds. ``TAXINET_DOMAIN_ID``
+    sets the domain by hand, to inspect the graph with other tools; such a domain is observed for
+    some seconds first, unless it is unused.
 
     Args:
         wanted: the domain; default ``TAXINET_DOMAIN_ID``, else a free one.
-        namespace: of the graph, absolute; where it has one, a domain that was set may be that of
-            other graphs too, which have others.
+        namespace: absolute namespace of the graph; graphs with different namespaces may share a
+            domain set by the user.
 
     Raises:
         UsageError: a domain set by hand is invalid or belongs to another graph, or none is free.
@@ -101,7 +101,7 @@ def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]
 
 
 def domain_by_hand() -> int | None:
-    """The domain that ``TAXINET_DOMAIN_ID`` sets, if it does.
+    """The domain set by ``TAXINET_DOMAIN_ID``, if any.
 
     Raises:
         UsageError: it is invalid, or belongs to another graph.
@@ -139,7 +139,7 @@ def domain_number(text: str, where: str) -> int:
         where: option or variable, for the error message.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not a domain id.
     """
     if not (text.isascii() and text.isdecimal() and int(text) <= HIGHEST):
         raise UsageError(f'{where} {text!r}: a ROS domain is an integer from 0 to {HIGHEST}')
@@ -150,11 +150,11 @@ def refuse_neighbours(domain: int, namespace: str = '/') -> None:
     """Check that no other graph is on a domain; once per process, some seconds if it is in use.
 
     Args:
-        domain: where to look.
-        namespace: absolute; graphs with other ones do not count.
+        domain: the domain.
+        namespace: absolute namespace; graphs with other ones do not count.
 
     Raises:
-        UsageError: another graph is there; the message names its node.
+        UsageError: there is another graph; the message names its node.
     """
     clock = f'{namespace.rstrip("/")}{interface.CLOCK.name}'
     if (domain, clock) in _made_sure_of:
@@ -234,7 +234,7 @@ def another_graph(domain: int, names: list[str], clock: str = interface.CLOCK.na
 
 @contextlib.contextmanager
 def _free() -> Iterator[tuple[int, bool]]:
-    """A domain chosen, reserved, and then checked to be free."""
+    """Choose and reserve a domain, then check that it is free."""
     for _ in range(_CHOICE):
         with contextlib.ExitStack() as stack:
             domain, reserved = stack.enter_context(_reserved(next(_domains)))
@@ -247,7 +247,7 @@ def _free() -> Iterator[tuple[int, bool]]:
 @contextlib.contextmanager
 def _reserved(domain: int) -> Iterator[tuple[int, bool]]:
     """Reserve a domain; yields whether it succeeded."""
-    # Entered and left by hand: the library's manager swallows an OSError of its body.
+    # Entered and left explicitly: the library's context manager swallows an OSError of its body.
     reservation = domain_id(lambda: domain)
     try:
         reservation.__enter__()

@@ -23,7 +23,7 @@ class NodeExecutor:
         """Join a domain.
 
         Args:
-            domain: its id.
+            domain: domain id.
             executor: factory of the executor, called with the keyword ``context``.
         """
         self.context = Context()

@@ -141,8 +141,8 @@ def run_node(
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
             :class:`InfraError`, which exits 4.
         work: called with the node and its executor; spins until the work is done and returns the
-        exit code, handling interrupts itself. None: spin until stopped, or until the node's future
-        ``ended`` is done, if any.
+            exit code, handling interrupts itself. None: spin until stopped, or until the node's
+            future ``ended`` is done, if any.
         usage: usage text of the executable; a command line with other than ROS arguments exits 2
             with one line.
     """
@@ -152,7 +152,7 @@ def run_node(
     try:
         if read_arguments(usage, sys.argv):
             sys.exit(ExitCode.OK)
-        # Where it is too high Fast DDS ends the process, with 1; of -1 ROS makes 0.
+        # If it is too high, Fast DDS exits with 1; ROS converts -1 to 0.
         domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
@@ -165,7 +165,7 @@ def run_node(
             handle_signals(raise_interrupt)
             code = work(node, executor) if work else _serve(node, executor)
         finally:
-            # Only leaving is left, which may be interrupted.
+            # Only the shutdown remains, which may be interrupted.
             handle_signals(exit_handler(code))
             waiting.end()
             _leave(node, executor)
@@ -181,7 +181,7 @@ def run_node(
     except rclpy.exceptions.InvalidHandle as error:
         code = complain(str(error), ExitCode.INFRA)
     except _BAD_ARGUMENTS as error:
-        # The rest of the message is the place in the C code.
+        # The rest of the message is a location in C code.
         code = complain(' '.join(str(error).split(', at /')[0].split()), ExitCode.USAGE)
     handle_signals(exit_handler(code))
     rclpy.try_shutdown()
@@ -203,7 +203,7 @@ def _serve(node: Any, executor: Any) -> int:
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
-        # Looks are counted and no seconds, which a busy machine would take away.
+        # Counts checks instead of seconds, so that a busy machine gets more time.
         for _ in range(round(GRACE_S / _LOOK_S)):
             if ended.done() or asked_again.is_set() or may_leave():
                 break

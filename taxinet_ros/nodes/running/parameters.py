@@ -37,7 +37,7 @@ class Parameter:
     Attributes:
         name: lower_snake_case.
         default: default value, which also sets the type. An empty list would have no type, so one
-        empty string stands for none.
+            empty string stands for none.
         description: one line with the unit.
         limits: minimum and maximum of a number, both allowed.
         words: allowed values of a text.
@@ -87,7 +87,7 @@ def declare(node: Node, parameter: Parameter) -> Any:
     where = f'{node.get_name()}: parameter {parameter.name}'
     given = node._parameter_overrides.get(parameter.name)
     if given is not None and isinstance(parameter.default, float) and type(given.value) is int:
-        # rclpy would refuse timeout:=5, and ask for a type in place of 5.0.
+        # rclpy would refuse timeout:=5 and report a type error instead of asking for 5.0.
         double = Given(parameter.name, value=float(given.value))
         node._parameter_overrides[parameter.name] = double
     try:
@@ -224,7 +224,7 @@ def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
     """Check that a command line has only ROS arguments.
 
     Args:
-        usage: of the executable.
+        usage: usage of the executable.
         arguments: the command line, the program first.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Remaps that part a node from the rest of its graph, which ROS takes without a word."""
+"""Detect remaps that separate a node from the rest of its graph, which ROS accepts silently."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _TOPICS = (*interface.TOPICS, interface.OBITUARY)
 
 
 def cut_off(node: Node) -> list[str]:
-    """What remaps have parted a node from, a line for each topic of the table.
+    """One line for each topic of the table on which a remap separates the node from its peers.
 
-    A remap parts a node where those whom it is to meet are found on another topic, and not on its
-    own: one that all nodes share does not, and the first node that is up knows of none yet.
+    A remap separates a node if its peers are found on another topic and not on its own. So a remap
+    shared by all nodes does not, and the first node of a graph reports none yet.
     """
     spoken = {end.topic_name for end in node.publishers}
     heard = {end.topic_name for end in node.subscriptions}
@@ -25,7 +25,7 @@ def cut_off(node: Node) -> list[str]:
     lines = []
     for topic in _TOPICS:
         own = node.resolve_topic_name(topic.name)
-        # A graph in a namespace has all topics there, also the clock, whose name is absolute.
+        # A graph in a namespace has all topics in it, including the clock, whose name is absolute.
         if own in (node.resolve_topic_name(topic.name, only_expand=True),
                    f'{space}/{topic.name.lstrip("/")}'):
             continue
@@ -46,17 +46,17 @@ def cut_off(node: Node) -> list[str]:
 def elsewhere(
     node: Node, topic: Topic, names: Collection[str], *, publish: bool
 ) -> list[tuple[str, str]]:
-    """What nodes have in the place of a topic of the table, after a remap or in another namespace.
+    """Topics that nodes use instead of one of the table, after a remap or in another namespace.
 
     Args:
-        node: who looks.
-        topic: of the table.
-        names: of the nodes.
-        publish: whether they publish, or subscribe.
+        node: the observing node.
+        topic: topic of the table.
+        names: names of the nodes.
+        publish: whether they publish; else they subscribe.
 
     Returns:
-        Name of the node, and a topic of the same type that is none of the table and of no other
-        whole graph.
+        Name of the node, and a topic of the same type that is neither in the table nor part of
+        another complete graph.
     """
     graphs = {
         space for name, space in node.get_node_names_and_namespaces()
@@ -73,8 +73,8 @@ def elsewhere(
 
 
 def _ends(node: Node, topic: str, *, publish: bool) -> list[Any]:
-    """All ends of one kind on an absolute topic."""
-    # By its name in DDS: to any other rclpy would apply the rules of the node that looks.
+    """All endpoints of one kind on an absolute topic."""
+    # By its DDS name, since rclpy would apply the remap rules of the observing node to others.
     if publish:
         return list(node.get_publishers_info_by_topic(f'rt{topic}', no_mangle=True))
     return list(node.get_subscriptions_info_by_topic(f'rt{topic}', no_mangle=True))

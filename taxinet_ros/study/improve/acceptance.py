@@ -1,8 +1,8 @@
 """Acceptance test of a retrained network against its predecessor on the same unseen scenes.
 
-It has to be better in something, and *not worse* in failures anywhere that was looked at. That few
-failures more were seen proves nothing of that: it has to be shown that failures did not become more
-by as much as a margin (non-inferiority), over all scenes and in each place.
+It must be better in some respect, and *not worse* in failures anywhere examined. A small observed
+increase is no proof of that: the increase must be shown to be smaller than a margin
+(non-inferiority), over all scenes and in each place.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from scipy.stats import norm
 
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region, interval_cells
 from taxinet_ros.analysis.experiment.arms import ArmComparison, compare_arms
-from taxinet_ros.analysis.experiment.pairs import PairedRates
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.features import (
     CLOUDS_KIND,
@@ -47,20 +46,20 @@ class Decision:
     """Result of the acceptance test.
 
     Attributes:
-        accepted: whether the candidate is the network from now on.
-        why: in words, what decided.
-        pairs: scenes judged with both.
-        failed_before, failed_now: of them, with the incumbent and with the candidate.
-        only_before, only_now: failed with one of them only.
-        failures_p: two-sided exact McNemar test of whether they fail equally often.
-        more_failures: upper bound, at the level of the test, of how much more often the candidate
-            fails: a difference of rates.
-        rho_change: typical change of the headline's robustness [m, or as its predicate].
+        accepted: whether the candidate replaces the incumbent.
+        why: text with the reason.
+        pairs: number of scenes judged with both.
+        failed_before, failed_now: failures among them, with the incumbent and with the candidate.
+        only_before, only_now: failures with only one of them.
+        failures_p: p value of the two-sided exact McNemar test for equal failure rates.
+        more_failures: upper bound, at the level of the test, of the candidate's failure rate minus
+            the incumbent's.
+        rho_change: typical change of the headline's robustness [m, or the unit of its predicate].
         rho_low, rho_high: its 95 % interval.
-        rho_p: two-sided Wilcoxon test of whether there is any.
-        off_before, off_now: runs that left the runway.
+        rho_p: p value of the two-sided Wilcoxon test for no change.
+        off_before, off_now: number of runs that left the runway.
         satisfied_low: lower end of the candidate's 95 % Clopper-Pearson interval.
-        worse: places in which it is not shown that failures did not become more by the margin.
+        worse: places in which non-inferiority by the margin is not shown.
     """
 
     accepted: bool
@@ -90,30 +89,31 @@ def decide(
     before: Sequence[RunRow], now: Sequence[RunRow], alpha: float, *, margin: float = MARGIN,
     place_margin: float = PLACE_MARGIN, causes: Sequence[Region] = (),
 ) -> Decision:
-    """Compare the runs of two networks over the scenes that were judged with both.
+    """Compare the runs of two networks over the scenes judged with both.
 
-    The candidate is accepted if it fails less often, or fails no more often and keeps to the
-    centreline better (robustness), at a level of ``alpha``; and if it is shown, at this level each,
-    that it neither fails nor leaves the runway more often by ``margin`` or more, nor fails more
-    often by ``place_margin`` or more in any quarter of the scenes along the runway, over the day,
-    by offset or by heading of the start, nor in rain or when it is dry under light or dark skies,
-    nor in a cause of the incumbent's failures or outside them all. All of this has to be shown, so
-    a network that is worse by a margin in any of it gets through with a probability of ``alpha`` at
-    most (intersection-union test: Berger, Technometrics 24, 1982).
+    The candidate is accepted if, at level ``alpha``, it fails less often, or fails no more often
+    and keeps to the centreline better (robustness). It must also be shown, each at this level, that
+    it neither fails nor leaves the runway more often by ``margin`` or more, and that it does not
+    fail more often by ``place_margin`` or more in any quarter of the scenes along the runway,
+    over the day, by offset or by heading of the start; in rain, or dry under light or dark skies;
+    in a cause of the incumbent's failures, or outside all causes. Since all of this must be shown,
+    a network that is worse by a margin in any of it is accepted with a probability of at most
+    ``alpha`` (intersection-union test: Berger, Technometrics 24, 1982).
 
     Args:
         before: runs of the incumbent.
-        now: runs of the candidate, of the same scenes.
+        now: runs of the candidate on the same scenes.
         alpha: probability, for either reason, of accepting a network that is no better.
-        margin: more failures that count as none, a difference of rates over all scenes.
-        place_margin: the same in a place, where there are fewer runs to tell by.
+        margin: tolerated increase of the failure rate over all scenes.
+        place_margin: tolerated increase in a place, where there are fewer runs.
         causes: regions of the incumbent's failures.
     """
     found = compare_arms(INCUMBENT, before, CANDIDATE, now)
     satisfied, off, rho = found.satisfied, found.off_runway, found.rho
     bounds = _places(found, causes, alpha, place_margin)
     worse = {name: bound for name, bound in bounds.items() if bound >= place_margin}
-    more, more_off = _more(satisfied, alpha), _more(off, alpha)
+    more = _bound(satisfied.only_first, satisfied.only_second, satisfied.pairs, alpha)
+    more_off = _bound(off.only_second, off.only_first, off.pairs, alpha)
     better = _better(found, alpha)
     refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
     why = refusal if better or satisfied.second < satisfied.first else ''
@@ -153,7 +153,7 @@ def _refusal(
     if more >= margin:
         return (f'may fail up to {100 * more:.1f} points more often on {satisfied.pairs} scenes; '
                 f'the margin is {100 * margin:g}')
-    # Where failures became fewer beyond doubt, so did the worst of them, unless one sees otherwise.
+    # A significant decrease of failures implies one of runs off the runway, unless more are seen.
     if satisfied.p_value > alpha and more_off >= margin:
         return (f'may leave the runway up to {100 * more_off:.1f} points more often on '
                 f'{satisfied.pairs} scenes; the margin is {100 * margin:g}')
@@ -165,26 +165,21 @@ def _refusal(
     return ''
 
 
-def _more(rates: PairedRates, alpha: float) -> float:
-    """Upper bound of how much rarer a yes has become, or more frequent for leaving the runway."""
-    return _bound(rates.only_first, rates.only_second, rates.pairs, alpha)
-
-
 def _places(
     found: ArmComparison, causes: Sequence[Region], alpha: float, place_margin: float
 ) -> dict[str, float]:
-    """Upper bound of how much more often the candidate fails in each place.
+    """Upper bound of the increase of the failure rate in each place.
 
-    What was mended in a cause must not make up for new failures beside it, so of every other place
-    only the part outside the causes counts. Parts that are too small to show anything are left to
-    the places that hold them.
+    Improvements in a cause must not compensate for new failures outside it, so of every other place
+    only the part outside the causes counts. Parts that are too small for a conclusion are covered
+    by the places that contain them.
     """
     if not found.pairs:
         return {}
     frame = feature_columns(table([one for one, _ in found.pairs]))
     before, now = np.array([
         [run.outcome is Outcome.FAIL for run in pair] for pair in found.pairs]).T
-    # Of so many pairs without any failure the bound is below the margin.
+    # With this many pairs and no failure, the bound is below the margin.
     least = math.ceil(float(norm.ppf(1 - alpha)) ** 2 * (1 - place_margin) / place_margin)
     inside = np.zeros(len(frame), dtype=bool)
     masks = {'no cause found': inside}
@@ -203,7 +198,7 @@ def _places(
 
 
 def _parts(frame: pd.DataFrame, most: int) -> Iterator[tuple[str, Mask]]:
-    """Stretches of the runway, of the day and of the start's pose, and skies."""
+    """Yield quantile ranges of runway, time of day and start pose, and kinds of sky."""
     for feature in (DISTANCE, TIME_OF_DAY, CROSS_TRACK, HEADING):
         values = frame[feature.name].to_numpy(dtype=np.float64)
         for low, high in zip(*interval_cells(values, max(most, 1))[:2], strict=True):
@@ -217,10 +212,10 @@ def _parts(frame: pd.DataFrame, most: int) -> Iterator[tuple[str, Mask]]:
 
 
 def _bound(more: int, fewer: int, pairs: int, alpha: float) -> float:
-    """Upper bound of a difference of paired rates, from the pairs that changed either way.
+    """Upper bound of a difference of paired rates, from the discordant pairs.
 
     The greatest difference that the score test of Tango (Statistics in Medicine 17, 1998) does not
-    reject in favour of a smaller one, at a one-sided level; 1 where there is no pair.
+    reject in favour of a smaller one, at a one-sided level; 1 without pairs.
     """
     if not pairs:
         return 1.0
@@ -234,7 +229,7 @@ def _bound(more: int, fewer: int, pairs: int, alpha: float) -> float:
 
 
 def _score(more: int, fewer: int, pairs: int, difference: float) -> float:
-    """Tango's statistic: how far what was seen lies above a difference, in standard errors."""
+    """Tango's statistic: observed minus given difference, in standard errors."""
     b = -more - fewer + (2 * pairs - more + fewer) * difference
     c = -fewer * difference * (1 - difference)
     fewer_rate = (math.sqrt(max(b * b - 8 * pairs * c, 0.0)) - b) / (4 * pairs)

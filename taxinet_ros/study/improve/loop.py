@@ -1,12 +1,12 @@
 """Improvement loop: falsify, retrain on failures, evaluate, keep if better.
 
-The paper went round it once and left further rounds to future work (its conclusion). Here each
-round looks for failures of the best network so far, trains it further on places along the
-failed runs among pictures of the whole world, runs both networks on scenes that neither has
-seen, and keeps the new one only where :mod:`.acceptance` finds it better.
+The paper performed one round and left further rounds to future work (its conclusion). Here each
+round searches for failures of the best network so far, trains it further on places along the
+failed runs mixed with pictures of the whole world, runs both networks on scenes that neither has
+seen, and keeps the new one only if :mod:`.acceptance` finds it better.
 
-The folder holds every stage's own folder, ``stages.jsonl``, ``rounds.jsonl`` with what each
-round decided and why, and ``best.safetensors`` with its card.
+The folder contains the folder of every stage, ``stages.jsonl``, ``rounds.jsonl`` with the decision
+of each round and its reason, and ``best.safetensors`` with its card.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _WHEN = 'date'
 
 
 class RoundLedger(JournalOwner):
-    """The open ledger; one process at a time. A context manager."""
+    """The open ledger of the rounds, for one process at a time. A context manager."""
 
     def __init__(self, out: Path) -> None:
-        """Open it in the loop's folder, making it if need be.
+        """Open it in the loop's folder, creating it if needed.
 
         Raises:
             UsageError: another process has it open, or it is damaged.
@@ -51,7 +51,7 @@ class RoundLedger(JournalOwner):
         self._known = [_undated(event) for event in self._journal.events]
 
     def write(self, values: Mapping[str, Any]) -> None:
-        """Put a round down, unless it says what it said before."""
+        """Append a round, unless it is unchanged."""
         plain = json.loads(json.dumps(values))
         if plain in self._known:
             return
@@ -66,16 +66,16 @@ def _undated(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 START = 'start.safetensors'
-"""The network to begin with: a copy, so that the folder holds all that the loop depends on."""
+"""The initial network, copied so that the folder contains everything the loop depends on."""
 
 
 def falsify_name(number: int) -> str:
-    """Folder of the campaign that looks for failures in a round."""
+    """Folder of the campaign that searches for failures in a round."""
     return f'round-{number}-falsify'
 
 
 def incumbent_name(number: int) -> str:
-    """Folder of the incumbent's runs on the scenes that judge."""
+    """Folder of the incumbent's runs on the evaluation scenes."""
     return f'round-{number}-incumbent'
 
 
@@ -85,7 +85,7 @@ def candidate_name(number: int) -> str:
 
 
 def analyze_name(number: int) -> str:
-    """Folder of what the failures have in common."""
+    """Folder of the analysis of the failures."""
     return f'round-{number}-analyze'
 
 
@@ -95,7 +95,7 @@ def candidate_weights(number: int) -> str:
 
 
 def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
-    """Look for failures of the incumbent."""
+    """Stage that searches for failures of the incumbent."""
     return _campaign(
         options, falsify_name(number), incumbent, options.sampler,
         options.seed_of(number, FALSIFY), also=(f'{falsify_name(number)}/{LEDGER_NAME}',),
@@ -105,11 +105,11 @@ def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
 def round_stages(
     options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
 ) -> tuple[Stage, ...]:
-    """Group the failures, learn from them, and run both networks on scenes new to both.
+    """Stages that group the failures, train on them, and run both networks on unseen scenes.
 
     Args:
-        options: of the loop.
-        number: of the round, from 1.
+        options: options of the loop.
+        number: number of the round, from 1.
         incumbent: weights file of the best network so far.
         campaigns: folders with failed runs, this round's last.
     """
@@ -151,7 +151,7 @@ def _training(
 
 BEST = 'best.safetensors'
 RunStages = Callable[[Sequence[Stage]], int]
-"""Does what is not done of some stages; their exit code."""
+"""Runs the unfinished ones of some stages and returns their exit code."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,13 +159,13 @@ class Round:
     """Result of a round.
 
     Attributes:
-        number: from 1.
-        incumbent: sha256 of the weights that it began with.
-        searched, failed: runs of the search that were judged, and those of them that failed.
-        causes: what its failures have in common, in words.
-        clusters: groups of failures that are alike, in words.
-        candidate: sha256 of the weights that it trained; '' where there was no failure.
-        decision: on them; None where there was no failure.
+        number: number of the round, from 1.
+        incumbent: sha256 of the incumbent's weights.
+        searched, failed: number of judged and of failed runs of the search.
+        causes: display text of the causes of its failures.
+        clusters: display text of the groups of similar failures.
+        candidate: sha256 of the candidate's weights; '' if there was no failure.
+        decision: decision on the candidate; None if there was no failure.
     """
 
     number: int
@@ -188,20 +188,20 @@ class Round:
 
 
 class Improvement:
-    """The loop. Finished stages are kept, so the same call continues an interrupted loop."""
+    """The loop; finished stages are kept, so the same call continues an interrupted loop."""
 
     def __init__(
         self, out: Path, options: ImproveOptions, ledger: RoundLedger, run_stages: RunStages,
         on_round: Callable[[Round], None],
     ) -> None:
-        """Nothing is started yet.
+        """Prepare the loop; nothing is started yet.
 
         Args:
             out: folder of the loop.
-            options: what to do.
-            ledger: of the rounds.
+            options: options of the loop.
+            ledger: ledger of the rounds.
             run_stages: runs a round's commands.
-            on_round: called with each round that is over.
+            on_round: called with each finished round.
         """
         self._out = out
         self._options = options
@@ -214,7 +214,7 @@ class Improvement:
         """Run rounds until all are done or no run fails.
 
         Returns:
-            Exit code: 0 done, else that of the stage that stopped.
+            Exit code: 0 if done, else that of the stage that stopped.
 
         Raises:
             UsageError: a network, program or folder cannot be used.
@@ -234,7 +234,7 @@ class Improvement:
         return ExitCode.OK
 
     def _round(self, number: int) -> tuple[int, Round | None]:
-        """One round, or the exit code of the stage that stopped it."""
+        """Perform a round; return its exit code, and the round unless a stage stopped it."""
         options, incumbent = self._options, self._incumbent
         if code := self._run_stages([search_stage(options, number, incumbent)]):
             return code, None
@@ -278,7 +278,7 @@ def _regions(causes: Sequence[Mapping[str, Any]]) -> list[Region]:
 
 
 def _copy(weights: Path, to: Path) -> None:
-    """Copy a weights file and its card, checked; the card first, as when they are saved."""
+    """Check and copy a weights file and its card, the card first, as on saving."""
     load_model(weights)
     for one, other in ((card_path(weights), card_path(to)), (weights, to)):
         if not other.exists() or other.read_bytes() != one.read_bytes():

@@ -26,33 +26,32 @@ _LIMITS: dict[str, tuple[float, float]] = {
 }
 
 FALSIFY, TRAIN, JUDGE = range(3)
-"""What a seed is for."""
+"""Purposes of a seed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ImproveOptions:
-    """How to improve a network; checked on construction.
+    """Options of the improvement loop; checked on construction.
 
     Attributes:
-        program: Scenic program in which it has to do well.
-        start: word or weights file of the network to begin with.
-        rounds: most rounds.
-        budget: runs of all rounds together; a third each to look for failures, and to judge the
-            old and the new network.
-        base: program whose pictures are learned beside the counterexamples, lest the rest be
-            forgotten.
-        images: of that program, in every round.
-        validation: held back, to choose the epoch.
-        counterexamples: pictures along failed runs, for each round so far.
+        program: Scenic program on which the network is improved.
+        start: word or weights file of the initial network.
+        rounds: maximum number of rounds.
+        budget: runs of all rounds together; one third each for searching failures and for judging
+            the old and the new network.
+        base: program whose pictures are learned with the counterexamples, to prevent forgetting.
+        images: number of pictures of that program in every round.
+        validation: number of held-out pictures, to choose the epoch.
+        counterexamples: pictures along failed runs, per round so far.
         add: further pictures as ``PROGRAM=COUNT``.
-        epochs, learning_rate: of every training.
+        epochs, learning_rate: values for every training.
         varied: whether the look of the rendered world varies.
-        sampler: how failures are looked for.
+        sampler: sampler of the search for failures.
         alpha: probability of accepting a network that is no better, or worse by a margin.
-        margin: difference of failure rates that counts as none over all scenes.
+        margin: tolerated increase of the failure rate over all scenes.
         place_margin: the same in a part of them.
-        seed: of everything random; no seed of one purpose is one of another.
-        workers: processes; nothing depends on them.
+        seed: base seed; the seeds of different purposes never coincide.
+        workers: number of processes; results do not depend on it.
 
     Raises:
         UsageError: a number is out of range, or a word is not known.
@@ -97,7 +96,7 @@ class ImproveOptions:
         return self.budget // (3 * self.rounds)
 
     def checked(self) -> Self:
-        """The same with programs' paths made absolute, for the commands run in another folder.
+        """The same with absolute program paths, since the commands run in another folder.
 
         Raises:
             UsageError: a program or the network cannot be used.
@@ -111,7 +110,7 @@ class ImproveOptions:
 
     @property
     def start_path(self) -> Path:
-        """The weights file to begin with."""
+        """The initial weights file."""
         return weights_path(self.start)
 
     def seed_of(self, number: int, purpose: int) -> int:
@@ -124,7 +123,7 @@ class ImproveOptions:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`to_json` gave.
+        """Create from the values of :meth:`to_json`.
 
         Raises:
             UsageError: values are missing, unknown or out of range.
@@ -139,13 +138,13 @@ class ImproveOptions:
 
 
 def _absolute_program(program: str) -> str:
-    """A program's word or path as it holds in any folder."""
+    """A program's word, or its path made absolute."""
     path = find_program(program)
     return program if program in known_programs() else str(path.resolve())
 
 
 def write_options(out: Path, options: ImproveOptions) -> None:
-    """Put the options into the folder.
+    """Write the options into the folder.
 
     Raises:
         OSError: it cannot be written.
@@ -154,10 +153,10 @@ def write_options(out: Path, options: ImproveOptions) -> None:
 
 
 def read_options(out: Path) -> ImproveOptions:
-    """Read them back.
+    """Read the options from the folder.
 
     Raises:
-        UsageError: the folder is none of ``taxinet improve``, or the file is damaged.
+        UsageError: the folder is not one of ``taxinet improve``, or the file is damaged.
     """
     path = out / FACTS_NAME
     try:

@@ -1,1 +1,1 @@
-"""The report of a study, beside the paper's figures."""
+"""Report of a study, compared with the paper."""

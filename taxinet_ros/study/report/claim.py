@@ -1,11 +1,11 @@
-"""How statements of the paper are judged on our runs: tests of each, and Holm's rule over all.
+"""Statistical tests of the paper's statements on our runs, with Holm's correction.
 
-Figures of two different worlds need not agree. What can be compared is the kind: which of two
-things is greater, or whether something happens mostly. Each statement is either true or false of
-our networks in our world, and is tested from both sides: how likely are runs like ours, at most, if
-it is false, and if it is true? All these tests are one family (Holm, Scandinavian Journal of
-Statistics 6, 1979, pp. 65-70), so that in at most 5 % of studies any verdict at all is wrong,
-however the tests depend on each other.
+Numbers from two different worlds need not agree; only qualitative statements can be compared: which
+of two quantities is greater, or whether something happens mostly. Each statement is either true or
+false of our networks in our world and is tested from both sides: what is the greatest probability
+of runs like ours if it is false, and if it is true? All these tests form one family (Holm,
+Scandinavian Journal of Statistics 6, 1979, pp. 65-70), so in at most 5 % of studies any verdict is
+wrong, whatever the dependence between the tests.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ SIGNIFICANT = 0.05
 
 _LEAST_VALUES = 3
 _LEAST_ERROR = 1e-9
-"""Standard error of a mean below which values are the same but for rounding."""
+"""Standard error of a mean below which values are equal up to rounding."""
 
 
 class Verdict(Enum):
-    """How our runs stand to a statement of the paper."""
+    """Verdict of our runs on a statement of the paper."""
 
     AGREES = 'in kind as in the paper'
     DIFFERS = 'not as in the paper'
@@ -40,11 +40,11 @@ class Verdict(Enum):
 
 
 class Sides(NamedTuple):
-    """Greatest probability of runs like ours, or plainer ones, if a statement is false or true.
+    """P values of both sides: greatest probability of runs at least as extreme as ours.
 
     Attributes:
-        if_false: a small one speaks for the statement.
-        if_true: a small one speaks against it.
+        if_false: value if the statement is false; a small one supports the statement.
+        if_true: value if it is true; a small one contradicts it.
     """
 
     if_false: float
@@ -52,7 +52,7 @@ class Sides(NamedTuple):
 
     @property
     def opposite(self) -> Sides:
-        """Those of the opposite statement."""
+        """The sides of the opposite statement."""
         return Sides(self.if_true, self.if_false)
 
 
@@ -61,14 +61,14 @@ NOTHING_KNOWN = Sides(1.0, 1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """A statement of the paper, and what our runs say of it.
+    """A statement of the paper, with the evidence of our runs.
 
     Attributes:
-        name: unique, for files.
-        statement: what the paper says, with its figures, as it is tested.
-        source: where it stands there.
+        name: unique name, for files.
+        statement: the paper's statement with its figures, as tested.
+        source: its place in the paper.
         evidence: our figures, with 95 % intervals and numbers of runs.
-        sides: its tests.
+        sides: its p values.
     """
 
     name: str
@@ -80,12 +80,12 @@ class Question:
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A statement of the paper, judged.
+    """A statement of the paper with its verdict.
 
     Attributes:
-        name, statement, source, evidence: as of its :class:`Question`.
-        verdict: ours.
-        p_value: of the nearer verdict, adjusted for all statements (Holm).
+        name, statement, source, evidence: see :class:`Question`.
+        verdict: our verdict.
+        p_value: p value of the more likely verdict, adjusted for all statements (Holm).
     """
 
     name: str
@@ -96,7 +96,7 @@ class Claim:
     p_value: float
 
     def sentence(self) -> str:
-        """The whole in words."""
+        """Display text of the claim."""
         verdict = self.verdict.value[0].upper() + self.verdict.value[1:]
         return (
             f'{verdict} (p {p_words(self.p_value)}): {self.statement} ({self.source}). '
@@ -105,7 +105,7 @@ class Claim:
 
 
 def judge(questions: Sequence[Question]) -> tuple[Claim, ...]:
-    """The verdicts of all questions of a study together."""
+    """Judge all questions of a study as one family."""
     sides = [side for question in questions for side in question.sides]
     adjusted = holm(sides)
     claims = []
@@ -123,7 +123,7 @@ def judge(questions: Sequence[Question]) -> tuple[Claim, ...]:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """The p values of a family, adjusted by Holm's step-down rule."""
+    """P values of a family, adjusted by Holm's step-down procedure."""
     found = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(found, kind='stable')
     stepped = found[order] * np.arange(len(found), 0, -1)
@@ -136,23 +136,23 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def share_above(hits: int, count: int, share: float) -> Sides:
-    """Whether a probability is above ``share``: the binomial test, exact."""
+    """Test whether a probability is above ``share``: exact binomial test."""
     return Sides(
         float(binom.sf(hits - 1, count, share)), float(binom.cdf(hits, count, share))
     ) if count else NOTHING_KNOWN
 
 
 def mostly(hits: int, others: int) -> Sides:
-    """Whether something happens in more than half of the cases: the sign test, exact."""
+    """Test whether something happens in more than half of the cases: exact sign test."""
     return share_above(hits, hits + others, 0.5)
 
 
 def more_often(first: np.ndarray, second: np.ndarray) -> Sides:
-    """Whether something happens more often in one group than in another: Fisher's exact test.
+    """Test whether something happens more often in one group than in another: Fisher's exact test.
 
     Args:
-        first: in which cases of the one group it happens.
-        second: in which of the other.
+        first: whether it happens in each case of the first group.
+        second: the same for the second group.
     """
     hits, total = int(first.sum()), len(first) + len(second)
     both = hits + int(second.sum())
@@ -163,12 +163,12 @@ def more_often(first: np.ndarray, second: np.ndarray) -> Sides:
 
 
 def pairs_more_often(rates: PairedRates) -> Sides:
-    """Whether the second of two arms says yes more often: McNemar's exact test."""
+    """Test whether the second arm is positive more often: McNemar's exact test."""
     return mostly(rates.only_second, rates.only_first)
 
 
 def mean_above(values: Sequence[float], level: float) -> Sides:
-    """Whether a mean is above ``level``: Student's t; two values say too little of their spread."""
+    """Test whether a mean is above ``level``: t test; inconclusive for fewer than three values."""
     if len(values) < _LEAST_VALUES:
         return NOTHING_KNOWN
     error = max(float(np.std(values, ddof=1)) / math.sqrt(len(values)), _LEAST_ERROR)
@@ -179,15 +179,15 @@ def mean_above(values: Sequence[float], level: float) -> Sides:
 
 
 def mostly_lower(first: np.ndarray, second: np.ndarray) -> Sides:
-    """Whether a figure is mostly lower in one group than in another.
+    """Test whether values are mostly lower in one group than in another.
 
-    True where a value of the one group is below one of the other more often than above it. The
-    greater p of two tests counts: of Brunner and Munzel (Biometrical Journal 42, 2000, pp. 17-25),
-    right where the groups spread differently, and of Mann and Whitney, right where they are small.
+    This holds if a value of the first group is more often below one of the second than above it.
+    The greater p of two tests counts: Brunner-Munzel (Biometrical Journal 42, 2000, pp. 17-25),
+    valid for unequal spreads, and Mann-Whitney, valid for small groups.
     """
     if min(len(first), len(second)) < 2:
         return NOTHING_KNOWN
-    apart = 1.0 / math.comb(len(first) + len(second), len(first))  # by permutation, exact
+    apart = 1.0 / math.comb(len(first) + len(second), len(first))  # exact, by permutation
     if first.max() < second.min():
         return Sides(apart, 1.0)
     if second.max() < first.min():
@@ -202,12 +202,12 @@ def mostly_lower(first: np.ndarray, second: np.ndarray) -> Sides:
 
 
 def evenly_often(groups: Sequence[np.ndarray], margin: float) -> Sides:
-    """Whether something happens as often in each group as in the rest, but for a margin.
+    """Test whether something happens equally often in each group and the rest, within a margin.
 
     Both sides of each difference are tested against the margin, with one hit and one miss added to
-    each group (Agresti and Caffo, American Statistician 54, 2000, pp. 280-288). That all
-    differences are within it needs each test; that one is beyond it, one of them, times their
-    number.
+    each group (Agresti and Caffo, American Statistician 54, 2000, pp. 280-288). The claim that all
+    differences are within it needs every test; that one is beyond it, the least p value times their
+    number (Bonferroni).
     """
     inside, beyond = [], []
     for number, group in enumerate(groups):
@@ -225,7 +225,7 @@ def evenly_often(groups: Sequence[np.ndarray], margin: float) -> Sides:
 
 
 def all_of(parts: Sequence[Sides]) -> Sides:
-    """Whether several things are true together: each has to be shown, one false one is enough."""
+    """Test a conjunction: each part must be shown to confirm it, one false part refutes it."""
     return Sides(
         max(part.if_false for part in parts),
         min(1.0, len(parts) * min(part.if_true for part in parts)),

@@ -1,4 +1,4 @@
-"""The pictures of a study: its networks beside the paper's, over the day and along the runway."""
+"""Pictures of a study: its networks and the paper's, over the day and along the runway."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from taxinet_ros.study.report.results import Results
 from taxinet_ros.study.stages.plan import BEST, GENERIC, HALTON, ORIGINAL, SPECIALISED
 
 _SHOWN = (ORIGINAL, HALTON, SPECIALISED, GENERIC, BEST)
-"""In one order in all pictures, so that each keeps its colour."""
+"""Networks in the order of all pictures, so that each keeps its colour."""
 
 _DAY, _RUNWAY = (ORIGINAL, HALTON), (ORIGINAL, HALTON, SPECIALISED)
 """The networks in the paper's Figures 4 and 6."""
@@ -28,10 +28,10 @@ _NO_PAPER = float('nan')
 
 
 def rates_picture(networks: pd.DataFrame) -> Picture:
-    """Both rates of every network with intervals, and the paper's.
+    """Both rates of every network with intervals, and those of the paper.
 
     Args:
-        networks: of :func:`.study_tables.networks_frame`.
+        networks: table of :func:`.tables.networks_frame`.
     """
 
     def draw(figure: Figure, theme: Theme) -> None:
@@ -54,7 +54,7 @@ def rates_picture(networks: pd.DataFrame) -> Picture:
 
 
 def day_pictures(results: Results, hours: pd.DataFrame) -> tuple[Picture, ...]:
-    """Robustness over the day as in the paper's Fig. 4, and how often runs fail, by the hour."""
+    """Robustness over the day as in the paper's Fig. 4, and failure rates by hour."""
     campaigns = _campaigns(results, _DAY)
     first = [rho_picture(campaigns, TIME_OF_DAY, 'rho_by_hour')] if campaigns else []
     return (*first, _share_picture(
@@ -64,7 +64,7 @@ def day_pictures(results: Results, hours: pd.DataFrame) -> tuple[Picture, ...]:
 
 
 def runway_pictures(results: Results, distances: pd.DataFrame) -> tuple[Picture, ...]:
-    """Robustness along the runway as in Fig. 6, and how often runs fail, by 100 m."""
+    """Robustness along the runway as in Fig. 6, and failure rates by 100 m."""
     campaigns = _campaigns(results, _RUNWAY)
     first = [rho_picture(campaigns, DISTANCE, 'rho_by_distance')] if campaigns else []
     return (*first, _share_picture(
@@ -75,10 +75,10 @@ def runway_pictures(results: Results, distances: pd.DataFrame) -> tuple[Picture,
 
 
 def learned_picture(learned: pd.DataFrame) -> Picture:
-    """Where on the runway failures start: learned, among random runs, and in the paper.
+    """Distribution of failures along the runway: learned, in random runs, and in the paper.
 
     Args:
-        learned: of :func:`.study_tables.learned_frame`.
+        learned: table of :func:`.tables.learned_frame`.
     """
 
     def draw(figure: Figure, theme: Theme) -> None:

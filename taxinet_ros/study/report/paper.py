@@ -1,8 +1,8 @@
-"""What the paper reports and says, and whether our runs agree: in kind, or not, or not clear.
+"""Results and statements of the paper, compared qualitatively with our runs.
 
 Fremont, Chiu, Margineantu, Osipychev and Seshia, Formal Analysis and Redesign of a Neural
-Network-Based Aircraft Taxiing System with VerifAI, CAV 2020. Its figures are of its own
-networks in its own simulator; nothing here is used to tune anything.
+Network-Based Aircraft Taxiing System with VerifAI, CAV 2020. Its figures are of its own networks in
+its own simulator; none of them is used for tuning.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class PaperNetwork:
 
     Attributes:
         satisfied: share of the runs that satisfy phi_eventually.
-        off_runway: share that leaves the runway; None where the paper does not say.
-        source: where the paper says so.
+        off_runway: share that leaves the runway; None if not in the paper.
+        source: place in the paper.
     """
 
     satisfied: float
@@ -55,13 +55,13 @@ PAPER_NETWORKS = {
     ITERATIVE[1]: PaperNetwork(satisfied=0.73, off_runway=None, source=_APPENDIX),
     ITERATIVE[2]: PaperNetwork(satisfied=0.82, off_runway=None, source=_APPENDIX),
 }
-"""By the study's names."""
+"""Networks by the study's names."""
 PAPER_RUNS = 4_000
-"""About so many runs were made with each network."""
+"""Approximate number of runs with each network."""
 PAPER_RULE = 'ce-verifai'
-"""The sampler that learns as the paper's did."""
+"""The sampler with the paper's learning rule."""
 LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
-"""Ends of the stretches of runway that the paper tells apart."""
+"""Ends of the stretches of runway that the paper distinguishes [m]."""
 PAPER_LEARNED = (0.05, None, 0.16, 0.79, None)
 """What cross-entropy learned of the generic network's failures, by stretch (section 3.4)."""
 CROSSING_M = (1200.0, 1600.0)
@@ -69,16 +69,16 @@ CROSSING_M = (1200.0, 1600.0)
 START_M = (0.0, 400.0)
 """Starts at which the paper's model also has difficulty (Figs. 6 and 8)."""
 EARLY_H, LATE_MORNING_H = (6.0, 8.0), (9.5, 12.0)
-"""Where the original network consistently fails and where it works well (section 3.3, Fig. 4); the
-limits are ours, the paper has none."""
+"""When the original network consistently fails and when it works well (section 3.3, Fig. 4); the
+limits are ours, the paper gives none."""
 EIGHT_H, TWO_H, AFTERNOON_H = (7.0, 9.0), (13.0, 15.0), (12.0, 18.0)
 """About 8 am and 2 pm (Fig. 5), and the afternoon of Fig. 7; the limits are ours."""
 ALMOST_ALL = 0.95
-"""Share of runs that "almost all" and "always" ask for; ours, the paper has none."""
+"""Share of runs required by "almost all" and "always"; ours, the paper gives none."""
 SEVERAL_M = 2.0
-"""What "several meters" ask for at least [m]; ours."""
+"""Minimum required by "several meters" [m]; ours."""
 EVEN = 0.10
-"""Share by which parts of a day may differ that is "consistent across the entire day"; ours."""
+"""Difference of rates allowed by "consistent across the entire day"; ours."""
 
 
 _TOLERANCE_M = 1.5
@@ -87,7 +87,7 @@ _AT, _OFF = 'that start at 1,200-1,600 m', 'that start elsewhere'
 
 
 def judge_claims(results: Results) -> tuple[Claim, ...]:
-    """Hold our runs against every statement that they can speak of, all as one family."""
+    """Test every statement that our runs can decide, all as one family."""
     parts: tuple[Callable[[Results], Iterator[Question]], ...] = (
         _day, _clouds, _runway, _blame, _shadows, _retraining, _even_day, _learning, _iteration,
     )
@@ -150,7 +150,7 @@ def _clouds(results: Results) -> Iterator[Question]:
 
 
 def _runway(results: Results) -> Iterator[Question]:
-    """Where a network fails more often than along the rest of the runway."""
+    """Stretches where a network fails more often than along the rest of the runway."""
     for name, what, words, source in (
         (ORIGINAL, 'crossing', 'fails around the crossing, more than along the rest of the runway',
          f'{_DEBUGGING}, Fig. 6'),
@@ -195,7 +195,7 @@ def _blame(results: Results) -> Iterator[Question]:
 
 
 def _shadows(results: Results) -> Iterator[Question]:
-    """Fig. 7: one place, a clear sky, and the afternoon alone, for it is then that there is one."""
+    """Fig. 7: one place, a clear sky, and only the afternoon, when there is a shadow."""
     pairs = results.experiment_pairs.get('shadows')
     if pairs is None:
         return
@@ -274,7 +274,7 @@ def _specialised_elsewhere(results: Results) -> Iterator[Question]:
 
 
 def _several_metres(results: Results) -> Iterator[Question]:
-    """After ten seconds a run has ρ = 1.5 m less its greatest deviation from then on."""
+    """Deviation of several metres; after ten seconds ρ is 1.5 m minus the greatest deviation."""
     network = results.networks.get(SPECIALISED)
     if network is None:
         return
@@ -333,7 +333,7 @@ def _paired(
     results: Results, first: str, second: str, sign: int, name: str, source: str, statement: str, *,
     off: bool = False, where: str = '',
 ) -> Iterator[Question]:
-    """Whether the second network does better (+1) or worse, or leaves the runway less (-1)."""
+    """Whether the second network is positive more often (``sign`` +1) or less often (-1)."""
     rates = _pair_of(results, first, second, off=off, where=where)
     if rates is not None:
         sides = pairs_more_often(rates)
@@ -360,7 +360,7 @@ def _pair_of(
 
 
 def _learning(results: Results) -> Iterator[Question]:
-    """The paper's rule alone; what ours has learned stands beside it in the table."""
+    """Tests of the paper's learning rule only; the table also shows the results of ours."""
     choice = results.distances
     found = results.searches.get(PAPER_RULE, ())
     if choice is None or not found:
@@ -405,7 +405,7 @@ def _fail(failed: np.ndarray) -> str:
 
 
 def _share(hits: np.ndarray) -> str:
-    """Such as ``63.8 % (51.3-75.0) of 69 runs``."""
+    """Display text such as ``63.8 % (51.3-75.0) of 69 runs``."""
     if not len(hits):
         return 'no run'
     found = share_of(hits)

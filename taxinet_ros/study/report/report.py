@@ -1,4 +1,4 @@
-"""The report of a case study: side by side with the paper, as a page, tables, pictures and JSON."""
+"""Report of a case study, side by side with the paper: page, tables, pictures and JSON."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ SCHEMA, VERSION = 'taxinet-case-study', 1
 def write_study_report(
     config: StudyConfig, out: Path, tables: Path | None = None
 ) -> list[str]:
-    """Write the report of what is done so far, in place of an earlier one.
+    """Write the report of the stages done so far, replacing an earlier one.
 
     Args:
-        config: of the study.
-        out: its folder.
-        tables: folder of tables to report in place of what is in ``out``, or None.
+        config: configuration of the study.
+        out: folder of the study.
+        tables: folder of tables to report instead of the contents of ``out``, or None.
 
     Returns:
-        Lines to print: the summary, with ``tables`` every claim, and where the report is.
+        Lines to print: the summary, with ``tables`` every claim, and the path of the report.
 
     Raises:
-        UsageError: no network was evaluated yet, or a file of the study is damaged.
+        UsageError: no network has been evaluated, or a file of the study is damaged.
         OSError: a file cannot be written.
     """
     from taxinet_ros.analysis.report.page import write_report_page
@@ -80,16 +80,16 @@ def write_study_report(
 
 
 def gather_findings(config: StudyConfig, out: Path, tables: Path | None = None) -> StudyFindings:
-    """Everything that the report says; of tables alone there are no stages.
+    """Collect the contents of the report; without stages if only tables are given.
 
     Raises:
-        UsageError: no network was evaluated yet, or a file of the study is damaged.
+        UsageError: no network has been evaluated, or a file of the study is damaged.
     """
     results = read_results(config, out) if tables is None else read_tables(config, tables)
     if not results.networks:
         raise UsageError(f'{out}: no network was evaluated yet, so there is nothing to report')
     found = [stage for stage in stages(config) if stage.name != REPORT and tables is None]
-    if tables is not None:  # as many runs as there are: none of them is still to come
+    if tables is not None:  # the planned number is the actual one, so no run is pending
         runs = min(len(network.table) + network.unjudged for network in results.networks.values())
         config = dataclasses.replace(config, runs=runs)
     return StudyFindings(
@@ -101,7 +101,7 @@ def gather_findings(config: StudyConfig, out: Path, tables: Path | None = None) 
 
 
 def study_report(found: StudyFindings) -> Report:
-    """The whole, as a page."""
+    """Report on the findings."""
     return Report(
         title="The paper's case study, run again", facts=study_facts(found),
         summary=study_summary(found), sections=study_sections(found),
@@ -109,7 +109,7 @@ def study_report(found: StudyFindings) -> Report:
 
 
 def study_values(found: StudyFindings) -> dict[str, Any]:
-    """The findings as plain values; shares are fractions, and what is not known is None."""
+    """The findings as plain values; shares are fractions, unknown values None."""
     return plain_values({
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
         'made_on': dict(provenance()),
@@ -137,7 +137,7 @@ def _localized(results: Results) -> dict[str, Any] | None:
 
 
 def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Lines of a table, with None for what is missing."""
+    """Rows of a table, with None for missing values."""
     return [
         {str(name): None if pd.isna(value) else value for name, value in line.items()}
         for line in frame.to_dict('records')

@@ -35,22 +35,22 @@ from taxinet_ros.study.stages.plan import (
 )
 
 SETTLED_RUNS = 400
-"""Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
+"""Number of bags read for a median: reading all 4,000 would take minutes per network."""
 
 _SCENE = tuple(field.key for field in PAPER_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """A network that was evaluated.
+    """An evaluated network.
 
     Attributes:
-        name: of :data:`.plan.NETWORKS`.
+        name: one of :data:`.plan.NETWORKS`.
         runs: its campaign.
         table: judged runs with all columns of the table, by index.
-        card: its model card, empty where there is none.
+        card: its model card, empty if there is none.
         settled_m: median |cross-track error| [m] after the first ten seconds, of at most
-            :data:`SETTLED_RUNS` runs, evenly spread; NaN where a bag is gone.
+            :data:`SETTLED_RUNS` runs, evenly spread; NaN if a bag is missing.
     """
 
     name: str
@@ -71,16 +71,16 @@ class Network:
 
     @property
     def off(self) -> np.ndarray:
-        """Which runs left the runway."""
+        """Mask of the runs that left the runway."""
         return self.runs.frame['left_runway'].to_numpy() > 0
 
     @property
     def unjudged(self) -> int:
-        """Number of runs without a verdict: the bench broke them, or no scene was drawn."""
+        """Number of runs without a verdict: infrastructure errors, or no scene was drawn."""
         return sum(self.runs.others.values())
 
     def within(self, column: str, low: float, high: float) -> np.ndarray:
-        """Which runs have a value of a feature in [low, high)."""
+        """Mask of the runs with a value of a feature in [low, high)."""
         values = self.runs.frame[column].to_numpy()
         return np.asarray((values >= low) & (values < high))
 
@@ -90,7 +90,7 @@ class Pair:
     """Two networks on the same scenes.
 
     Attributes:
-        first, second: their names; differences are the second's less the first's.
+        first, second: names; differences are second minus first.
         frame: scenes judged with both: ``distance_m``, and ``satisfied`` and ``off`` of each.
     """
 
@@ -99,15 +99,15 @@ class Pair:
     frame: pd.DataFrame
 
     def satisfied(self, among: np.ndarray | None = None) -> PairedRates:
-        """How often they satisfy, on all scenes or on some."""
+        """Paired rates of satisfaction, on all scenes or on some."""
         return self._paired('satisfied', among)
 
     def off_runway(self) -> PairedRates:
-        """How often they leave the runway."""
+        """Paired rates of leaving the runway."""
         return self._paired('off', None)
 
     def at(self, low: float, high: float) -> np.ndarray:
-        """Scenes that start there along the runway [m]."""
+        """Mask of the scenes that start between ``low`` and ``high`` along the runway [m]."""
         return np.asarray(self.frame['distance_m'].between(low, high, inclusive='left'))
 
     def _paired(self, name: str, among: np.ndarray | None) -> PairedRates:
@@ -119,16 +119,16 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """Everything that is there; what is not done yet is missing.
+    """Available results of a study; those of unfinished stages are missing.
 
     Attributes:
-        networks: by name, in the study's order.
-        searches: what those for the generic network's failures learned, by sampler, one for each
-            seed.
+        networks: networks by name, in the study's order.
+        searches: learned results of the searches for the generic network's failures, by sampler,
+            one per seed.
         localized: values of ``localize.json``, or None.
         analysis: values of ``analysis.json``, or None.
         experiments: values of ``experiment.json`` by the experiment's name.
-        experiment_pairs: the pairs of runs of these experiments.
+        experiment_pairs: pairs of runs of these experiments.
     """
 
     networks: Mapping[str, Network]
@@ -139,7 +139,7 @@ class Results:
     experiment_pairs: Mapping[str, pd.DataFrame]
 
     def pair(self, first: str, second: str) -> Pair | None:
-        """Two networks on the scenes that were judged with both; None if one is missing.
+        """Two networks on the scenes judged with both; None if one is missing.
 
         Raises:
             UsageError: they did not have the same scenes.
@@ -150,7 +150,7 @@ class Results:
 
     @property
     def distances(self) -> Choice | None:
-        """The choice of where to start along the runway, of what was learned."""
+        """Dimension of the start distance along the runway in the learned results."""
         for found in self.searches.values():
             for choice in found[0].choices:
                 if 'distance_m' in choice.feeds and choice.pieces:
@@ -159,7 +159,7 @@ class Results:
 
 
 def read_results(config: StudyConfig, out: Path) -> Results:
-    """Read what is done.
+    """Read the results of the finished stages.
 
     Raises:
         UsageError: a table or a file is damaged.
@@ -185,18 +185,18 @@ def read_results(config: StudyConfig, out: Path) -> Results:
 
 
 def read_tables(config: StudyConfig, folder: Path) -> Results:
-    """What a study's tables say, where its folder is not at hand: those that the package ships.
+    """Read results from tables instead of a study's folder, such as those shipped in the package.
 
-    Of a network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``, and that
-    of ``truth`` says whether the original network's failures are its own. ``experiment_<name>
-    .parquet`` has the pairs of an experiment; the searches have folders, as in a study.
+    For each network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``; that
+    of ``truth`` shows whether the network causes the original network's failures. ``experiment_
+    <name>.parquet`` has the pairs of an experiment; the searches have folders, as in a study.
 
     Args:
-        config: what was run.
-        folder: of the tables.
+        config: configuration of the study.
+        folder: folder of the tables.
 
     Raises:
-        UsageError: there is none, or one is damaged or was not drawn at random.
+        UsageError: there is no table, or one is damaged or was not drawn at random.
     """
     networks = {}
     for name in NETWORKS:
@@ -227,7 +227,7 @@ def _largest(folder: Path, word: str) -> Path | None:
 
 
 def _on_truth(original: Network | None, path: Path | None) -> dict[str, Any] | None:
-    """The original network's failed scenes on the true state, as ``taxinet localize`` has them."""
+    """Rerun results of the original network's failures on the true state, as in ``localize``."""
     if original is None or path is None:
         return None
     truth = _network('truth', path, None, bags=False)
@@ -257,7 +257,7 @@ def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, 
 
 
 def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
-    # Tables of before the keys of scenes had units are among those that are shipped.
+    # The shipped tables include some from before scene keys had units.
     return {
         name: read_any_table(path).rename(columns=SHORT_FORMS)
         for name, path in paths.items() if path.is_file()
@@ -265,7 +265,7 @@ def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
 
 
 def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:
-    """The runs in a campaign's folder, or in a table of one."""
+    """Read a network from a campaign's folder, or from its table."""
     table = read_table(path)
     runs = runs_of(table, path)
     if runs.weighting is not Weighting.DRAWN:
@@ -317,7 +317,7 @@ def _json_values(path: Path) -> dict[str, Any] | None:
 
 
 def _sealed_values(path: Path) -> dict[str, Any] | None:
-    """The values of a sealed file, whose tables are those that it vouches for."""
+    """The values of a sealed file after checking the digests of its tables."""
     if not path.is_file():
         return None
     found = read_sealed(path)

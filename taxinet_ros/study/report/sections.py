@@ -1,6 +1,6 @@
-"""The summary and the sections of a study's report: sentences, pictures and tables.
+"""Summary and sections of a study's report: sentences, pictures and tables.
 
-Every figure in the sentences is computed from the study's runs.
+All figures in the sentences are computed from the study's runs.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _LEAST_P = 0.0001
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFindings:
-    """All that a report says.
+    """Contents of a report.
 
     Attributes:
-        config, out: of the study.
-        results: of its stages.
-        claims: the paper's statements, judged.
-        networks, hours, distances, pairs, learned: of :mod:`.study_tables`.
-        stages: of :mod:`.stage_times`; empty where there are tables only.
+        config, out: configuration and folder of the study.
+        results: results of its stages.
+        claims: the paper's statements with verdicts.
+        networks, hours, distances, pairs, learned: tables of :mod:`.tables`.
+        stages: table of :func:`.tables.stages_frame`; empty if there are only tables.
     """
 
     config: StudyConfig
@@ -64,7 +64,7 @@ class StudyFindings:
     stages: pd.DataFrame
 
     def frames(self) -> dict[str, pd.DataFrame]:
-        """The tables by the names of their files."""
+        """The tables by file name."""
         return {
             'networks': self.networks, 'rho_by_hour': self.hours,
             'rho_by_distance': self.distances, 'pairs': self.pairs, 'learned': self.learned,
@@ -73,7 +73,7 @@ class StudyFindings:
 
 
 def study_facts(found: StudyFindings) -> Mapping[str, str]:
-    """What was run."""
+    """Facts of the study."""
     config = found.config
     done = found.stages[found.stages['done']] if len(found.stages) else found.stages
     dates = sorted(date[:10] for date in done.get('date', ()) if date)
@@ -91,7 +91,7 @@ def study_facts(found: StudyFindings) -> Mapping[str, str]:
 
 
 def study_sections(found: StudyFindings) -> tuple[Section, ...]:
-    """The evidence; a section without anything to show is left out."""
+    """The evidence; empty sections are left out."""
     sections = (
         _networks(found), _claims(found), _day(found), _runway(found), _debugging(found),
         _learned(found), _pairs(found), _stages(found),
@@ -118,7 +118,7 @@ def _networks(found: StudyFindings) -> Section:
 
 
 def _under_way(found: StudyFindings) -> list[str]:
-    """Campaigns of which there are not all runs yet, that nobody takes their figures for final."""
+    """Names of unfinished campaigns, whose figures are not final."""
     asked = found.config.runs
     parts = [
         f'{network.name} {done:,} of {asked:,}'
@@ -191,7 +191,7 @@ def _debugging(found: StudyFindings) -> Section:
 def _experiments(found: StudyFindings) -> Iterator[Picture]:
     for word in found.config.experiments:
         name = Path(word).stem
-        if name in found.results.experiments:  # in a study's folder, with its arms
+        if name in found.results.experiments:  # only in a study's folder, which has the arms
             experiment = read_experiment(find_experiment(word))
             rows = arm_rows(experiment, found.out / f'experiment-{name}')
             picture = arms_picture(paired_arms(experiment, rows))

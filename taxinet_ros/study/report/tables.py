@@ -1,7 +1,7 @@
-"""The figures of a study as tables: networks, hours, runway, pairs, what was learned, stages.
+"""Tables of a study: networks, hours, runway, pairs, learned distributions, stages.
 
-Shares are fractions 0..1 in the data frames; the columns below say how people see them: which,
-under which titles, in which units.
+Shares are fractions 0..1 in the data frames; the column definitions below select the displayed
+columns, with titles and units.
 """
 
 from __future__ import annotations
@@ -40,34 +40,34 @@ PAIRS = (
     (ITERATIVE[0], ITERATIVE[1]), (ITERATIVE[0], ITERATIVE[2]), (ORIGINAL, BEST),
     (SPECIALISED, BEST),
 )
-"""Networks that are compared on their common scenes."""
+"""Pairs of networks that are compared on common scenes."""
 _MEDIANS = {
     'median_rho': 'rho', 'median_settle_s': 'settle_time_s',
     'median_cte_error_m': 'cte_error_mean_abs_m',
 }
 WEIGHTED = 'ce'
-"""The sampler whose weights have a bound, so that what it found tells of the program itself."""
+"""The sampler with bounded weights, whose runs therefore allow estimates for the program."""
 HOURS = tuple(float(hour) for hour in range(6, 19))
 DISTANCES_M = tuple(float(metre) for metre in range(0, 2001, 100))
 
 
 def networks_frame(results: Results) -> pd.DataFrame:
-    """One line for each network, the paper's figures beside ours."""
+    """One row per network, with our figures and those of the paper."""
     return pd.DataFrame([_network_line(network) for network in results.networks.values()])
 
 
 def hours_frame(results: Results) -> pd.DataFrame:
-    """One line for each network and hour."""
+    """One row per network and hour."""
     return _binned(results, 'time_of_day_h', HOURS)
 
 
 def distances_frame(results: Results) -> pd.DataFrame:
-    """One line for each network and 100 m of runway to start on."""
+    """One row per network and 100 m of start distance."""
     return _binned(results, 'distance_m', DISTANCES_M)
 
 
 def pairs_frame(results: Results) -> pd.DataFrame:
-    """One line for each two networks that are compared."""
+    """One row per pair of compared networks."""
     lines = []
     for first, second in PAIRS:
         pair = results.pair(first, second)
@@ -81,12 +81,12 @@ def pairs_frame(results: Results) -> pd.DataFrame:
 
 
 def learned_frame(results: Results) -> pd.DataFrame:
-    """One line for each stretch of runway of which the paper tells what was learned.
+    """One row per stretch of runway for which the paper reports a learned probability.
 
-    Of each sampler the mean of its searches, the least and the greatest: how much such searches
-    differ by chance, which is no interval of where the failures are. That is in ``of_failures``,
-    from random runs, and in ``weighted``, from the runs of ``ce`` with their weights, both as the
-    runs have it: no bin is given anything where nothing was found.
+    For each sampler the mean, minimum and maximum of its searches: their variation by chance, not a
+    confidence interval of the distribution of failures. The latter is in ``of_failures``, from
+    random runs, and in ``weighted``, from the weighted runs of ``ce``, both without smoothing: bins
+    without failures have 0.
     """
     choice = results.distances
     if choice is None:
@@ -147,7 +147,7 @@ def _network_line(network: Network) -> dict[str, Any]:
 
 
 def _binned(results: Results, column: str, edges: tuple[float, ...]) -> pd.DataFrame:
-    """Bins are closed below; the last one above too."""
+    """One row per network and bin; bins are closed below, the last one also above."""
     unit = column.rpartition('_')[2]
     lines = []
     for network in results.networks.values():
@@ -184,13 +184,13 @@ def _with_interval(name: str, found: Rate | Any) -> dict[str, float]:
 
 
 def _median(values: np.ndarray) -> float:
-    """Of the values that are known; NaN where none is."""
+    """Median of the known values; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if len(known) else math.nan
 
 
 def stages_frame(found: Sequence[Stage], records: Records) -> pd.DataFrame:
-    """One line for each stage; ``done`` is False where the log has no end of it."""
+    """One row per stage; ``done`` is False if the log has no end event of it."""
     return pd.DataFrame([
         _stage_line(stage, records.get(stage.name, StageRecord())) for stage in found
     ])
@@ -209,7 +209,7 @@ def _stage_line(stage: Stage, record: StageRecord) -> dict[str, Any]:
 
 _PERCENT = 100
 Columns = tuple[tuple[str, str, int | None, bool], ...]
-"""Name in the data frame, title, digits, and whether it is a share, to be shown in percent."""
+"""Name in the data frame, title, digits, and whether it is a share displayed in percent."""
 NETWORK_COLUMNS: Columns = (
     ('network', 'network', None, False), ('runs', 'runs', None, False),
     ('satisfied', 'satisfied [%]', 1, True), ('satisfied_low', 'from', 1, True),
@@ -254,7 +254,7 @@ PAIR_COLUMNS: Columns = (
 
 
 def binned_columns(unit: str, digits: int) -> Columns:
-    """Columns of a table by the hour, or by the metre."""
+    """Columns of a table by hour, or by metre."""
     return (
         ('network', 'network', None, False), (f'from_{unit}', f'from [{unit}]', digits, False),
         (f'to_{unit}', f'to [{unit}]', digits, False), ('runs', 'runs', None, False),

@@ -1,1 +1,1 @@
-"""Stages of a study: planned, run, repeated where they are no longer valid."""
+"""Stages of a study: planned, run, and repeated if no longer valid."""

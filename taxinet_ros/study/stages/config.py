@@ -1,7 +1,7 @@
 """Configuration of a case study: validate, scale, read and write.
 
-YAML for people (``scenarios/case_study.yaml``), JSON for a study begun. Every complaint is one
-line with the file, the key, and what is expected there.
+YAML for user files (``scenarios/case_study.yaml``), JSON in a study's folder. Every error message
+is one line with the file, the key, and the expected value.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 LEAST_IMAGES, LEAST_VALIDATION, LEAST_EPOCHS = 128, 32, 2
 LEAST_RUNS, LEAST_LOCALIZED, LEAST_PAIRS = 20, 5, 10
 _ALL_EPOCHS_FROM = 0.1
-"""Scale from which a network gets all its epochs: fewer would be another training, not less."""
+"""Scale from which a network gets all its epochs; with fewer the training would differ."""
 _LARGEST_SCALE = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyConfig:
-    """One case study, as it is run.
+    """Configuration of a case study.
 
     Attributes:
-        images, validation, epochs: of every training.
-        training_seed: of scenes, first weights and order.
-        original, generic, specialised: programs that the networks of these names learn from; a
-            shipped word or the path of one.
-        program: whose scenes every network is evaluated on.
-        runs: how many of them.
-        seed: of these scenes.
-        localized: failed runs of the original network that are run again on the true state.
-        experiments: scenes by the word or file of the experiment.
-        learning_program, learning_runs: of every search for the distribution of the generic
+        images, validation, epochs: values for every training.
+        training_seed: seed of scenes, initial weights and order.
+        original, generic, specialised: training programs of the networks of these names, each a
+            shipped word or a path.
+        program: program on whose scenes every network is evaluated.
+        runs: number of these scenes.
+        seed: seed of these scenes.
+        localized: number of failed runs of the original network to rerun on the true state.
+        experiments: number of scenes by word or file of the experiment.
+        learning_program, learning_runs: values for every search for the distribution of the generic
             network's failures.
-        samplers, learning_seeds: there is a search for each two; further training adds what the
-            first one has learned.
-        further_epochs: of training the generic network on.
-        share: of images that are added then.
+        samplers, learning_seeds: there is one search for each combination; further training adds
+            scenes of the distribution learned by the first one.
+        further_epochs: epochs of the generic network's further training.
+        share: share of images added in it.
         crossing: program of the images at the crossing.
-        best: perception word or file of one more network to evaluate, or ''.
-        workers: processes that work at once; results do not depend on them.
-        scale: what the sizes were multiplied with, for people to read.
+        best: perception word or file of another network to evaluate, or ''.
+        workers: number of concurrent processes; results do not depend on it.
+        scale: factor by which the sizes were multiplied, for information.
     """
 
     images: int
@@ -79,18 +79,18 @@ class StudyConfig:
 
     @property
     def added(self) -> int:
-        """Images that are added for further training."""
+        """Number of images added for further training."""
         return max(1, round(self.share * self.images))
 
 
 def scaled(config: StudyConfig, scale: float) -> StudyConfig:
-    """A study of another size.
+    """Scale the size of a study.
 
-    Images and runs are multiplied, down to what a smoke run needs. Epochs stay as they are, but in
+    Images and runs are multiplied, with the minimum that a smoke run needs. Epochs only change in
     the smallest studies.
 
     Raises:
-        UsageError: no such scale.
+        UsageError: the scale is out of range.
     """
     if not 0 < scale <= _LARGEST_SCALE:
         raise UsageError(f'--scale {scale:g}: needs to be above 0, at most {_LARGEST_SCALE:g}')
@@ -118,13 +118,13 @@ def scaled(config: StudyConfig, scale: float) -> StudyConfig:
 def resized(
     config: StudyConfig, *, runs: int | None, images: int | None, workers: int | None
 ) -> StudyConfig:
-    """The study with sizes that were asked for outright.
+    """Replace individual sizes of a study.
 
     Args:
         config: the study.
-        runs: on which every network is evaluated, or None.
-        images: of every training, or None; as large a share of them is held back as before.
-        workers: processes that work at once, or None.
+        runs: number of evaluation runs of every network, or None.
+        images: number of images in every training, or None; the validation share is kept.
+        workers: number of concurrent processes, or None.
     """
     if runs is not None:
         config = dataclasses.replace(config, runs=runs)
@@ -139,9 +139,9 @@ def resized(
 SHIPPED = 'case_study.yaml'
 STUDY_NAME = 'study.json'
 _LEARNERS = ('ce', 'ce-verifai', 'mab')
-"""Samplers that tell what they have learned, as a program that can be run."""
+"""Samplers that write a learned distribution as a program."""
 _MOST_SHARE = 10
-# Where each value stands in a file, and what it has to be.
+# Section, key and validation of each value in a file.
 _WHOLE: Mapping[str, tuple[str, int, int]] = {
     'images': ('training.images', 1, 1_000_000),
     'validation': ('training.validation', 1, 1_000_000),
@@ -167,15 +167,15 @@ _PLACES = {**{name: place for name, (place, _, _) in _WHOLE.items()}, **_PROGRAM
 
 
 def shipped_config() -> Path:
-    """The study that comes with the package: the paper's, with the paper's sizes."""
+    """Path of the shipped study: that of the paper, with its sizes."""
     return shipped_folder() / SHIPPED
 
 
 def read_config(path: Path) -> StudyConfig:
-    """Read a user's study file; missing values are those of the shipped one.
+    """Read a user's study file; the shipped one provides the default values.
 
     Raises:
-        UsageError: one line with the file, the key, and how to mend it.
+        UsageError: a value is invalid; one line with the file, the key and the correction.
     """
     shipped = shipped_config()
     values = _Values(shipped, read_yaml(shipped)).all()
@@ -187,19 +187,19 @@ def read_config(path: Path) -> StudyConfig:
 
 
 def write_study(out: Path, config: StudyConfig) -> None:
-    """Put down what a study is, for ``--resume`` and for its report."""
+    """Write a study's configuration, for ``--resume`` and for its report."""
     write_sealed(out / STUDY_NAME, dataclasses.asdict(config))
 
 
 def read_study(out: Path, option: str) -> StudyConfig:
-    """What the study in ``out`` is.
+    """Read the configuration of the study in ``out``.
 
     Args:
-        out: its folder.
-        option: that needs it, for the message.
+        out: folder of the study.
+        option: option that needs it, for the error message.
 
     Raises:
-        UsageError: no study was begun there, or the file is damaged.
+        UsageError: no study was started there, or the file is damaged.
     """
     path = out / STUDY_NAME
     try:
@@ -230,7 +230,7 @@ class _Values:
         }
 
     def all(self) -> dict[str, Any]:
-        """What the file gives, by the name of the study's attribute."""
+        """Values of the file, by attribute name of :class:`StudyConfig`."""
         readers: dict[str, Callable[[Section, str], object]] = {
             name: partial(_whole, low, high) for name, (_, low, high) in _WHOLE.items()
         }
@@ -247,7 +247,7 @@ class _Values:
         return found
 
     def check_seeds(self, config: StudyConfig) -> None:
-        """No network may be judged, nor a search begun, on the scenes that it has learned from."""
+        """Check that no network is evaluated, and no search starts, on its training scenes."""
         seeds = {
             'training.seed': (config.training_seed,), 'evaluation.seed': (config.seed,),
             'learning.seed': config.learning_seeds,
@@ -286,7 +286,7 @@ class _Values:
         return word
 
     def _beside(self, word: str) -> str:
-        """A file's whole path, of one beside this file or from here; else the word itself."""
+        """Absolute path of a file next to this one or in the current folder; else the word."""
         if Path(word).suffix:
             for path in (self._folder / word, Path(word)):
                 if path.is_file():

@@ -19,18 +19,18 @@ LOG_NAME = 'stages.jsonl'
 
 @dataclass(kw_only=True)
 class StageRecord:
-    """What is known of one stage.
+    """Logged state of one stage.
 
     Attributes:
-        identity: of what was begun last (:meth:`.stage.Stage.identity`), '' where nothing was.
-        key, outputs: of what was done last; '' and empty where it is not done.
-        runs: number of runs that the last beginning asked for.
-        wall_s: wall time of all sittings since it was begun anew [s].
-        sittings: how many they were. One that was killed outright has left no time.
-        killed: whether one was.
-        facts: of its last end: command, date, cores, version.
-        stacks: machine, libraries and code of each sitting; empty where one did not tell.
-        skipped: why there was nothing to do, or ''.
+        identity: identity of the last start (:meth:`.stage.Stage.identity`), '' if never started.
+        key, outputs: those of the last completion; '' and empty if it is not done.
+        runs: number of runs requested by the last start.
+        wall_s: wall time of all sittings since it was last started afresh [s].
+        sittings: number of these sittings. A killed one has left no time.
+        killed: whether one was killed.
+        facts: facts of its last end: command, date, cores, version.
+        stacks: machine, libraries and code of each sitting; empty if not recorded.
+        skipped: reason why there was nothing to do, or ''.
     """
 
     identity: str = ''
@@ -46,7 +46,7 @@ class StageRecord:
     _open: bool = False
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """One more event of the stage."""
+        """Apply another event of the stage."""
         if event['event'] == 'begin':
             self.killed = self._open or (self.killed and event['resumed'])
             if not event['resumed']:
@@ -64,10 +64,10 @@ class StageRecord:
 
 
 class StageLog(JournalOwner):
-    """The open log of one study; one process at a time. A context manager."""
+    """The open log of a study, for one process at a time. A context manager."""
 
     def __init__(self, out: Path) -> None:
-        """Open the log in the study's folder, making it if need be.
+        """Open the log in the study's folder, creating it if needed.
 
         Raises:
             UsageError: another process has it open, or it is damaged.
@@ -77,7 +77,7 @@ class StageLog(JournalOwner):
         self.records = read_records(out)
 
     def write(self, event: str, stage: str, **values: Any) -> None:
-        """Put down one event: ``begin``, ``end`` or ``stopped``."""
+        """Append an event: ``begin``, ``end`` or ``stopped``."""
         line = {
             'event': event, 'stage': stage, **values,
             'date': datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds'),
@@ -91,16 +91,16 @@ class StageLog(JournalOwner):
 
 
 def stack_warning(records: Mapping[str, StageRecord]) -> str:
-    """One line where a stage was begun on another machine or version than this; else ''."""
+    """Warning if a stage was started on another machine or version than this; else ''."""
     before = [stack for record in records.values() for stack in record.stacks]
     return begun_elsewhere(before, provenance(), 'all the stages so far')
 
 
 def read_records(out: Path) -> dict[str, StageRecord]:
-    """What is known of each stage, by its name; also while the study is under way.
+    """Read the state of each stage by name; also possible while the study is running.
 
     Raises:
-        UsageError: a whole line is damaged.
+        UsageError: a complete line is damaged.
     """
     path = out / LOG_NAME
     if not path.exists():

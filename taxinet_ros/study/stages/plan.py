@@ -22,23 +22,23 @@ ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'speci
 ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')
 BEST = 'best'
 NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
-"""Names of the networks; their campaigns are ``evaluate-<name>``, but of the original one."""
+"""Names of the networks; their campaigns are ``evaluate-<name>``, except the original's."""
 
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
 
 _TRIALS = 4
-"""Runs that `taxinet localize` makes of one failed run: as it was, and three substitutions."""
+"""Reruns of one failed run by ``taxinet localize``: unchanged, and with three substitutions."""
 
 
 def campaign_of(network: str) -> str:
-    """Folder of the campaign that a network was evaluated in."""
+    """Folder of the campaign that evaluates a network."""
     return FALSIFY if network == ORIGINAL else f'evaluate-{network}'
 
 
 def weights_of(network: str) -> str:
-    """Weights file of a network that the study trains."""
+    """Weights file of a network trained in the study."""
     return f'train-{network}/{network}.safetensors'
 
 
@@ -48,7 +48,7 @@ def search_of(sampler: str, seed: int) -> str:
 
 
 def learned_program(config: StudyConfig) -> str:
-    """What the first search has learned, whose pictures are added for further training."""
+    """Program learned by the first search, whose pictures are added for further training."""
     return f'{search_of(config.samplers[0], config.learning_seeds[0])}/learned.scenic'
 
 
@@ -72,7 +72,7 @@ def stages_until(found: Sequence[Stage], name: str) -> tuple[Stage, ...]:
     """The stages up to one of them.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: there is no stage of that name.
     """
     names = [stage.name for stage in found]
     if name not in names:
@@ -129,7 +129,7 @@ def _learning(config: StudyConfig) -> Iterator[Stage]:
 def _iteration(config: StudyConfig) -> Iterator[Stage]:
     programs = (config.generic, config.crossing, learned_program(config))
     for network, program in zip(ITERATIVE, programs, strict=True):
-        # The same seed: the images of the generic network once more, and others.
+        # The same seed, for the images of the generic network and additional ones.
         yield _training(
             config, network, config.generic, '--start', weights_of(GENERIC),
             '--add', f'{program}={config.added}', epochs=config.further_epochs, added=program,
@@ -141,7 +141,7 @@ def _iteration(config: StudyConfig) -> Iterator[Stage]:
 def _training(
     config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
 ) -> Stage:
-    """The training of a network; further training of the generic one where images are added."""
+    """Training of a network; further training of the generic one if images are added."""
     learned = added if added == learned_program(config) else ''
     inputs = [weights_of(GENERIC)] * bool(added) + [learned] * bool(learned)
     others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)

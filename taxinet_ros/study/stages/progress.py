@@ -1,7 +1,4 @@
-"""Progress of a study: finished and outdated stages, and remaining time.
-
-And the lines that say so: headings of stages, the list of them, times.
-"""
+"""Progress of a study: finished and outdated stages, remaining time, and their display text."""
 
 from __future__ import annotations
 
@@ -18,25 +15,25 @@ from taxinet_ros.study.stages.stage import Kind, Stage
 
 Records = Mapping[str, StageRecord]
 _DEFAULT_SECONDS = {Kind.RUNS: 3.5, Kind.TRIALS: 2.0, Kind.LOOKS: 0.0025, Kind.REPORT: 60.0}
-"""What one takes where this study does not know yet: on one core of a small machine."""
+"""Default time per unit on one core of a small machine, until the study has measured it [s]."""
 _START_S = 25.0
-"""What every command takes before it gets to work."""
+"""Start-up time of every command [s]."""
 _SHARED_AMONG_WORKERS = (Kind.RUNS, Kind.TRIALS)
-"""What workers share among themselves."""
+"""Kinds of work that are divided among workers."""
 
 
 class State(Enum):
-    """How far a stage is."""
+    """State of a stage."""
 
     DONE = 'done'
     BEGUN = 'begun'
     STALE = 'other'
-    """Its folder holds what another command, other inputs or another version has made."""
+    """Its folder contains results of another command, other inputs or another version."""
     OPEN = 'to do'
 
 
 def state_of(stage: Stage, records: Records, out: Path) -> State:
-    """How far a stage is, by what it depends on now and what lies in its folder.
+    """State of a stage, from its current dependencies and the contents of its folder.
 
     Raises:
         UsageError: a program, an experiment or a network cannot be read.
@@ -53,20 +50,20 @@ def state_of(stage: Stage, records: Records, out: Path) -> State:
 
 
 def can_resume(folder: Path) -> bool:
-    """Whether a campaign, or an arm of an experiment, has got as far as its ledger."""
+    """Whether a campaign, or an arm of an experiment, has a ledger."""
     return any((folder / place / LEDGER_NAME).is_file() for place in ('', *_names(folder)))
 
 
 def seconds_left(
     rest: Iterable[Stage], found: Sequence[Stage], records: Records, workers: int
 ) -> float:
-    """About how long some stages take [s].
+    """Estimated duration of some stages [s].
 
     Args:
         rest: these stages.
-        found: all stages; those of them that are done tell how fast this machine is.
-        records: of them.
-        workers: processes that work at once.
+        found: all stages; those done show the speed of this machine.
+        records: records of all stages.
+        workers: number of concurrent processes.
     """
     pace = {
         kind: one_s / (workers if kind in _SHARED_AMONG_WORKERS else 1)
@@ -77,7 +74,7 @@ def seconds_left(
 
 
 def _measured(found: Sequence[Stage], records: Records) -> dict[Kind, float]:
-    """Wall time of one of each kind, of the stages that are done."""
+    """Wall time per unit of each kind, measured on the finished stages."""
     sums: dict[Kind, tuple[float, float]] = {}
     for stage in found:
         record = records.get(stage.name, StageRecord())
@@ -97,7 +94,7 @@ def _names(folder: Path) -> list[str]:
 
 
 def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str:
-    """What is about to be done."""
+    """Display text of the planned work."""
     size = '' if config.scale == 1 else f'scale {config.scale:g}, '
     return (
         f'case study in {len(found)} stages: {size}{config.images:,} images and {config.epochs} '
@@ -106,19 +103,19 @@ def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str
 
 
 def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> str:
-    """Number, name and command of a stage."""
+    """Display text with number, name and command of a stage."""
     stage = found[number - 1]
     command = shlex.join(['taxinet', *stage.command(resume=resume)])
     return f'[{number}/{len(found)}] {stage.name}: {command}'
 
 
 def time_line(elapsed_s: float, left_s: float) -> str:
-    """Time since the command was started, and about how much there is to come."""
+    """Display text of the elapsed and the remaining time."""
     return f'{clock(elapsed_s)} elapsed, about {rough_duration(left_s)} left'
 
 
 def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]:
-    """Every stage with how far it is, and its command."""
+    """One line per stage with its state and command."""
     width = max(len(stage.name) for stage in found)
     lines = []
     for number, stage in enumerate(found, 1):
@@ -132,18 +129,18 @@ def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]
 
 
 def workers_words(workers: int) -> str:
-    """Such as ``2 workers``."""
+    """Display text such as ``2 workers``."""
     return '1 worker' if workers == 1 else f'{workers} workers'
 
 
 def clock(seconds: float) -> str:
-    """A time as ``1:02:03``."""
+    """Display text of a duration, such as ``1:02:03``."""
     whole = round(seconds)
     return f'{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}'
 
 
 def rough_duration(seconds: float) -> str:
-    """A time that is not known exactly, as ``3 h 20 min``."""
+    """Display text of an approximate duration, such as ``3 h 20 min``."""
     minutes = math.ceil(seconds / 60)
     if minutes < 90:
         return f'{minutes} min'

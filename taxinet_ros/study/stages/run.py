@@ -1,4 +1,4 @@
-"""Run the stages of a study one after the other, each as a process; leave out what is done."""
+"""Run the unfinished stages of a study one after the other, each as a process."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from taxinet_ros.study.stages.progress import (
 from taxinet_ros.study.stages.stage import Resume, Stage
 
 _GRACE_S = 20.0
-"""For a command that was told twice to end, before it is killed."""
+"""Time [s] from a second request to end until a command is killed."""
 
 
 def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
     """Run a command to its end.
 
-    It is in a process group of its own, so that Ctrl-C comes to it through us, and once: the first
-    one ends what it is at in order, the second one at once.
+    It runs in its own process group, so that it receives Ctrl-C only through us, and only once: the
+    first one ends it in order, the second one immediately.
 
     Args:
-        command: the program with its words.
-        folder: where it runs.
+        command: the program with its arguments.
+        folder: working directory.
 
     Returns:
         Its exit code, negative for the signal that killed it; and whether we were interrupted.
@@ -67,14 +67,14 @@ class StudyRun:
         self, out: Path, found: Sequence[Stage], *, log: StageLog, command: Sequence[str],
         workers: int, show: Callable[[str], None],
     ) -> None:
-        """Nothing is started yet.
+        """Prepare the sitting; nothing is started yet.
 
         Args:
-            out: folder of the study, where the commands run.
-            found: its stages, as far as they are wanted.
-            log: what became of them.
-            command: program that takes a stage's words.
-            workers: processes that a stage uses, to tell how long the rest takes.
+            out: folder of the study, the working directory of the commands.
+            found: the requested stages.
+            log: log of the stages.
+            command: program that accepts a stage's words.
+            workers: processes per stage, to estimate the remaining time.
             show: prints a line.
         """
         self._out = out
@@ -85,13 +85,13 @@ class StudyRun:
         self._show = show
 
     def run(self) -> int:
-        """Do what is not done.
+        """Run the unfinished stages.
 
         Returns:
-            Exit code: 0 all is done, 130 interrupted, or that of the stage that failed.
+            Exit code: 0 if all are done, 130 if interrupted, else that of the failed stage.
 
         Raises:
-            UsageError: a stage cannot be begun.
+            UsageError: a stage cannot be started.
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
@@ -110,7 +110,7 @@ class StudyRun:
         return ExitCode.OK
 
     def _check_runs(self) -> None:
-        """A campaign cannot be made smaller, and none is thrown away."""
+        """Check that no campaign would shrink; none is discarded."""
         for stage in self._stages:
             record = self._log.records.get(stage.name)
             if record is None or not stage.runs or record.runs <= stage.runs:
@@ -122,7 +122,7 @@ class StudyRun:
                 )
 
     def _stage(self, number: int, stage: Stage, state: State) -> int:
-        """Do one stage; 0 if it is done."""
+        """Run one stage; return 0 if it is done."""
         resume = self._make_room(stage, state)
         rest = self._stages[number - 1:]
         left_s = seconds_left(rest, self._stages, self._log.records, self._workers)
@@ -140,7 +140,7 @@ class StudyRun:
         begun = time.monotonic()
         code, interrupted = run_command([*self._command, *words], self._out)
         wall_s = time.monotonic() - begun
-        self._log.check_in_place()  # before it is said that this or that is missing
+        self._log.check_in_place()  # first, so that no missing file is reported instead
         trouble = self._trouble(stage, code)
         if trouble:
             self._log.write('stopped', stage.name, wall_s=wall_s, code=code)
@@ -153,7 +153,7 @@ class StudyRun:
         return ExitCode.OK
 
     def _make_room(self, stage: Stage, state: State) -> bool:
-        """Put away what another command left; whether the stage goes on where it was."""
+        """Move outdated results away; return whether the stage resumes."""
         folder = self._out / stage.name
         if state is State.BEGUN and stage.resume is Resume.OPTION and can_resume(folder):
             return True
@@ -178,7 +178,7 @@ class StudyRun:
         return f'none of the {len(outcomes)} runs of {stage.needs_failures} failed: nothing to do'
 
     def _trouble(self, stage: Stage, code: int) -> str:
-        """Why a stage that has ended is not done; '' where it is."""
+        """Reason why a stage that has ended is not done; '' if it is done."""
         if code not in stage.accepts:
             return exit_words(code)
         missing = [name for name in stage.outputs if not (self._out / name).is_file()]

@@ -1,7 +1,7 @@
-"""A stage of a study: one ``taxinet`` command, what it needs, and what it leaves behind.
+"""A stage of a study: one ``taxinet`` command with its inputs and outputs.
 
-Below it the kinds of stage that both the case study and ``taxinet improve`` are made of:
-campaigns, analyses, trainings.
+Also the kinds of stage shared by the case study and ``taxinet improve``: campaigns, analyses,
+trainings.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from taxinet_ros.version import __version__
 
 
 class Resume(Enum):
-    """How a stage that was interrupted goes on."""
+    """How an interrupted stage is continued."""
 
     ANEW = 'anew'
-    """From its beginning."""
+    """Start from the beginning."""
     OPTION = 'option'
-    """With ``--resume``."""
+    """Add ``--resume``."""
     SAME = 'same'
-    """By the same command."""
+    """Repeat the same command."""
     REPLACE = 'replace'
-    """From its beginning, in place of what it has left there before."""
+    """Start from the beginning and replace earlier results."""
 
 
 class Kind(Enum):
-    """What a stage spends its time with, and so how long it takes."""
+    """Kind of work of a stage, which determines its duration."""
 
     RUNS = 'runs'
     """Amount: runs of 30 s on the graph."""
@@ -50,27 +50,26 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One command of a case study. Paths are relative to the study's folder, where it is run.
+    """One command of a case study. Paths are relative to the study's folder, its working directory.
 
     Attributes:
-        name: of the stage and of its folder.
-        words: the command, without ``taxinet``, without how many runs, and without ``hints``.
-        hints: options that change nothing in the result, as ``--workers``.
-        runs: number of runs, the option ``--runs``; 0 where it has none. What was begun with fewer
-            goes on.
+        name: name of the stage and of its folder.
+        words: the command, without ``taxinet``, ``--runs`` and ``hints``.
+        hints: options that do not affect the result, such as ``--workers``.
+        runs: value of ``--runs``, or 0 if it has none. A stage started with fewer continues.
         inputs: files of earlier stages.
-        wants: further ones, that may be missing.
+        wants: optional further inputs.
         programs: Scenic programs, as words or paths.
-        experiment: word or file of the experiment that it is, or ''.
+        experiment: word or file of the experiment, or ''.
         perception: a network from outside the study, or ''.
-        outputs: files that it leaves behind when it is done.
-        kind, amount: of its work.
-        resume: how it goes on.
-        accepts: exit codes that mean that it is done. A run that violates its formula makes 1, and
-            4 means that the bench broke some run, which is counted and shown.
-        needs_failures: a campaign without whose failed runs there is nothing to do, or ''.
-        needs: one of the inputs, without which there is nothing to do, or '': its stage leaves none
-            where it has found nothing.
+        outputs: its output files.
+        kind, amount: kind and amount of its work.
+        resume: how it is continued.
+        accepts: exit codes that mean done: 1 if a run violates its formula; 4 if a run had an
+            infrastructure error, which is counted and shown.
+        needs_failures: campaign without whose failed runs there is nothing to do, or ''.
+        needs: the input without which there is nothing to do, or ''; its stage writes none if it
+            found nothing.
     """
 
     name: str
@@ -91,26 +90,26 @@ class Stage:
     needs: str = ''
 
     def command(self, *, resume: bool = False) -> tuple[str, ...]:
-        """The words after ``taxinet``."""
+        """Arguments of ``taxinet``."""
         again = ('--resume',) if resume and self.resume is Resume.OPTION else ()
         runs = ('--runs', str(self.runs)) if self.runs else ()
         return (*self.words, *runs, *self.hints, *again)
 
     def ready(self, out: Path) -> bool:
-        """Whether what it needs of other stages is there."""
+        """Whether its inputs from other stages exist."""
         return all((out / name).is_file() for name in self.inputs if name != self.needs)
 
     def identity(self, out: Path) -> str:
-        """Digest of all that its result depends on, but for the number of runs.
+        """Digest of everything that its result depends on, except the number of runs.
 
         Raises:
             UsageError: a program, experiment or network cannot be read.
-            OSError: an input cannot.
+            OSError: an input cannot be read.
         """
         return _digest(self._ingredients(out))
 
     def key(self, out: Path) -> str:
-        """Digest of all that its result depends on. Raises as :meth:`identity`."""
+        """Digest of everything that its result depends on. Raises as :meth:`identity`."""
         return _digest({**self._ingredients(out), 'runs': self.runs})
 
     def _ingredients(self, out: Path) -> dict[str, Any]:
@@ -134,7 +133,7 @@ class Stage:
         return found
 
     def results(self, out: Path) -> dict[str, str]:
-        """Digests of its outputs by name; of those that are there."""
+        """Digests of its existing outputs by name."""
         return {name: file_sha256(out / name) for name in self.outputs if (out / name).is_file()}
 
 
@@ -144,11 +143,11 @@ def _digest(values: Mapping[str, Any]) -> str:
 
 _BATCH = 64
 _RENDERING = 2
-"""A rendered picture costs about as much time as so many looks at one in training."""
+"""Rendering time of a picture, in training passes over one picture."""
 
 
 def workers_option(workers: int) -> tuple[str, ...]:
-    """The option that says how many processes work at once, on which nothing else depends."""
+    """Option for the number of concurrent processes, which does not affect results."""
     return ('--workers', str(workers))
 
 
@@ -156,19 +155,19 @@ def campaign_stage(
     name: str, program: str, *, sampler: str, seed: int, runs: int, workers: int, weights: str = '',
     perception: str = '', outputs: Sequence[str] = (), needs: str = '',
 ) -> Stage:
-    """Runs of a network, chosen by a sampler, without pictures.
+    """Stage with a campaign of a network, without pictures in the bags.
 
     Args:
-        name: of the stage.
-        program: whose scenes they are.
-        sampler: that chooses among them.
-        seed: of it.
-        runs: how many.
-        workers: processes that work at once.
-        weights: file of an earlier stage, or ``perception``.
-        perception: word or file of a network from outside.
-        outputs: files beside the table.
-        needs: the weights, where they may not be there because there was nothing to learn.
+        name: name of the stage.
+        program: scenario program.
+        sampler: sampler of its scenes.
+        seed: seed of the sampler.
+        runs: number of runs.
+        workers: number of concurrent processes.
+        weights: weights file of an earlier stage; alternative to ``perception``.
+        perception: word or file of a network from outside the study.
+        outputs: files written in addition to the table.
+        needs: the weights, if they may be missing because there was nothing to learn.
     """
     return Stage(
         name=name, runs=runs, hints=workers_option(workers),
@@ -176,13 +175,13 @@ def campaign_stage(
                '--perception', perception or weights, '--images', 'none', '--out', name),
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
         outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs, needs=needs,
-        # A run that violates its formula makes 1, one that the bench broke 4.
+        # 1 if a run violates its formula, 4 if a run has an infrastructure error.
         resume=Resume.OPTION, accepts=(0, 1, 4),
     )
 
 
 def analysis_stage(name: str, campaign: str, amount: float) -> Stage:
-    """What the failures of a campaign have in common."""
+    """Stage that analyses the failures of a campaign."""
     return Stage(
         name=name, words=('analyze', campaign, '--out', name),
         inputs=(f'{campaign}/{PARQUET_NAME}',),
@@ -196,21 +195,21 @@ def training_stage(
     seed: int, workers: int, inputs: Sequence[str] = (), programs: Sequence[str] = (),
     needs: str = '',
 ) -> Stage:
-    """The training of a network.
+    """Stage that trains a network.
 
     Args:
         weights: file to write, in the folder that names the stage.
-        program: whose pictures it learns.
+        program: program of the training pictures.
         more: further words of the command.
-        images: pictures of the program to learn.
-        validation: further ones to hold back.
-        added: pictures that ``more`` adds.
-        epochs: times that every picture is seen.
-        seed: of everything random.
-        workers: processes that work at once.
+        images: number of training pictures of the program.
+        validation: number of additional held-out pictures.
+        added: number of pictures added by ``more``.
+        epochs: number of passes over all pictures.
+        seed: seed of everything random.
+        workers: number of concurrent processes.
         inputs: files of earlier stages.
-        programs: those of ``more``.
-        needs: the one of them that may not be there because nothing was learned, or ''.
+        programs: programs in ``more``.
+        needs: the one that may be missing because nothing was learned, or ''.
     """
     return Stage(
         name=Path(weights).parts[0], inputs=tuple(inputs), needs=needs,

@@ -1,15 +1,14 @@
 """Domain randomisation and augmentation of training images.
 
 Domain randomisation is done once, when a scene is rendered: mount, lens and exposure vary. A
-network that has seen only one look of the world learns that look; training on many, none of
-them quite real, makes the real one another of them (Tobin et al., IROS 2017). What may vary is
-what real pictures of the same runway differ in; what a tracking error is read from stays true
-to scale.
+network trained on a single appearance of the world overfits to it; with many unrealistic ones, the
+real appearance is just another variation (Tobin et al., IROS 2017). Only properties that differ
+between real pictures of the same runway vary; the geometry that determines the tracking error stays
+true to scale.
 
-Augmentation changes the small grey picture a little each time it is seen, in the order of a
-camera's stages: the lens blurs, the exposure scales and shifts the levels and bends their
-curve, the sensor adds noise. Where things are in the picture stays as it is, and so do the
-true errors.
+Augmentation changes the small grey picture slightly in every epoch, in the order of a camera's
+stages: the lens blurs, the exposure scales, shifts and gamma-corrects the levels, the sensor adds
+noise. Positions in the picture, and therefore the true errors, do not change.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _MOUNT_M = 0.04
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Variation:
-    """How one picture differs from the standard one.
+    """Deviations of a picture from the standard one.
 
     Attributes:
         roll_rad, pitch_rad, yaw_rad, left_m, up_m: misplacement of the camera.
@@ -39,8 +38,8 @@ class Variation:
         gamma: exponent on the grey levels 0..1.
         blur_px: standard deviation of the blur, 0 = none.
         noise: standard deviation of the noise in grey levels.
-        seed: of the noise and of the patches.
-        patches: number of darker patches on the picture: repairs, stains, foreign shadows.
+        seed: seed of the noise and of the patches.
+        patches: number of darker patches on the picture, such as repairs, stains, other shadows.
     """
 
     roll_rad: float
@@ -57,7 +56,7 @@ class Variation:
     patches: int
 
     def misplaced(self, state: AircraftState) -> AircraftState:
-        """Where the standard camera sees what the misplaced one sees from ``state``."""
+        """State from which the standard camera has the view of the misplaced one at ``state``."""
         cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
         return replace(
             state,
@@ -70,7 +69,7 @@ class Variation:
         )
 
     def develop(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The frame, (200, 360, 3) uint8, through another lens, sensor and exposure."""
+        """Apply lens, sensor and exposure to a frame, (200, 360, 3) uint8."""
         rng = np.random.default_rng(self.seed)
         for _ in range(self.patches):
             frame = _patched(frame, rng)
@@ -94,7 +93,7 @@ class Variation:
 
 
 def draw_variation(rng: np.random.Generator) -> Variation:
-    """A variation drawn at random."""
+    """Draw a random variation."""
     roll, pitch, yaw = (float(angle) for angle in rng.normal(0, _MOUNT_RAD, 3))
     zoom_x, zoom_y = (float(zoom) for zoom in rng.uniform(0.98, 1.02, 2))
     exposure = math.exp(rng.normal(0, 0.22))
@@ -121,15 +120,15 @@ def _patched(frame: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.u
 
 
 GAIN = (0.75, 1.35)
-"""Least and largest factor on the levels."""
+"""Range of the factor on the levels."""
 OFFSET = (-20.0, 20.0)
-"""Least and largest grey levels added to all of a picture."""
+"""Range of the offset added to a whole picture [grey levels]."""
 GAMMA = (0.75, 1.35)
-"""Least and largest exponent of the level curve."""
+"""Range of the exponent of the level curve."""
 NOISE = (0.0, 5.0)
-"""Least and largest standard deviation of the noise [grey levels]."""
+"""Range of the standard deviation of the noise [grey levels]."""
 BLUR_PX = (0.3, 1.1)
-"""Least and largest standard deviation of the blur [pixels of the small picture]."""
+"""Range of the standard deviation of the blur [pixels of the small picture]."""
 BLURRED = 0.4
 """Share of the pictures that are blurred."""
 _BLUR_KERNEL = (5, 5)
@@ -137,13 +136,13 @@ _LEVELS = np.linspace(0.0, 1.0, 256, dtype=np.float32)
 
 
 def augment(pictures: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Change every picture in its own way.
+    """Augment every picture independently.
 
-    The same generator state gives the same pictures; the arguments are not written to.
+    The same generator state gives the same pictures; the input is not modified.
 
     Args:
         pictures: grey pictures, (N, H, W) uint8.
-        rng: of everything drawn.
+        rng: generator of all random draws.
 
     Returns:
         As many pictures of the same shape and type.
@@ -163,6 +162,6 @@ def augment(pictures: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np
         exposed = cv2.LUT(seen, curve.astype(np.float32))
         noise[row] *= np.float32(sigma[row])
         noise[row] += exposed
-        # Half a level is added so that the cut to whole numbers rounds.
+        # Half a level is added so that truncation rounds.
         changed[row] = np.clip(noise[row] + np.float32(0.5), 0, 255).astype(np.uint8)
     return changed

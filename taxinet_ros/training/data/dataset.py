@@ -1,6 +1,6 @@
-"""Labelled pictures in memory: one per scene of a Scenic program, as the paper's training sets are.
+"""Labelled pictures in memory: one per scene of a Scenic program, as in the paper's training sets.
 
-A picture is kept as the network gets it, 12 KiB instead of 211.
+A picture is stored as the network's input, 12 KiB instead of 211.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.photographs import photographs
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and how much there is in all."""
+"""Called with the stage, the amount done and the total."""
 
 _Labelled = tuple[NDArray[np.uint8], float, float]
 
@@ -33,8 +33,8 @@ class Dataset:
     """Images and their labels.
 
     Attributes:
-        pictures: what the network sees, (N, 64, 192) uint8.
-        cte_m, he_rad: true errors there, (N,) [m] and [rad].
+        pictures: network inputs, (N, 64, 192) uint8.
+        cte_m, he_rad: true errors, (N,) [m] and [rad].
     """
 
     pictures: NDArray[np.uint8]
@@ -45,7 +45,7 @@ class Dataset:
         return len(self.pictures)
 
     def take(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Dataset:
-        """Some of the rows."""
+        """Select rows."""
         return Dataset(
             pictures=self.pictures[rows], cte_m=self.cte_m[rows], he_rad=self.he_rad[rows]
         )
@@ -56,7 +56,7 @@ def no_progress(stage: str, done: int, total: int) -> None:
 
 
 SAMPLERS = ('random', 'halton', 'sobol', 'grid')
-"""How scenes may be drawn: samplers that need no results of runs."""
+"""Samplers of scenes that need no results of runs."""
 
 
 def draw_scenes(
@@ -67,13 +67,13 @@ def draw_scenes(
 
     Args:
         program: word of a shipped Scenic program or path of one.
-        seed: of the scenes.
+        seed: seed of the scenes.
         images: number of scenes.
         sampler: a word of :data:`SAMPLERS`; ``random`` draws as Scenic does.
-        progress: told after every scene.
+        progress: called after every scene.
 
     Raises:
-        UsageError: the program is wrong, rejects more scenes than it gives, or has too few.
+        UsageError: the program is invalid, rejects most of its scenes, or has too few.
     """
     scenes: list[Scenario] = []
     rejected = 0
@@ -98,7 +98,7 @@ def draw_scenes(
 def _scene_drawer(
     source: SceneSource, sampler: str, seed: int, images: int
 ) -> Callable[[int], Scenario]:
-    """Function that returns the scene of a number, from 0 on."""
+    """Function that returns the scene with a given number, from 0."""
     if sampler == 'random':
         return source.scene
     points = make_sampler(sampler, source.space(), seed, images)
@@ -124,11 +124,11 @@ def make_dataset(
     """Render scenes. The result does not depend on the number of worker processes.
 
     Args:
-        scenes: what to photograph; the place of one in the sequence is its number.
-        workers: processes to do it in; 1 is this one.
+        scenes: scenes to render; their indices are their numbers.
+        workers: number of processes; 1 is this one.
         varied: whether the look of the world varies.
-        seed: of what is drawn for that.
-        progress: told after every picture.
+        seed: seed of these variations.
+        progress: called after every picture.
 
     Raises:
         InfraError: a worker process died, or the simulator failed.

@@ -1,12 +1,12 @@
 """Datasets on disk: a folder of images of a Scenic program's scenes, with a table of labels.
 
-``images/000000.png`` and so on, ``labels.parquet`` with a row for each, and ``dataset.json``,
-which is written last: a folder without it is not finished. ``request.json`` says what was
-asked for and ``finished.jsonl`` which images are done, as long as it is being made.
+It contains ``images/000000.png`` and so on, ``labels.parquet`` with a row for each, and
+``dataset.json``, which is written last: a folder without it is unfinished. While it is being made,
+``request.json`` has the options and ``finished.jsonl`` the finished images.
 
-An image is a pure function of program, seed and number, so an interrupted dataset is continued
-by rendering what is missing, and ends up the same to the byte. Files are put in place whole
-and never replaced.
+An image is a pure function of program, seed and number, so an interrupted dataset is continued by
+rendering the missing images, with a byte-identical result. Files are written atomically and never
+replaced.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ def image_name(index: int) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FinishedImage:
-    """An image that lies in the folder.
+    """An image in the folder.
 
     Attributes:
-        index: its number.
+        index: number of the image.
         cte_m, he_rad: true errors [m], [rad].
-        sha256: digest of its file.
+        sha256: digest of the file.
     """
 
     index: int
@@ -68,13 +68,13 @@ class FinishedImage:
 
 
 class FinishedImages(JournalOwner):
-    """The open record: one writer at a time; a context manager."""
+    """The open record of finished images, for one writer at a time; a context manager."""
 
     def __init__(self, path: Path) -> None:
-        """Open ``path`` to append, making it if need be; a torn last line is cut off.
+        """Open ``path`` to append, creating it if needed; a torn last line is removed.
 
         Raises:
-            UsageError: it cannot be opened, is no such record, or another command writes to it.
+            UsageError: it cannot be opened, is not such a record, or another command writes to it.
         """
         self._path = path
         try:
@@ -90,10 +90,10 @@ class FinishedImages(JournalOwner):
             raise
 
     def add(self, row: FinishedImage) -> None:
-        """Record that an image is in its place.
+        """Record that an image is finished.
 
         Raises:
-            OSError: the line could not be written whole, as on a full disk.
+            OSError: the line could not be written completely, for example on a full disk.
         """
         self._journal.append(asdict(row))
         self.rows[row.index] = row
@@ -115,27 +115,27 @@ _LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
 
 
 _DRAFT = draft_path(Path(REQUEST)).name
-"""What a kill or a full disk may leave of a dataset before it is begun."""
+"""File that a kill or a full disk may leave of a dataset that was not yet started."""
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-"""Lossless at every level; higher ones take several times as long for a tenth of the room."""
+"""All levels are lossless; higher ones take several times as long to save a tenth of the size."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DatasetOptions:
-    """Which dataset to make, and where; checked on construction.
+    """Options of a dataset; checked on construction.
 
     Attributes:
         program: word of a shipped Scenic program or path of one.
-        out: folder to make; missing or empty, unless ``resume``.
-        count: images, one per scene.
+        out: folder to create; missing or empty, unless ``resume``.
+        count: number of images, one per scene.
         sampler: a word of :data:`~taxinet_ros.training.data.dataset.SAMPLERS`.
-        seed: of everything random.
+        seed: seed of everything random.
         varied: whether the look of the world varies.
-        workers: processes that render; the result does not depend on them.
-        resume: whether to continue what was interrupted.
+        workers: number of rendering processes; the result does not depend on it.
+        resume: whether to continue an interrupted dataset.
 
     Raises:
-        UsageError: a number is out of range, or the sampler is not known.
+        UsageError: a number is out of range, or the sampler is unknown.
     """
 
     program: str
@@ -157,7 +157,7 @@ class DatasetOptions:
             raise UsageError(f'dataset: sampler {self.sampler!r} is unknown; known: {known}')
 
     def request(self) -> dict[str, Any]:
-        """All that the images depend on, for the record and to compare when resuming.
+        """Everything that the images depend on, to record and to compare when resuming.
 
         Raises:
             UsageError: the program is unknown or cannot be read.
@@ -176,15 +176,15 @@ class DatasetOptions:
 
 
 def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> int:
-    """Make a dataset, or the missing part of it.
+    """Create a dataset, or the missing part of it.
 
     Args:
-        options: what to do.
-        progress: told of the stages ``scenes``, ``checked`` (images of an earlier try) and
+        options: options of the dataset.
+        progress: called in the stages ``scenes``, ``checked`` (images of an earlier attempt) and
             ``images``.
 
     Returns:
-        How many images had to be rendered.
+        Number of images rendered.
 
     Raises:
         UsageError: options, program or folder cannot be used.
@@ -202,7 +202,7 @@ def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> 
         options.program, seed=options.seed, images=options.count, sampler=options.sampler,
         progress=progress,
     )
-    if not options.resume:  # not before: a program that is refused leaves no folder behind
+    if not options.resume:  # only now: an invalid program leaves no folder behind
         _begin(options.out, request)
     with FinishedImages(options.out / FINISHED) as finished:
         rendered = _render(options, scenes, finished, progress)
@@ -222,7 +222,7 @@ def _check_new(out: Path) -> None:
 
 
 def _begin(out: Path, request: Mapping[str, Any]) -> None:
-    """Make the folder, and write down there what for."""
+    """Create the folder and write the request into it."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         _write_once(out / REQUEST, sealed_text(request).encode())
@@ -278,7 +278,7 @@ def _render(
 
 
 def _check_finished(out: Path, finished: FinishedImages, progress: Progress) -> None:
-    """See that what is said to be done is there as it was; what is missing may be made again."""
+    """Check that recorded images are unchanged; missing ones may be made again."""
     for done, row in enumerate(finished.rows.values(), 1):
         path = out / image_name(row.index)
         if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != row.sha256:
@@ -289,13 +289,13 @@ def _check_finished(out: Path, finished: FinishedImages, progress: Progress) -> 
 def _store(
     out: Path, index: int, image: NDArray[np.uint8], truth: TrackingError
 ) -> FinishedImage:
-    """Write one image; done where it was rendered, for compressing takes its time too."""
+    """Write one image, in the worker that rendered it since compression takes time."""
     _, encoded = cv2.imencode('.png', cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)
     data = encoded.tobytes()
     try:
         _write_once(out / image_name(index), data)
     except OSError as error:
-        raise _record_error(out, error) from None  # an OSError's traceback does not travel well
+        raise _record_error(out, error) from None  # an OSError pickles badly
     sha256 = hashlib.sha256(data).hexdigest()
     return FinishedImage(index=index, cte_m=truth.cte_m, he_rad=truth.he_rad, sha256=sha256)
 
@@ -303,7 +303,7 @@ def _store(
 def _record(out: Path, finished: FinishedImages, row: FinishedImage) -> None:
     before = finished.rows.get(row.index)
     if before == row:
-        return  # its file was lost and has been made again
+        return  # its lost file has been made again
     if before is not None:
         raise _differs_error(out / image_name(row.index))
     try:
@@ -315,7 +315,7 @@ def _record(out: Path, finished: FinishedImages, row: FinishedImage) -> None:
 def _complete(
     out: Path, request: Mapping[str, Any], scenes: list[Scenario], finished: FinishedImages
 ) -> None:
-    """Write the table, and then the file that says that all is there."""
+    """Write the table, then the file that marks the dataset as complete."""
     finished.check_in_place()
     table = io.BytesIO()
     rows = [_row(scene, finished.rows[index]) for index, scene in enumerate(scenes)]
@@ -323,7 +323,7 @@ def _complete(
     labels_sha256 = hashlib.sha256(table.getvalue()).hexdigest()
     try:
         _write_once(out / LABELS, table.getvalue())
-        os.sync()  # once for all images: the next file must not outlive them in a loss of power
+        os.sync()  # once for all images: the next file must not survive a power loss without them
         facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
         _write_once(out / FACTS, facts.encode())
     except OSError as error:
@@ -341,12 +341,12 @@ def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
 
 
 def _write_once(path: Path, data: bytes) -> None:
-    """Put a whole file in place; one that is there already has to be the same."""
+    """Write a file atomically; an existing one must be identical."""
     if path.exists():
         if path.read_bytes() != data:
             raise _differs_error(path)
         return
-    write_atomically(path, data, sync=False)  # all of them are, in the end
+    write_atomically(path, data, sync=False)  # synchronised once at the end
 
 
 def _differs_error(path: Path) -> UsageError:

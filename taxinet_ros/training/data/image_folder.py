@@ -1,8 +1,8 @@
-"""Folders of images with a label table, made by ``taxinet dataset`` or from elsewhere.
+"""Folders of images with a label table, made by ``taxinet dataset`` or from other sources.
 
 The table is ``labels.parquet`` or ``labels.csv`` with the columns ``image``, ``cte_m`` (left
-positive), ``heading_error_deg`` (nose left positive) and, if there is one, ``distance_m``. A column
-``sha256`` holds the digests of the image files, which are then checked.
+positive), ``heading_error_deg`` (nose left positive) and optionally ``distance_m``. An optional
+column ``sha256`` has the digests of the image files, which are then checked.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FOREIGN_LABELS = 'labels.csv'
 _DIGEST = 'sha256'
 
 _Row = tuple[int, Mapping[str, object]]
-"""Number of a line or row as people count, and its values by the name of their column."""
+"""Number of a line or row, from 1, and its values by column name."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,10 +41,10 @@ class ImageFolder:
     """A folder with checked labels and existing images.
 
     Attributes:
-        path: of the folder.
-        table: its label table.
+        path: path of the folder.
+        table: label table.
         frames: images and labels, in the order of the table.
-        digests: what the table says of the image files' bytes; empty where it does not.
+        digests: digests of the image files from the table; empty if it has none.
     """
 
     path: Path
@@ -59,7 +59,7 @@ class ImageFolder:
         """One image as a camera frame, (200, 360, 3) uint8 RGB, and its file's digest.
 
         Raises:
-            UsageError: it is damaged, smaller than what the network sees, or no longer the same.
+            UsageError: it is damaged, too small for the network, or has changed.
         """
         frame = self.frames[row]
         where = f'{self.table}: row {row + 1}: image {frame.image!r}'
@@ -86,7 +86,7 @@ class ImageFolder:
         return picture, found
 
     def source(self, digests: Sequence[str]) -> Source:
-        """What a model card says of the folder, given the digests of all the images."""
+        """The folder's entry in a model card, from the digests of all images."""
         whole = hashlib.sha256(self.table.read_bytes())
         for frame, digest in zip(self.frames, digests, strict=True):
             whole.update(f'{digest} {frame.image}\n'.encode())
@@ -95,10 +95,10 @@ class ImageFolder:
 
 
 def open_folder(path: Path) -> ImageFolder:
-    """Check a folder and its labels; the images are read later, one by one.
+    """Open a folder and check its labels; the images are read later, one by one.
 
     Raises:
-        UsageError: one line on the first thing that is wrong: file, row, and how to mend it.
+        UsageError: one line on the first error: file, row and correction.
     """
     table = _table(path)
     rows = list(_parquet_rows(table) if table.suffix == '.parquet' else _csv_rows(table))
@@ -119,13 +119,13 @@ def open_folder(path: Path) -> ImageFolder:
 def load_folders(
     paths: Sequence[Path], *, workers: int, stage: str = 'images', progress: Progress = no_progress
 ) -> tuple[Dataset, tuple[Source, ...]]:
-    """The pictures of one or more folders as the network sees them, one after the other.
+    """Load the pictures of one or more folders as network inputs, one folder after the other.
 
     Args:
-        paths: of the folders.
-        workers: threads that read; the result does not depend on them.
-        stage: what progress is told under.
-        progress: told after every picture.
+        paths: paths of the folders.
+        workers: number of reading threads; the result does not depend on it.
+        stage: name of the stage for ``progress``.
+        progress: called after every picture.
 
     Raises:
         UsageError: as :func:`open_folder` and :meth:`ImageFolder.picture`.
@@ -199,7 +199,7 @@ def _check_digest(folder: Path, table: Path) -> None:
 
 
 def _complete(row: Mapping[str, object]) -> Mapping[str, object]:
-    """A row with the distance that a label table may leave out; nothing is learnt from it."""
+    """A row with the optional distance filled in, which is not used for training."""
     return row if 'distance_m' in row else {**row, 'distance_m': 0.0}
 
 

@@ -1,12 +1,12 @@
 """Pictures added to a training set: of a program (``crossing=2400``) or of failed runs.
 
-The paper's iterative retraining adds 20 % of one kind to a set (Appendix A): of a Scenic
+The paper's iterative retraining adds 20 % of one kind to a set (Appendix A): pictures of a Scenic
 program, handwritten or learned, or counterexamples of falsification.
 
-A failed run starts somewhere, but the pictures that misled the network lie along its path.
-Training on places of the path, with the truth for a label, is counterexample-guided data
-augmentation (Dreossi et al., IJCAI 2018); since the network's own steering led there, it is
-dataset aggregation as well (Ross et al., AISTATS 2011).
+The pictures that misled the network lie along the path of a failed run, not only at its start.
+Training on places along the path, labelled with the truth, is counterexample-guided data
+augmentation (Dreossi et al., IJCAI 2018); since the network's own steering led there, it is also
+dataset aggregation (Ross et al., AISTATS 2011).
 """
 
 from __future__ import annotations
@@ -27,35 +27,36 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, o
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.weights import Source
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
 
 SPREAD_M = 0.5
-"""Standard deviation [m] of the places around the path, across it: neighbours a step apart look
-alike, and the next network will take another path."""
+"""Standard deviation [m] of the lateral offset from the path: consecutive steps look alike, and the
+next network will take another path."""
 SPREAD_RAD = math.radians(2.0)
-"""Likewise of the heading [rad]."""
+"""Standard deviation of the heading offset [rad]."""
 MAX_CROSS_TRACK_M = 14.0
-"""Places further off than this are left out: an aircraft on the grass teaches nothing of use."""
+"""Maximum cross-track error of a place [m]: an aircraft on the grass is of no use for training."""
 MAX_HEADING_RAD = math.radians(60.0)
 _Path = tuple[Scenario, NDArray[np.float64]]
-"""The scene of a run, and along its way distance [m], cross-track [m] and heading error [rad]."""
+"""The scene of a run, and distance [m], cross-track [m] and heading error [rad] along it."""
 
 
 def counterexample_scenes(
     folder: Path, count: int, seed: int, progress: Progress = no_progress
 ) -> list[Scenario]:
-    """Scenes that start where failed runs have been, drawn evenly over runs and steps.
+    """Scenes that start at places of failed runs, drawn evenly over runs and steps.
 
     Args:
-        folder: of the campaign, with the runs' bags; their pictures are not needed.
-        count: scenes, of which several may lie at one step if the runs are few.
-        seed: of what is drawn.
-        progress: told as ``runs`` after every bag.
+        folder: folder of the campaign with the runs' bags; their pictures are not needed.
+        count: number of scenes; several may be at one step if there are few runs.
+        seed: seed of the draws.
+        progress: called with stage ``runs`` after every bag.
 
     Raises:
-        UsageError: no campaign, no failed run, or none whose bag can be read.
+        UsageError: there is no campaign, no failed run, or none whose bag can be read.
     """
     paths = _paths(open_failed_campaign(folder), progress)
     rng = np.random.default_rng(seed)
@@ -63,7 +64,7 @@ def counterexample_scenes(
 
 
 def ledger_digest(folder: Path) -> str:
-    """SHA-256 of a campaign's ledger, which names its runs and what came of them.
+    """SHA-256 of a campaign's ledger, which contains its runs and results.
 
     Raises:
         UsageError: it cannot be read.
@@ -80,10 +81,10 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
         try:
             trace = open_recording(campaign.folder / row.run_id).columns
         except (BagError, UsageError):
-            continue  # a bag that was deleted or damaged leaves the others
+            continue  # skip a deleted or damaged bag
         scene, _ = campaign.scenario(row)
-        columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
-        way = columns.astype(np.float64)[_useful_places(columns)]
+        columns = np.stack([trace['distance_m'], trace['cte_m'], trace['he_rad']], axis=1)
+        way = columns.astype(np.float64)[_useful_places(columns, scene.line)]
         if len(way):
             found.append((scene, way))
         progress('runs', number, len(campaign.counterexamples))
@@ -95,40 +96,45 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
     return found
 
 
-def _useful_places(columns: NDArray[np.generic]) -> NDArray[np.bool_]:
+def _useful_places(columns: NDArray[np.generic], track: Track) -> NDArray[np.bool_]:
     distance, cte, heading = columns.astype(np.float64).T
     return (
-        (distance >= 0) & (distance <= 2600)
-        & (np.abs(cte) <= MAX_CROSS_TRACK_M) & (np.abs(heading) <= MAX_HEADING_RAD)
+        (distance >= 0) & (distance <= min(2600, track.last_start_m))
+        & (np.abs(cte) <= _most_aside_m(track)) & (np.abs(heading) <= MAX_HEADING_RAD)
     )
+
+
+def _most_aside_m(track: Track) -> float:
+    return min(MAX_CROSS_TRACK_M, track.farthest_start_m)
 
 
 def _scene_on_path(scene: Scenario, way: NDArray[np.float64], rng: np.random.Generator) -> Scenario:
     distance, cte, heading = way[rng.integers(len(way))]
+    most_m = _most_aside_m(scene.line)
     aside, turned = rng.normal(0, SPREAD_M), rng.normal(0, SPREAD_RAD)
     return dataclasses.replace(
         scene,
         distance_m=float(distance),
-        cross_track_m=float(np.clip(cte + aside, -MAX_CROSS_TRACK_M, MAX_CROSS_TRACK_M)),
+        cross_track_m=float(np.clip(cte + aside, -most_m, most_m)),
         heading_rad=float(heading + turned),
     )
 
 
 MAX_PICTURES = 1_000_000
-"""Pictures of one portion."""
+"""Maximum number of pictures of one portion."""
 _PORTIONS = 3
-"""Tells the random numbers of portions from others of the same seed."""
+"""Stream key that separates the random numbers of portions from others of the same seed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Portion:
-    """So many pictures of one origin.
+    """A number of pictures of one origin.
 
     Attributes:
-        kind: ``program`` for scenes of a Scenic program, ``runs`` for places on the way of a
-            campaign's failed runs.
+        kind: ``program`` for scenes of a Scenic program, ``runs`` for places along a campaign's
+            failed runs.
         name: word or path of the program, or path of the campaign's folder.
-        count: pictures to train on.
+        count: number of training pictures.
     """
 
     kind: Literal['program', 'runs']
@@ -139,17 +145,17 @@ class Portion:
         return f'{self.name}={self.count}'
 
     def scenes(self, count: int, seed: int, progress: Progress) -> list[Scenario]:
-        """As many scenes of this origin.
+        """Draw ``count`` scenes of this origin.
 
         Raises:
-            UsageError: there is no such program or campaign, or it has nothing to give.
+            UsageError: there is no such program or campaign, or it has no scenes.
         """
         if self.kind == 'program':
             return draw_scenes(self.name, seed=seed, images=count, progress=progress)
         return counterexample_scenes(Path(self.name), count, seed, progress)
 
     def source(self) -> Source:
-        """What a model card says of it."""
+        """Its entry in a model card."""
         if self.kind == 'program':
             return program_source(self.name)
         folder = Path(self.name)
@@ -157,7 +163,7 @@ class Portion:
 
 
 def program_source(program: str) -> Source:
-    """What a model card says of a Scenic program, given by word or path."""
+    """Model card entry of a Scenic program, given by word or path."""
     path = find_program(program)
     return Source(kind='program', name=path.stem, sha256=program_digest(path))
 
@@ -179,6 +185,6 @@ def parse_portion(text: str, kind: Literal['program', 'runs']) -> Portion:
 
 
 def portion_seed(seed: int, number: int) -> int:
-    """Seed of a portion's scenes: the program may be the one that the set itself is drawn from."""
+    """Seed of a portion's scenes, distinct since the main set may use the same program."""
     drawn = np.random.SeedSequence([seed, _PORTIONS, number]).generate_state(1, np.uint64)
     return int(drawn[0] >> 1)

@@ -75,7 +75,7 @@ def test_given_a_campaign_and_a_baseline_then_the_summary_says_what_matters(find
     assert report.summary[0].startswith('400 runs of planted with network: ')
     assert f'of the {failures} failures' in report.summary[1]
     assert report.summary[2].startswith('1. Rain of 25 % or more: ')
-    assert 'along the runway' in report.summary[3]
+    assert 'along the track' in report.summary[3]
     last = report.summary[-1]
     assert last.startswith('network fails in ')
     assert 'better in ' in last

@@ -32,7 +32,8 @@ from taxinet_ros.analysis.runs.campaign import runs_of
 from taxinet_ros.bench.causes import measure
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import sample_scenarios
+from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
+from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
 
 SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
@@ -60,7 +61,7 @@ def test_given_a_crossing_when_looked_for_then_its_limits_are_found(tmp_path):
     assert found[0].inside.low < 0.8 < found[0].inside.high
     assert found[0].outside.rate == pytest.approx(0.05, abs=0.02)
     assert found[0].p < 0.001
-    assert 'along the runway' in found[0].sentence()
+    assert 'along the track' in found[0].sentence()
 
 
 def test_given_the_papers_shadow_when_looked_for_then_sky_and_hours_are_found_together(tmp_path):
@@ -375,6 +376,55 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
     assert '--controller' not in command
     runs.facts['controller'] = 'mine.py:steer'
     assert '--controller mine.py:steer' in confirmation_command(runs, cause, tmp_path)
+
+
+PAPERS = """model runway_world
+param zulu_time = Range(6, 18) * 3600 + 8 * 3600
+weather = Options({(Uniform(0, 1, 2, 3, 4, 5), 0): 2, (Uniform(3, 4, 5), Range(0.25, 1)): 1})
+param cloud_type = weather[0]
+param rain_percent = weather[1]
+ego = new Plane at (Range(-8, 8), Range(0, 2000))
+"""
+
+
+def cause_of(*parts):
+    rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
+    return Cause(region=Region(parts=parts), rank=1, inside=rate, outside=rate, whole=rate,
+                 share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
+
+
+@pytest.mark.parametrize('overrides', [{}, {'place': 'bikf_10'}])
+def test_given_a_program_in_the_papers_names_then_a_causes_program_speaks_them(tmp_path, overrides):
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    runs.facts.update(program_text=f'# --- mine.scenic ---\n{PAPERS}', overrides=overrides)
+    cause = cause_of(
+        Kinds(feature='clouds', kinds=('overcast', 'stratus')),
+        Interval(feature='rain_percent', low=30.0, high=None),
+        Interval(feature='time_of_day_h', low=18.5 if overrides else 10.5, high=None),
+    )
+    program = tmp_path / program_name(cause)
+    program.write_text(cause_program(runs, cause))
+    with SceneSource(str(program), seed=5, overrides=overrides) as source:
+        for index in range(6):
+            values = source.scene(index).to_human()
+            assert values['clouds'] in ('overcast', 'stratus')
+            assert values['rain_percent'] >= 30
+            assert values['time_of_day_h'] >= (18.5 if overrides else 10.5)
+
+
+def test_given_a_place_of_ones_own_then_a_causes_program_knows_it(tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    text = f'model runway_world\nparam place = Uniform("kmwh_04", "{mine}")\n'
+    runs.facts['program_text'] = f'# --- mine.scenic ---\n{text}ego = new Plane at (0, 400)\n'
+    reference = catalogue.typed_place(str(mine)).reference
+    assert reference != 'bikf_10'
+    cause = cause_of(Kinds(feature='place', kinds=(reference,)))
+    program = tmp_path / program_name(cause)
+    program.write_text(cause_program(runs, cause))
+    for scene in sample_scenarios(program, 5, 4):
+        assert scene.to_human()['place'] == reference
 
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():

@@ -27,8 +27,9 @@ def moment_in(scenario, look):
     truth = now.state.tracking_error
     estimate = look(now.image)
     return Moment(
-        camera=WING, row=0, seq=0, t_s=0.0, x_m=now.state.x_m, image=now.image, state=now.state,
-        truth=truth, estimate=estimate, misled_rad=misled_rad(estimate, truth, GAINS),
+        camera=WING, row=0, seq=0, t_s=0.0, x_m=now.state.x_m, line=scenario.line,
+        image=now.image, state=now.state, truth=truth, estimate=estimate,
+        misled_rad=misled_rad(estimate, truth, GAINS),
     )
 
 

@@ -151,7 +151,7 @@ def test_given_campaigns_of_one_network_then_their_labels_differ(tmp_path):
     ('time_of_day_h', 13 + 1 / 3, 15.75, 'between 13:20 and 15:45'),
     ('time_of_day_h', None, 7.5, 'before 07:30'),
     ('time_of_day_h', 16.0, None, 'after 16:00'),
-    ('distance_m', 1150.0, 1600.0, 'start 1,150 to 1,600 m along the runway'),
+    ('distance_m', 1150.0, 1600.0, 'start 1,150 to 1,600 m along the track'),
     ('rain_percent', 25.0, None, 'rain of 25 % or more'),
     ('rain_percent', None, 0.0, 'no rain'),
     ('heading_deg', None, -12.0, 'start heading below −12° (nose left positive)'),

@@ -22,7 +22,13 @@ from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import PLACE, PUSHING_FIELDS, SCENARIO_FIELDS, Kind
+from taxinet_ros.core.scenario_fields import (
+    PLACE,
+    PUSHING_FIELDS,
+    SCENARIO_FIELDS,
+    TRACK,
+    Kind,
+)
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
@@ -46,8 +52,8 @@ def before_units(topic: TopicInfo) -> TopicInfo:
 
 
 def before_wind(topic: TopicInfo) -> TopicInfo:
-    """The topic without the keys of after the units: what pushes the aircraft, and where it is."""
-    new = '|'.join(field.attribute for field in (*PUSHING_FIELDS, PLACE))
+    """The topic without the keys of after the units: what pushes, the track and the place."""
+    new = '|'.join(field.attribute for field in (*PUSHING_FIELDS, TRACK, PLACE))
     definition = re.sub(rf'^\w+ ({new}) .*\n', '', topic.definition, flags=re.MULTILINE)
     return described(topic, definition)
 

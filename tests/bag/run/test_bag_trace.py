@@ -43,7 +43,8 @@ def test_given_a_run_when_traced_then_columns_hold_its_numbers(
     trace = open_recording(tmp_path / 'run').columns
     k = np.arange(STEPS)
     expected: dict[str, Any] = {
-        'seq': k, 't_ns': k * STEP_NS, 'x_m': 10.0 * k, 'y_m': -0.5 * k, 'speed_mps': 5.0 + k,
+        'seq': k, 't_ns': k * STEP_NS, 'x_m': 10.0 * k, 'y_m': -0.5 * k, 'distance_m': 10.0 * k,
+        'speed_mps': 5.0 + k,
         'cte_m': -0.5 * k, 'he_rad': 0.01 * k, 'est_valid': k != 1,
         'est_cte_m': np.where(k == 1, np.nan, -0.4 * k),
         'est_he_rad': np.where(k == 1, np.nan, 0.02 * k),
@@ -92,7 +93,7 @@ def test_given_no_ground_truth_when_traced_then_empty(tmp_path: Path) -> None:
 def test_given_a_damaged_run_when_traced_then_the_damage_is_raised(tmp_path: Path) -> None:
     path = write_bag(tmp_path / 'run', samples(2))
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(BagError, match='10 intact messages before'):
+    with pytest.raises(BagError, match='11 intact messages before'):
         _ = open_recording(path).columns
 
 

@@ -53,16 +53,16 @@ def test_given_physics_and_monitor_when_measured_then_each_has_its_figures(monke
     found = figures('monitor', 'physics')
 
     names = [f'monitor/{spec} {kind}' for spec in SHIPPED for kind in ('sample', 'offline')]
-    assert list(found)[: 2 + len(names)] == ['physics/control step', 'physics/new', *names]
+    physics = [f'physics/{what}{pushed}' for what in ('control step', 'new')
+               for pushed in ('', ', wind', ', gusts', ', wet, uphill')]
+    assert list(found)[: len(physics) + len(names)] == [*physics, *names]
     longer = {f'monitor/{spec} {kind} of {length}' for spec in ('phi_always', 'phi_eventually')
               for kind in ('sample', 'offline') for length in ('1k', '10k', '100k')}  # fmt: skip
     wider = {f'monitor/window of {seconds} s sample of 10k' for seconds in (10, 100, 1000)}
     nested = {f'monitor/{name} sample of {length}'
               for name in ('G F', 'G or F', 'F G F', '12 until')
               for length in ('1k', '10k')}  # fmt: skip
-    assert set(found) == {
-        'physics/control step', 'physics/new', *names
-    } | longer | wider | nested
+    assert set(found) == {*physics, *names} | longer | wider | nested
     assert all(figure['median_s'] > 0 for figure in found.values())
     step = found['physics/control step']
     assert step['real_time_factor'] == pytest.approx(0.1 / step['median_s'])

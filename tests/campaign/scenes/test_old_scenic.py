@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import scenic3_hint, scenic3_lines
 from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'model runway_world\n'
@@ -97,31 +100,46 @@ def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> 
     assert 'line 8 "(Uniform(3, 4, 5), Range(0.25, 1)): 1"' in message
     assert 'line 14 "ego = new Plane at Range(-8, 8) @ Range(0, 2000),"' in message
     assert message.endswith('line 15 "facing Range(-30, 30) deg"')
-    text = mended(FIGURE_3)
-    for before, after, name in (
-        (r'zulu_time = (.*)', r'time_of_day_h = (\1) / 3600 - 8', 'zulu_time'),
-        ('cloud_type', 'clouds', 'cloud_type'),
-        ('rain_percent = (.*)', r'rain_percent = 100 * \1', 'rain_percent'),
-    ):
-        line, message = said(client, tmp_path, text)
-        assert message.startswith(f'param {name}: here it is ')
-        assert text.splitlines()[line - 1].startswith(f'param {name}')
-        text = re.sub(before, after, text)
-    line, message = said(client, tmp_path, text)
-    assert line == 11
-    assert message.endswith('not one of clear, cirrus, scattered, broken, overcast, stratus')
-    text = text.replace('Uniform(0, 1, 2, 3, 4, 5)', 'Uniform(*CLOUDS)')
-    text = text.replace('Uniform(3, 4, 5)', 'Uniform(*RAIN_CLOUDS)')
     path = tmp_path / 'mine.scenic'
-    path.write_text(text)
-    assert client.ask(op='compile', program=str(path)) == {}
-    scenes = [client.ask(op='scene', index=index)['values'] for index in range(200)]
-    wet = [scene['rain_percent'] for scene in scenes if scene['rain_percent'] > 0]
+    path.write_text(mended(FIGURE_3))
+    with SceneSource(str(path), seed=0) as source:
+        scenes = [source.scene(index) for index in range(200)]
+        assert ['rain_percent is a fraction' in note for note in source.notes] == [True]
+        fed = {key for choice in source.search_space().choices for key in choice.feeds}
+    assert fed == {
+        'time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg',
+    }
+    wet = [scene.rain_fraction for scene in scenes if scene.rain_fraction > 0]
     assert len(wet) / 200 == pytest.approx(1 / 3, abs=5 * (2 / 9 / 200) ** 0.5)
-    assert min(wet) >= 25
-    hours = [scene['time_of_day_h'] for scene in scenes]
+    assert min(wet) >= 0.25
+    assert max(wet) <= 1
+    hours = [scene.time_of_day_s / 3600 for scene in scenes]
     assert 6 <= min(hours) < 7
     assert 17 < max(hours) <= 18
+    dry = Counter(scene.clouds for scene in scenes if not scene.rain_fraction)
+    assert set(dry) == set(CLOUDS)
+    assert {scene.clouds for scene in scenes if scene.rain_fraction} == set(RAIN_CLOUDS)
+
+
+def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(mended(FIGURE_3))
+    ours = tmp_path / 'ours.scenic'
+    text = path.read_text()
+    for before, after in (
+        (r'zulu_time = (.*)', r'time_of_day_h = (\1) / 3600 - 8'),
+        ('cloud_type', 'clouds'),
+        ('rain_percent = (.*)', r'rain_percent = 100 * \1'),
+        (r'Uniform\(0, 1, 2, 3, 4, 5\)', 'Uniform(*CLOUDS)'),
+        (r'Uniform\(3, 4, 5\)', 'Uniform(*RAIN_CLOUDS)'),
+    ):
+        text = re.sub(before, after, text)
+    ours.write_text(text)
+    with SceneSource(str(path), seed=4) as one, SceneSource(str(ours), seed=4) as other:
+        for index in range(40):
+            drawn, said_here = one.scene(index).to_human(), other.scene(index).to_human()
+            assert drawn.pop('time_of_day_h') == pytest.approx(said_here.pop('time_of_day_h'))
+            assert drawn == said_here
 
 
 @pytest.mark.parametrize(('text', 'line', 'end'), [
@@ -179,19 +197,61 @@ def test_s10_the_shipped_programs_are_scenic_3(program: str) -> None:
     assert scenic3_hint(text, 'invalid syntax') == ''
 
 
-@pytest.mark.parametrize(('name', 'mend'), [
-    ('zulu_time', 'time_of_day_h, in hours of local time: (seconds of GMT) / 3600 - 8'),
-    ('"sim/time/zulu_time_sec"', 'time_of_day_h, in hours'),
-    ('"sim/weather/cloud_type[0]"', 'clouds, a word for each type 0-5: clear, cirrus, scattered'),
-    ('"sim/weather/rain_percent"', 'rain_percent, in percent: 100 * (fraction)'),
+@pytest.mark.parametrize(('params', 'values'), [
+    ('zulu_time = 72000', {'time_of_day_s': 43200}),
+    ('"sim/time/zulu_time_sec" = 3600', {'time_of_day_s': 61200}),
+    ('zulu_time = 72000\nparam place = "bikf_10"', {'time_of_day_s': 72000}),
+    ('zulu_time = 0\nparam place = "nzqn_05"\nparam date = "2020-01-10"',
+     {'time_of_day_s': 13 * 3600}),
+    ('zulu_time = 0\nparam place = "nzqn_05"\nparam date = "2020-07-10"',
+     {'time_of_day_s': 12 * 3600}),
+    ('"sim/weather/cloud_type[0]" = 4\nparam "sim/weather/rain_percent" = 0.5',
+     {'clouds': 'overcast', 'rain_fraction': 0.5}),
+    ('cloud_type = 5\nparam rain_percent = 1', {'clouds': 'stratus', 'rain_fraction': 1.0}),
+    ('clouds = "stratus"\nparam rain_percent = 1', {'rain_fraction': 0.01}),
+    ('"sim/weather/wind_speed_kt[0]" = 18\nparam "sim/weather/wind_direction_degt[0]" = 90',
+     {'wind_speed_mps': 9.26, 'wind_direction_rad': math.pi / 2}),
 ])
-def test_s10_a_parameter_of_the_paper_is_answered_with_ours(
-    client: Any, tmp_path: Path, name: str, mend: str
+def test_s10_a_parameter_of_the_paper_sets_ours(
+    tmp_path: Path, params: str, values: dict[str, Any]
 ) -> None:
-    text = MODEL + f'ego = new Plane at (0, 4)\nparam {name} = 3\n'
-    line, message = said(client, tmp_path, text)
-    assert line == 3
-    assert f'here it is {mend}' in message
+    path = tmp_path / 'mine.scenic'
+    path.write_text(MODEL + f'ego = new Plane at (0, 4)\nparam {params}\n')
+    with SceneSource(str(path), seed=0) as source:
+        scene = source.scene(0)
+    for name, value in values.items():
+        assert getattr(scene, name) == (value if isinstance(value, str) else pytest.approx(value))
+
+
+def test_s10_an_override_replaces_what_the_paper_s_name_says(tmp_path: Path) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(MODEL + 'ego = new Plane at (0, 4)\nparam zulu_time = Range(72000, 75600)\n'
+                    'param cloud_type = Uniform(0, 1)\n')
+    with SceneSource(str(path), seed=0, overrides={'clouds': 'stratus'}) as source:
+        assert source.scene(0).clouds == 'stratus'
+        assert {key for one in source.search_space().choices for key in one.feeds} >= {'clouds'}
+        assert [one.name for one in source.space()] == ['zulu_time']
+    with SceneSource(str(path), seed=0, overrides={'place': 'bikf_10'}) as source:
+        assert 72000 <= source.scene(0).time_of_day_s <= 75600, 'GMT is local time there'
+
+
+@pytest.mark.parametrize(('params', 'message'), [
+    ('cloud_type = 6', 'param cloud_type is 6.0; expected a whole number from 0 to 5, for clear'),
+    ('cloud_type = Uniform(0, 1.5)', 'param cloud_type is 1.5; expected a whole number'),
+    ('cloud_type = "clear"', "param cloud_type is 'clear'; expected a whole number from 0 to 5"),
+    ('zulu_time = -1', 'param zulu_time is -1.0; expected a number from 0 to 172800, in seconds'),
+    ('zulu_time = 3\nparam rain_percent = 25', 'param rain_percent is 25.0; expected a number'),
+    ('zulu_time = 3\nparam time_of_day = 3', 'param zulu_time and param time_of_day are the same'),
+    ('zulu_time = 3\nparam "sim/time/zulu_time_sec" = 3', 'are the same; leave one out'),
+    ('"sim/weather/cloud_type[1]" = 3', 'param sim/weather/cloud_type[1]: unknown'),
+])
+def test_s10_a_parameter_of_the_paper_out_of_its_range_is_refused(
+    client: Any, tmp_path: Path, params: str, message: str
+) -> None:
+    text = MODEL + f'ego = new Plane at (0, 4)\nparam {params}\n'
+    line, told = said(client, tmp_path, text)
+    assert line in (3, 4)
+    assert message in told
 
 
 @pytest.mark.parametrize(('rain', 'shown'), [
@@ -220,7 +280,7 @@ def test_s10_rain_that_varies_as_the_paper_s_fraction_does_is_refused(
     text = MODEL + 'param clouds = "stratus"\nego = new Plane at (0, 4)\nparam rain_percent = {}\n'
     line, message = said(client, tmp_path, text.format('Range(0.25, 1)'))
     assert line == 4
-    assert message.startswith('param rain_percent: here it is rain_percent, in percent: 100 *')
+    assert message.startswith('param rain_percent: here it is in percent: 100 *')
     path = tmp_path / 'mine.scenic'
     for rain in ('Range(0, 100)', '1', '0', 'Uniform(0, 0)'):
         path.write_text(text.format(rain))

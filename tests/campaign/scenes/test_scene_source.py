@@ -171,6 +171,39 @@ def test_given_a_parent_that_is_killed_when_its_child_is_in_a_loop_then_the_chil
     assert ended
 
 
+def test_given_a_track_when_drawn_then_the_plane_stands_along_it(tmp_path: Path) -> None:
+    path = write(tmp_path, (
+        'model runway_world\nparam track = "exit_left"\n'
+        'ego = new Plane at (Range(-2, -1), 300), facing 10 deg\n'
+    ))
+    for one in sample_scenarios(path, 1, 3):
+        assert (one.track, one.distance_m) == ('exit_left', 300)
+        assert 1 <= one.cross_track_m <= 2
+    with pytest.raises(UsageError, match="scene 0: track is 'exit', not one of runway, exit_left"):
+        sample_scenarios(path, 1, 1, {'track': 'exit'})
+    with pytest.raises(UsageError, match=r'outside 0\.\.417 m along exit_left, at track exit_left'):
+        sample_scenarios(path, 1, 1, {'distance': '418'})
+
+
+def test_given_tracks_by_chance_when_a_start_lies_beyond_one_then_only_that_scene_is_rejected(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, (
+        'model runway_world\nparam track = Uniform("runway", "exit_left")\n'
+        'ego = new Plane at (0, Range(300, 900))\n'
+    ))
+    drawn, rejected = [], 0
+    with SceneSource(path, seed=1) as source:
+        for index in range(12):
+            try:
+                drawn.append(source.scene(index))
+            except Rejected:
+                rejected += 1
+    assert {one.track for one in drawn} == {'runway', 'exit_left'}
+    assert max(one.distance_m for one in drawn if one.track == 'exit_left') <= 417
+    assert len(drawn) + rejected == 12
+
+
 def test_given_overrides_that_need_others_when_all_are_there_then_the_scenes_have_them() -> None:
     wind = {'wind_speed': '6', 'wind_direction': '324', 'gust': '1', 'gust_seed': '4'}
     for one in sample_scenarios('nominal', 1, 2, {**wind, 'slope': '-1', 'runway_state': 'icy'}):

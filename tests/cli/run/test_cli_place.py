@@ -35,6 +35,7 @@ def test_given_no_more_words_when_listed_then_every_shipped_place_has_a_line():
     done = taxinet('place', 'list')
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines()] == list(SHIPPED_PLACES)
+    assert '; tracks runway, exit_left\n' in done.stdout
 
 
 def test_given_a_shipped_place_when_shown_then_it_is_told_and_drawn(tmp_path):
@@ -42,6 +43,7 @@ def test_given_a_shipped_place_when_shown_then_it_is_told_and_drawn(tmp_path):
     assert done.returncode == 0, done.stderr
     assert 'end 05      -45.020123 168.734924, threshold displaced by 59.7 m' in done.stdout
     assert 'clocks      Pacific/Auckland' in done.stdout
+    assert 'track ' not in done.stdout
     with Image.open(tmp_path / 'map.png') as drawn:
         assert drawn.size[0] == 1100
 
@@ -70,12 +72,34 @@ def test_given_an_airport_when_run_there_then_the_table_says_so(tmp_path, apt_da
     assert 'the same: ' in again.stdout
 
 
+def test_given_a_track_when_run_then_it_is_in_the_table_and_the_run_can_be_repeated(tmp_path):
+    done = taxinet(
+        'run', 'nominal', '--perception', 'truth', '--set', 'track=exit_left',
+        '--set', 'distance_m=200', '--set', 'duration_s=12', '--images', 'none',
+        '--out', tmp_path / 'out',
+    )
+    assert done.returncode == 0, done.stderr
+    assert 'at 200 m along exit_left' in done.stdout
+    assert ',exit_left,' in (tmp_path / 'out' / 'runs.csv').read_text()
+    bag = tmp_path / 'out' / 'nominal-s0-00000'
+    info = taxinet('bag', 'info', bag)
+    assert '200 m along exit_left' in info.stdout
+    seen = taxinet('bag', 'render', bag, '--out', tmp_path / 'seen')
+    assert seen.returncode == 0, seen.stderr
+    again = taxinet('run', '--from', bag, '--out', tmp_path / 'again')
+    assert again.returncode == 0, again.stderr
+    judged = taxinet('monitor', bag, '--spec', 'on_the_way=always(x >= 199 and abs(he) <= 0.5)')
+    assert judged.returncode == 0, judged.stdout + judged.stderr
+
+
 @pytest.mark.parametrize(('words', 'line'), [
     (('--runway', '04'), '--runway and --apt-dat: only with --airport'),
     (('--airport', 'XTST'), '--airport XTST: name the end to taxi from, as --runway 04'),
     (('--set', 'place=mars'), "place is 'mars', not one of kmwh_04, bikf_10, nzqn_05"),
     (('--set', 'place=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
     (('--set', 'place=nzqn_05', '--set', 'crossing=on'), 'crossing has no effect at nzqn_05'),
+    (('--set', 'track=exit_right'), "track is 'exit_right', not one of runway, exit_left, at"),
+    (('--set', 'place=nzqn_05', '--set', 'track=exit_left'), 'not one of runway, at nzqn_05'),
     (('--set', 'place=nzqn_05', '--set', 'distance_m=1600'), 'outside 0..1450.3 m past the'),
 ])
 def test_given_no_place_when_run_then_one_line_says_why(tmp_path, words, line):

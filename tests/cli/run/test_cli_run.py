@@ -93,15 +93,26 @@ BAD = {
         ['run', 'nominal', '--set', 'heading=1', '--set', 'heading_deg=2'], 'are the same',
     ),
     'out of range': (['run', 'nominal', '--set', 'cross_track=40'], 'outside -15..15'),
+    'a number as Python writes it': (['run', 'nominal', '--set', 'duration=1_0'], 'needs a number'),
+    'digits of another script': (['run', 'nominal', '--set', 'duration=\u0661'], 'needs a number'),
+    'endless digits': (['run', 'nominal', '--set', f'duration={"9" * 400}'], 'needs a number'),
     'rain from clear sky': (
         ['run', 'nominal', '--set', 'rain=50', '--set', 'clouds=clear'], 'rain needs clouds',
     ),
     'unknown gain': (['run', 'nominal', '--set', 'steering.p=1'], 'unknown gain; known:'),
     'gain out of range': (['run', 'nominal', '--set', 'steering.heading_gain=99'], '99'),
+    'gain that means the scenario says it': (
+        ['run', 'nominal', '--set', 'steering.speed_mps=5', '--set', 'speed_mps=8'],
+        'steering.speed_mps=5 has no effect: at 5 the scenario says the speed, 8',
+    ),
     'bad formula': (['run', 'nominal', '--spec', 'always(cte <=)'], 'column'),
     'unknown signal': (['run', 'nominal', '--spec', 'always(ct <= 1)'], 'ct'),
     'same formula twice': (
         ['run', 'nominal', '--spec', 'on_runway', '--spec', 'on_runway'], 'given twice',
+    ),
+    'assumption about a signal that no formula reads': (
+        ['run', 'nominal', '--spec', 'phi_always', '--bound', 'he=-2:2'],
+        '--bound he: has no effect: no requirement reads he',
     ),
     'no runs': (['run', 'nominal', '--runs', '0'], 'runs'),
     'unknown option': (['run', 'nominal', '--sed', '1'], '--sed'),

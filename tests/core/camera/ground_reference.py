@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.ground import atlas as ground
 from taxinet_ros.core.camera.ground import view as ground_view
+from taxinet_ros.core.camera.ground.atlas import Layout
 from taxinet_ros.core.camera.pixels import Sight
 
 Floats = NDArray[np.float32]
@@ -58,7 +59,7 @@ def looked_up(texture: Image, rows: Floats, columns: Floats) -> NDArray[np.int64
 
 def ground_picture(
     atlas: Image, grain: Image, neutral: Image, sight: Sight, camera: NDArray[np.float64],
-    dither: Floats,
+    dither: Floats, layout: Layout,
 ) -> Image:
     """What a view shows of these textures; ``grain`` and ``neutral`` have the gain in them."""
     width = dither.shape[1]
@@ -69,53 +70,55 @@ def ground_picture(
     uw = w * np.arange(width, dtype=np.float32)
     common = fall * fall * dither
     levels = []
-    for axis, texel_m in enumerate((ground.ROW_M, ground.FINE_M)):
+    for axis, texel_m in enumerate((layout.row_m, layout.fine_m)):
         by_column, by_row = sight.density(axis, texel_m)
         levels.append(
             power_of_two(np.minimum(by_row[:, None], by_column[None, :]) * common)
         )
 
-    colour = looked_up(atlas, *_on_strip(atlas, sight, levels, uw, w))
+    colour = looked_up(atlas, *_on_strip(layout, sight, levels, uw, w))
     factor = np.broadcast_to(neutral.astype(np.int64), colour.shape).copy()
     first = sight.first_row_nearer_than(ground_view._GRAIN_REACH_M)
-    factor[first:] = looked_up(grain, *_in_tile(sight, camera, levels, uw, w))[first:]
+    factor[first:] = looked_up(grain, *_in_tile(layout, sight, camera, levels, uw, w))[first:]
     scale = np.float32(1 / (ground.GRAIN_NEUTRAL * ground_view._FINER_CODES))
     product = colour.astype(np.float32) * scale * factor.astype(np.float32)
     return np.clip(np.rint(product), 0, 255).astype(np.uint8)
 
 
 def _on_strip(
-    atlas: Image, sight: Sight, levels: list[Floats], uw: Floats, w: Floats
+    layout: Layout, sight: Sight, levels: list[Floats], uw: Floats, w: Floats
 ) -> tuple[Floats, Floats]:
-    rows, columns = atlas.shape[0] // 2, atlas.shape[1] // 2
+    rows, columns = layout.rows, layout.columns
     end = 2 * rows
     along = evaluate(
-        sight.coordinate(0, ground.ROW_M, -ground.START_X_M / ground.ROW_M - end), uw, w
+        sight.coordinate(0, layout.row_m, -layout.start_x_m / layout.row_m - end), uw, w
     )
     scale = clipped(levels[0], 2.0 ** (1 - ground.ROW_LEVELS), 1)
     row = clipped(along, 16 - end, rows - 16 - end) * scale + np.float32(end - 0.5)
 
     # The ruler across is coarse beyond the fine half on both sides of the middle, and bent there.
     end, finer = 2 * columns, ground.COARSE_M / ground.FINE_M
-    middle, half = (columns / 2 - end) / finer, ground.fine_half_m(columns) / ground.COARSE_M
-    across = evaluate(sight.coordinate(1, ground.COARSE_M, middle), uw, w)
+    middle, half = (columns / 2 - end) / finer, layout.fine_half_m / layout.coarse_m
+    begin = middle - layout.middle_y_m / layout.coarse_m
+    across = evaluate(sight.coordinate(1, layout.coarse_m, begin), uw, w)
     inside = clipped(across, middle - half, middle + half)
     coarser = np.float32(2.0 ** round(math.log2(finer)))
     beyond = np.abs(across - inside) > np.float32(1e-3)
     scale = np.where(beyond, levels[1] * coarser, levels[1]).astype(np.float32)
-    scale = clipped(scale, 2.0 ** (1 - ground.COLUMN_LEVELS), 1)
+    scale = clipped(scale, 2.0 ** (1 - layout.column_levels), 1)
     bent = fused(inside, np.float32(finer - 1), across)
     column = clipped(bent, 4 - end, columns - 4 - end) * scale + np.float32(end - 0.5)
     return row, column
 
 
 def _in_tile(
-    sight: Sight, camera: NDArray[np.float64], levels: list[Floats], uw: Floats, w: Floats
+    layout: Layout, sight: Sight, camera: NDArray[np.float64], levels: list[Floats], uw: Floats,
+    w: Floats,
 ) -> tuple[Floats, Floats]:
     texels = ground.GRAIN_TEXELS
     tile_m = texels * ground.GRAIN_M
     found = []
-    for axis, texel_m in enumerate((ground.ROW_M, ground.FINE_M)):
+    for axis, texel_m in enumerate((layout.row_m, layout.fine_m)):
         finer = 2.0 ** round(math.log2(texel_m / ground.GRAIN_M))
         nearest = math.floor(camera[axis] / tile_m)
         place = evaluate(sight.coordinate(axis, tile_m, -nearest), uw, w)

@@ -14,13 +14,14 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, intrinsics, pose
 from taxinet_ros.core.camera.ground import atlas as ground
 from taxinet_ros.core.camera.ground import view as ground_view
-from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
-from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.catalogue import default_runway, find_track
 from taxinet_ros.core.types import AircraftState
 
 KMWH = default_runway()
-RULER = ground_view._ruler(8192, 640)
+TRACK = find_track('kmwh_04', 'exit_left')
+RULER = ground_view._ruler(ground_layout(KMWH))
 
 GAIN = np.array([1.0, 0.93, 0.71])
 NOTHING_HIDDEN = np.zeros(2, np.int32)
@@ -44,6 +45,15 @@ def view(height: int, width: int) -> GroundView:
     return GroundView(ground_atlas(KMWH), grain_atlas(), GAIN, np.zeros(height, np.int32), width)
 
 
+@functools.cache
+def view_of_track() -> GroundView:
+    hidden = np.zeros(IMAGE_HEIGHT, np.int32)
+    return GroundView(
+        ground_atlas(KMWH, TRACK), grain_atlas(), GAIN, hidden, IMAGE_WIDTH,
+        ground_layout(KMWH, TRACK),
+    )
+
+
 @settings(max_examples=40, deadline=None)
 @given(at=POSES, size=st.sampled_from([(IMAGE_HEIGHT, IMAGE_WIDTH), (150, 361), (90, 1)]))
 def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_written_rules(
@@ -59,8 +69,31 @@ def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_
         sight=pixels.Sight(rays, camera, *size),
         camera=camera,
         dither=ground_view._dither(*size),
+        layout=ground_layout(KMWH),
     )
     np.testing.assert_array_equal(view(*size).render(rays, camera), wanted)
+
+
+@settings(max_examples=15, deadline=None)
+@given(share=st.floats(0, 1), left=st.floats(-30, 30), turned=st.floats(-3, 3))
+def test_given_a_pose_at_a_track_when_its_ground_is_sampled_then_the_same_rules_hold(
+    share: float, left: float, turned: float
+) -> None:
+    x, y, yaw = TRACK.pose(share * TRACK.length_m, left, turned)
+    _, to_optical, camera = pose(state(x, y, math.degrees(yaw), 1.0, -1.0))
+    rays = to_optical.T @ np.linalg.inv(intrinsics())
+    stretched = ground_view._FINER_CODES * GAIN
+    size = IMAGE_HEIGHT, IMAGE_WIDTH
+    wanted = ground_picture(
+        atlas=ground_atlas(KMWH, TRACK),
+        grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
+        neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
+        sight=pixels.Sight(rays, camera, *size),
+        camera=camera,
+        dither=ground_view._dither(*size),
+        layout=ground_layout(KMWH, TRACK),
+    )
+    np.testing.assert_array_equal(view_of_track().render(rays, camera), wanted)
 
 
 @settings(max_examples=20, deadline=None)

@@ -21,6 +21,7 @@ from taxinet_ros.core.mtl import (
     parse_spec,
     robustness,
 )
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 
 S = 1_000_000_000
@@ -173,5 +174,6 @@ def test_given_a_window_that_the_end_cuts_off_when_judged_then_what_lies_within_
     values = [5.0] * 31
     assert rho('eventually[0:60](cte <= 1)', values) == -4.0
     assert rho('always[0:60](cte <= 6)', values) == 1.0
-    (warning,) = check_specs([parse_spec('late=eventually[0:60](cte <= 1)')], 30.0).warnings
+    late = parse_spec('late=eventually[0:60](cte <= 1)')
+    (warning,) = check_specs([late], Scenario()).warnings
     assert 'ends at 60 s, after the run of 30 s' in warning

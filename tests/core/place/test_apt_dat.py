@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.apt_dat import read_airport_place
 from taxinet_ros.core.place.catalogue import find_place, typed_place
 from taxinet_ros.core.scenario import scenario_from_human
@@ -143,3 +146,29 @@ def test_given_a_broken_or_foreign_file_when_read_then_one_line_says_which_row(
 def test_given_no_such_runway_when_asked_for_then_those_that_there_are_are_named(tmp_path):
     with pytest.raises(UsageError, match="has no runway '36'; it has 09, 27, 01L, 19R, 05, 23"):
         read_airport_place(written(tmp_path), 'XTST', '36')
+
+
+def test_given_taxi_routes_when_followed_then_a_run_goes_off_the_runway_along_them(tmp_path):
+    network = (
+        '1201 50.0000 8.006 both 0 on the runway\n1201 50.0020 8.006 both 1 corner\n'
+        '1201 50.0020 8.010 both 2 apron\n1201 50.0030 8.010 both 3 hangar\n'
+        '1202 0 1 twoway taxiway_C A\n1202 1 2 twoway taxiway_C B\n1202 2 3 twoway taxiway_C C\n'
+    )
+    path = written(tmp_path, HEADER + OTHER + RUNWAYS + network + AFTER)
+    start = scenario_from_human({
+        'place': f'{path}:XTST/09', 'track': 'A+B', 'distance': 150, 'cross_track': -2,
+        'heading': 5,
+    })
+    assert find_place(start.place).track_names == ('runway', 'A', 'B', 'C')
+    path.unlink()
+    bend = start.line.legs[1]
+    assert (bend.curvature, start.line.width_m) == (-1 / 30, 15.0)
+    assert bend.start_m == pytest.approx(192.5, abs=1), '0.002 deg of latitude, less the arc'
+    steps = []
+    judged = run_closed_loop(
+        start, make_perception('truth'), specs=[SHIPPED['phi_eventually']], on_step=steps.append
+    )
+    assert judged.satisfied
+    last = steps[-1].observation.state
+    assert last.y_m == pytest.approx(222.5, abs=2)
+    assert math.degrees(last.yaw_rad) == pytest.approx(0, abs=2)

@@ -255,6 +255,10 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'only one'),
         ({'signals': ODOM, 'specs': [NEAR], 'repeat': True}, 'needs a horizon'),
         ({'signals': ODOM, 'specs': [NEAR], 'bounds': ['he=0:1']}, "bounds: 'he=0:1': unknown"),
+        (
+            {'signals': ODOM, 'specs': [NEAR], 'rates': ['speed=1']},
+            'rates: speed: has no effect: no requirement reads speed',
+        ),
         ({'signals': ODOM, 'specs': [NEAR], 'rates': ['speed=-1']}, "rates: 'speed=-1': expected"),
         ({'signals': ODOM, 'specs': [NEAR], 'time_source': 'sun'}, 'known: header, clock'),
         ({'signal': ODOM}, "unknown parameter 'signal'; did you mean signals?"),

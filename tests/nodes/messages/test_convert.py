@@ -34,11 +34,11 @@ def test_given_a_stamp_when_sent_and_read_then_no_nanosecond_is_lost(stamp_ns):
 
 def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
     scenario = Scenario(
-        cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast',
+        cross_track_m=-1.25, distance_m=612.5, heading_rad=0.1, clouds='overcast',
         rain_fraction=0.4, time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
         aircraft='c172p', wind_speed_mps=2.0, wind_direction_rad=1.5, gust_mps=0.5, gust_seed=3.0,
-        runway_state='icy', slope_fraction=-0.01, speed_mps=4.0, camera='nose', duration_s=12.0,
-        place='nzqn_05',
+        runway_state='icy', slope_fraction=-0.01, speed_mps=4.0, track='rapid_exit',
+        camera='nose', duration_s=12.0, place='bikf_10',
     )
     default = Scenario()
     for field in dataclasses.fields(Scenario):

@@ -49,14 +49,16 @@ def test_given_a_command_when_read_then_it_is_the_one_that_was_said(
     assert said == StepMessage(stamp_ns, command, run_id, seq)
 
 
-@given(FLOATS, FLOATS, STAMPS)
-def test_given_odometry_when_read_then_there_are_place_and_speed(x_m, speed_mps, stamp_ns):
+@given(FLOATS, FLOATS, FLOATS, STAMPS)
+def test_given_odometry_when_read_then_there_are_place_and_speed(
+    x_m, y_m, speed_mps, stamp_ns
+):
     state = AircraftState(
-        x_m=x_m, y_m=-3.5, z_m=1.5, roll_rad=0.01, pitch_rad=-0.02, yaw_rad=0.2,
+        x_m=x_m, y_m=y_m, z_m=1.5, roll_rad=0.01, pitch_rad=-0.02, yaw_rad=0.2,
         speed_mps=speed_mps, yaw_rate_radps=0.1,
     )
     said = step_reader(interface.ODOMETRY)(odometry_cdr(state, stamp_ns))
-    assert said == StepMessage(stamp_ns, Motion(x_m, speed_mps))
+    assert said == StepMessage(stamp_ns, Motion(x_m, y_m, speed_mps))
 
 
 @given(WORDS, WORDS, NUMBERS, STAMPS)

@@ -92,9 +92,9 @@ def test_given_a_varied_dataset_when_photographed_then_its_blocks_share_a_ground
     made: list[object] = []
     make = photographs.make_ground_atlas
 
-    def counted(style: object, runway: object) -> np.ndarray:
+    def counted(style: object, *where: object) -> np.ndarray:
         made.append(style)
-        return make(style, runway)
+        return make(style, *where)
 
     monkeypatch.setattr(photographs, 'make_ground_atlas', counted)
     photographs._varied_ground.cache_clear()

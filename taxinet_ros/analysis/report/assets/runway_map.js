@@ -31,7 +31,7 @@ class RunwayMap {
 
   load(run, ground) {
     this.path = run.x.map((x, step) => [x, run.y[step]]);
-    this.heading = run.he;
+    this.heading = run.yaw ?? run.he;
     const view = this.viewBox(ground.halfWidth);
     this.svg.setAttribute('viewBox', `${view.x} ${view.y} ${view.width} ${view.height}`);
     this.behind = makeSvg('polyline', { class: 'path-behind' });
@@ -67,12 +67,15 @@ class RunwayMap {
       const [first, last] = reach(corners.map(([x]) => x), 0);
       return last > view.x && first < view.x + view.width;
     };
-    const { length, tolerance } = ground;
+    const { length, tolerance, track } = ground;
     const band = { x: 0, y: -tolerance, width: length, height: 2 * tolerance };
+    const line = (corners) => makeSvg('polyline', { class: 'taxi-line', points: points(corners) });
     return [
+      ...(track ? [polygon('pavement')(track.pavement)] : []),
       ...ground.pavement.map(polygon('pavement')),
-      makeSvg('rect', { class: 'band', ...band }),
+      track ? polygon('band')(track.band) : makeSvg('rect', { class: 'band', ...band }),
       ...ground.paint.filter(isSeen).map(polygon('paint')),
+      ...(track ? track.lines.map(line) : []),
     ];
   }
 

@@ -1,6 +1,6 @@
-"""Texture of a runway surface: asphalt, joints, worn paint, tyre rubber, the crossings.
+"""Texture of a runway surface: asphalt, joints, worn paint, tyre rubber, crossing runways.
 
-A style holds shades, wear and random seed of its textures.
+A style contains the shades, wear and random seed of the textures.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class GroundStyle:
         rubber_amount: amount of tyre rubber, 1 = as at KMWH.
         rubber_shift_m: lateral offset of its maximum, left of the centreline positive [m].
         wear: wear of the paint, 1 = as at KMWH.
-        edge_wear: the same for the edge stripes, 0 = fresh.
+        edge_wear: wear of the edge stripes, 0 = fresh.
         dash_scale, dash_shift_m: factor on lengths along the runway, and shift [m], of all paint
-            but the edge stripes.
+            except the edge stripes.
         without: kinds of marking (see :class:`~taxinet_ros.core.place.markings.Marking`) left out.
         crossing: whether crossing runways exist and interrupt pavement and paint.
     """
@@ -75,7 +75,7 @@ _SURROUNDINGS_LOOKS: dict[str, dict[str, Any]] = {
 
 
 def standard_style(runway: Runway, *, crossing: bool = True) -> GroundStyle:
-    """The look of a runway of its surface and surroundings, with or without what crosses it."""
+    """Standard style of a runway's surface and surroundings, with or without crossings."""
     looks = _SURFACE_LOOKS[runway.surface] | _SURROUNDINGS_LOOKS[runway.surroundings]
     return replace(STANDARD, crossing=crossing, **looks)
 
@@ -124,7 +124,7 @@ _PAINT_TINT = np.array([1.01, 1.0, 0.96], np.float32)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
-    """Texel grid of a strip: row r spans x0 + r dx .. , column c spans y0 + c dy .. in ``map``."""
+    """Texel grid of a strip in ``map``: row r starts at x0 + r dx, column c at y0 + c dy."""
 
     rows: int
     columns: int
@@ -157,7 +157,7 @@ class Grid:
 
 
 def pavement_colours(style: GroundStyle) -> NDArray[np.uint8]:
-    """Lookup table (1, 256, 3) from surface code to RGB: asphalt is warm, paint less so."""
+    """Lookup table (1, 256, 3) from surface code to RGB; asphalt has a warmer tint than paint."""
     code = np.arange(256, dtype=np.float32)[:, None]
     share = np.clip((code - style.asphalt) / (style.paint - style.asphalt), 0, 1)
     asphalt = np.array(style.asphalt_tint, np.float32)
@@ -177,12 +177,12 @@ def runway_surface(grid: Grid, style: GroundStyle, runway: Runway) -> NDArray[np
 
 
 def crossings(style: GroundStyle, runway: Runway) -> tuple[Crossing, ...]:
-    """What crosses a runway in a style."""
+    """Crossing runways drawn in a style."""
     return runway.crossings if style.crossing else ()
 
 
 def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
-    """Mottled asphalt with paving lanes, joints and sealed cracks; or slabs of concrete."""
+    """Mottled asphalt with paving lanes, joints and sealed cracks, or concrete slabs."""
     value = white_noise(style.seed + 11, grid.shape)
     value *= np.float32(1.5)
     value += np.float32(style.asphalt)
@@ -208,7 +208,9 @@ def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
         row = round(grid.row(x))
         left, right = sorted(rng.uniform(-reach, reach, 2))
         columns = slice(round(grid.column(left)), round(grid.column(right)))
-        value[row : row + 3, columns] -= np.float32(rng.uniform(3, 11) * style.mottle) * _CRACK
+        depth = np.float32(rng.uniform(3, 11) * style.mottle)
+        if 0 <= row <= grid.rows - 3:
+            value[row : row + 3, columns] -= depth * _CRACK
         x += rng.uniform(6, 40)
     return value
 
@@ -216,7 +218,7 @@ def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
 def _joint(
     value: Floats, grid: Grid, rng: np.random.Generator, style: GroundStyle, runway: Runway
 ) -> None:
-    """The joints across the runway between slabs of concrete, sealed with tar."""
+    """Draw the tar-sealed transverse joints between concrete slabs."""
     edges = (grid.column(side * runway.half_width_m) for side in (-1, 1))
     left, right = (min(max(round(edge), 0), grid.columns) for edge in edges)
     for number in range(int(runway.length_m / _SLAB_M) + 1):
@@ -243,7 +245,7 @@ def _lay_paint(value: Floats, grid: Grid, style: GroundStyle, runway: Runway) ->
 
 
 def _markings(style: GroundStyle, runway: Runway) -> list[Marking]:
-    """The markings kept by a style, stretched and shifted along the runway."""
+    """Markings of a style, scaled and shifted along the runway."""
 
     def moved(marking: Marking) -> Marking:
         if marking.kind == 'edge':
@@ -275,7 +277,7 @@ def coverage(polygon: Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
 def _lay_rubber(
     value: Floats, painted: Floats, grid: Grid, style: GroundStyle, runway: Runway
 ) -> None:
-    """Tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
+    """Draw tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
     density = np.zeros(grid.shape, np.float32)
     rng = np.random.default_rng(style.seed + 31)
     shift = style.rubber_shift_m
@@ -294,7 +296,7 @@ def _lay_rubber(
     density *= np.clip(1 + 0.2 * patchy, 0.45, 1.6)
     # Paint is smoother than asphalt and washed by rain, so less rubber stays on it.
     density *= 1 - 0.5 * painted
-    # Transmission exp(-density) by its series, since exp differs between processors.
+    # Transmission exp(-density) as a series, because exp differs between processors.
     through = 1 / (1 + density * (1 + density * (1 / 2 + density * (1 / 6 + density / 24))))
     value -= np.float32(style.rubber)
     value *= through
@@ -332,7 +334,7 @@ def _streak(
 
 
 def _smear(density: Floats, grid: Grid, style: GroundStyle, runway: Runway) -> None:
-    """Uniform rubber layer under the streaks of both touchdown zones, and faint centre trail."""
+    """Add a uniform rubber layer in both touchdown zones and a faint centre trail."""
     x, y = grid.centres(slice(0, grid.rows))
     y = y - np.float32(style.rubber_shift_m)
     near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.length_m - x, 40, 780)
@@ -362,9 +364,9 @@ def _lay_crossing(
 
 
 def crossing_rows(grid: Grid, crossing: Crossing, half_span_m: float) -> slice:
-    """The rows in which a crossing runway lies within a distance from our centreline."""
+    """Rows that a crossing runway covers within a distance from the centreline."""
     reach_m = (crossing.clear_half_m + 8) * 1.05
-    # Across an oblique one the way is longer; at KMWH's 75 degrees within these 5 %.
+    # An oblique crossing is longer along x; at KMWH's 75 degrees the 5 % suffice.
     reach_m = max(reach_m, (crossing.clear_half_m + 4) / abs(math.sin(crossing.yaw_rad)))
     slant_m = half_span_m / math.tan(abs(crossing.yaw_rad))
     ends = (grid.row(crossing.x_m + side * (reach_m + abs(slant_m))) for side in (-1, 1))

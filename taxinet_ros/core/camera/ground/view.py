@@ -1,4 +1,4 @@
-"""Ground through a pinhole camera: inverse mapping of an image into the ground's ripmaps."""
+"""Ground in a pinhole camera: inverse mapping of image pixels into the ground's ripmaps."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.ground.atlas import (
     COARSE_M,
-    COLUMN_LEVELS,
     FINE_M,
     GRAIN_M,
     GRAIN_NEUTRAL,
     GRAIN_TEXELS,
     ROW_LEVELS,
-    ROW_M,
-    START_X_M,
-    fine_half_m,
+    Layout,
 )
 from taxinet_ros.core.camera.sky import GROUND_END_TAN
 
@@ -30,42 +27,38 @@ Vectors = NDArray[np.float64]
 _SHARPNESS = 0.8
 _GRAIN_REACH_M = 26.0
 _FINER_CODES = 1.5
-"""Grain times gain leaves codes unused; stretching to the full range reduces rounding."""
+"""Stretches grain times gain to the full range of codes, which reduces rounding errors."""
 
 _LEAST_FALL = GROUND_END_TAN / 2
 
 _BEND = COARSE_M / FINE_M - 1
 _BESIDE_BEND = 1e-3
 
-# A power of two near the ratio of the texels along and across the runway to the grain's: the
-# footprints' levels serve twice.
-_FINER = tuple(
-    2.0 ** round(math.log2(texel_m / GRAIN_M)) for texel_m in (ROW_M, FINE_M)
-)
 
-
-def _ruler(rows: int, columns: int) -> pixels.Ruler:
-    """Part of the pixel-to-texel mapping that depends on neither pose nor light.
-
-    ``rows`` and ``columns`` are those of the ground's finest texture.
-    """
-    # Texels are counted from the far end of the ripmaps, so that changing the level is a
-    # multiplication. Columns are the coarse ruler's, which the bend once more makes the fine one's.
+def _ruler(layout: Layout) -> pixels.Ruler:
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light."""
+    # Texels are counted from the far end of the ripmaps, so that a change of level is a
+    # multiplication. Columns are in coarse units; the bend converts them to fine ones.
+    rows, columns = layout.rows, layout.columns
     row_end, column_end = 2 * rows, 2 * columns
     middle = (columns / 2 - column_end) / (1 + _BEND)
-    half = fine_half_m(columns) / COARSE_M
+    half = layout.fine_half_m / layout.coarse_m
     tile = GRAIN_TEXELS
+    # Power of two near the ratio of the ground's texels (along, across) to the grain's, so that the
+    # levels computed for the ground serve for the grain too.
     grain_along, grain_across = (
-        (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
+        (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5)
+        for texel_m in (layout.row_m, layout.fine_m)
+        for finer in [2.0 ** round(math.log2(texel_m / GRAIN_M))]
     )
     return pixels.Ruler(
         least_fall=_LEAST_FALL,
-        along=(ROW_M, -START_X_M / ROW_M - row_end, ROW_M),
+        along=(layout.row_m, -layout.start_x_m / layout.row_m - row_end, layout.row_m),
         along_limits=(16 - row_end, rows - 16 - row_end, row_end - 0.5,
                       2.0 ** (1 - ROW_LEVELS)),
-        across=(COARSE_M, middle, FINE_M),
+        across=(layout.coarse_m, middle - layout.middle_y_m / layout.coarse_m, layout.fine_m),
         across_limits=(4 - column_end, columns - 4 - column_end, column_end - 0.5,
-                       2.0 ** (1 - COLUMN_LEVELS)),
+                       2.0 ** (1 - layout.column_levels)),
         bend=(middle - half, middle + half, _BEND, _BESIDE_BEND),
         bend_levels=round(math.log2(1 + _BEND)),
         grain_along=grain_along,
@@ -76,7 +69,7 @@ def _ruler(rows: int, columns: int) -> pixels.Ruler:
 
 
 class GroundView:
-    """Renders the unlit ground; owns the buffers, so that frames need no allocations."""
+    """Renders the unlit ground; owns the buffers, so frames need no allocations."""
 
     def __init__(
         self,
@@ -85,18 +78,21 @@ class GroundView:
         gain: Vectors,
         hidden: NDArray[np.int32],
         width: int,
+        layout: Layout | None = None,
     ) -> None:
         """Prepare the grain and the buffer.
 
         Args:
             atlas: ripmap of the ground's colours.
-            grain: ripmap of the factor on them.
-            gain: factor on red, green and blue, at most 1; merged into the grain at no cost.
-            hidden: columns at the left of each row of the pictures, (height,), that will be
-            covered; their content is undefined.
+            grain: ripmap of the grain factor on them.
+            gain: factor on red, green and blue, at most 1; merged into the grain.
+            hidden: number of columns at the left of each image row, (height,), that will be
+                covered; their content is undefined.
             width: width of the images [px].
+            layout: of the atlas; None for that of a runway.
         """
         height = len(hidden)
+        rows, columns = atlas.shape[0] // 2, atlas.shape[1] // 2
         stretched = _FINER_CODES * gain
         red, green, blue = (GRAIN_NEUTRAL * stretched).tolist()
         self._size = height, width
@@ -106,17 +102,17 @@ class GroundView:
             atlas,
             np.asarray(cv2.multiply(grain, np.append(stretched, 1.0)), np.uint8),
             _dither(height, width),
-            _ruler(atlas.shape[0] // 2, atlas.shape[1] // 2),
+            _ruler(layout or Layout(rows=rows, columns=columns)),
             (round(red), round(green), round(blue)),
             1 / (GRAIN_NEUTRAL * _FINER_CODES),
         )
 
     def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
-        """Colours of the ground times the gain, (height, width, 3) uint8; a reused buffer.
+        """Render the ground times the gain, (height, width, 3) uint8, into a reused buffer.
 
         Args:
-            rays: homogenous pixel to a direction in ``map``, (3, 3).
-            camera: the camera's place in ``map`` (3,).
+            rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
+            camera: camera position in ``map`` (3,).
         """
         height, width = self._size
         sight = pixels.Sight(rays, camera, height, width)
@@ -126,10 +122,10 @@ class GroundView:
 
 @cache
 def _dither(height: int, width: int) -> Floats:
-    """Dither factor of half an octave up and down over the image.
+    """Dither factor of up to half an octave in both directions, fixed in the image.
 
     It hides the borders between ripmap levels at half the cost of blending. Roberts' R2 sequence
-    spreads it evenly; it is fixed to the picture.
+    distributes it evenly.
     """
     u = np.arange(width)[None, :] * 0.7548776662466927
     v = np.arange(height)[:, None] * 0.5698402909980532

@@ -8,18 +8,18 @@
 namespace pixels {
 namespace {
 
-// Less of the veil is not seen.
+// Smaller shares of the veil are invisible.
 constexpr double kVisibleShare = 1.0 / 400;
 
-// The row along which the sun's direction is measured.
+// Image row in which directions are compared with the sun's.
 constexpr double kRowOfYaw = 60.0;
 
-// Beyond so many half widths there is nothing of a glare.
+// The glare vanishes beyond this number of half widths.
 constexpr double kGlareReach = 3.0;
 
 const double kSineOf15Deg = std::sin(std::numbers::pi / 12);
 
-// Of the angle at which the rays of a row's middle go down; more than nothing.
+// Sines of the depression of each row's central ray, > 0.
 std::vector<double> sines(const Rays &rays, int height, int width) {
     std::vector<double> found(height);
     for (int v = 0; v < height; ++v) {
@@ -29,7 +29,7 @@ std::vector<double> sines(const Rays &rays, int height, int width) {
     return found;
 }
 
-// Schlick's form of Fresnel's law, for water.
+// Fresnel reflectance of water (Schlick's approximation).
 double reflected(double sine) {
     const double rest = 1 - sine, square = rest * rest;
     return 0.02 + 0.98 * square * square * rest;

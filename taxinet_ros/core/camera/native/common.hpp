@@ -1,9 +1,9 @@
-// What the sources of taxinet_ros.core.camera.pixels share.
+// Common definitions of the sources of taxinet_ros.core.camera.pixels.
 //
-// Equal input gives equal bytes on every processor: each operation is one IEEE 754 single precision
-// operation or one on whole numbers; where two are fused it says fma, and the compiler may fuse no
-// others (-ffp-contract=off in setup.py). Angles and exponentials, in double precision, are the C
-// library's, whose last bit is rounded away unless it decides a tie.
+// Equal input gives equal bytes on every processor: each operation is one IEEE 754 single-precision
+// or integer operation; fused operations are explicit (fma), and the compiler must not fuse others
+// (-ffp-contract=off in setup.py). Angles and exponentials, in double precision, come from the C
+// library; their last bit is rounded away unless it decides a tie.
 
 #pragma once
 
@@ -16,8 +16,8 @@
 
 static_assert(std::endian::native == std::endian::little);
 
-// A loop over a row is compiled for newer processors too; which is taken is decided at start. PLAIN
-// leaves out all that is written for one kind of processor: the tests compare the two.
+// Loops over a row are also compiled for newer processors; the version is selected at start-up.
+// PLAIN disables all processor-specific code; the tests compare both.
 #if defined(PLAIN)
 #define FOR_EACH_PROCESSOR
 #elif defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12
@@ -29,7 +29,7 @@ static_assert(std::endian::native == std::endian::little);
 #endif
 #define INLINE inline __attribute__((always_inline))
 
-// Before a loop whose turns may be taken at once: what is written is read by none of them.
+// Marks a loop with independent iterations: none reads what another writes.
 #if defined(__clang__)
 #define INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
 #else
@@ -47,11 +47,11 @@ using Whole = py::array_t<std::int32_t, py::array::c_style>;
 
 constexpr int kChannels = 3;
 
-// A position between pixels in steps of 1/32, as OpenCV's bilinear interpolation has it.
+// Subpixel positions in steps of 1/32, as in OpenCV's bilinear interpolation.
 constexpr int kStepBits = 5, kSteps = 1 << kStepBits, kWhole = kSteps * kSteps;
 
-// Added to a number below 2^22 in size it pushes all but the whole part out of a float: rounding to
-// the nearest even, without an instruction that old processors lack.
+// Adding it to a number of magnitude < 2^22 rounds that to the nearest integer (ties to even),
+// without an instruction that old processors lack.
 constexpr float kRounder = 12582912.0F;
 constexpr std::int32_t kRounderBits = 0x4B400000;
 
@@ -71,7 +71,7 @@ INLINE std::int32_t within(std::int32_t number, std::int32_t most) {
     return lesser(number < 0 ? 0 : number, most);
 }
 
-// The nearest of the codes 0 to 255.
+// Nearest code, 0 to 255.
 INLINE std::uint8_t code_of(float number) {
     return static_cast<std::uint8_t>(within(rounded(number), 255));
 }

@@ -27,7 +27,7 @@ struct Linear {
     }
 };
 
-// Where one pixel falls in a texture of this size; beyond its border the border goes on.
+// Position of one pixel in a texture of this size, clamped to its border.
 struct Place {
     std::int32_t offset, across, down;
 
@@ -41,13 +41,13 @@ struct Place {
         down = weights(y - top * kSteps, 16);
     }
 
-    // Of the first and the second of two texels, that many bits apart.
+    // Weights of the first and the second of two texels, packed this many bits apart.
     INLINE static std::int32_t weights(std::int32_t second, int bits) {
         return (second << bits) + kSteps - second;
     }
 };
 
-// One pose's view of the ground and of its grain.
+// View of the ground and its grain from one pose.
 struct View {
     Parts fall, density_along, density_across;
     Linear along, across, grain_along, grain_across;
@@ -77,13 +77,13 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const int tile_rows = tile.rows, tile_columns = tile.columns;
     INDEPENDENT
     for (int u = first; u < width; ++u) {
-        // The sky gets the last ground.
+        // Pixels of the sky use the farthest ground.
         float fall = fall_by_column[u] + fall_of_row;
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
         const float w = 1.0F / fall, uw = w * static_cast<float>(u);
         const float common = fall * fall * dither[u];
-        // The scales of the levels: that of level i is 2^-i. Of the footprint's sides the larger
-        // one counts, which has fewer pixels per texel.
+        // Level i has the scale 2^-i. The larger side of the footprint, which has fewer pixels per
+        // texel, determines the level.
         const float along_density =
             along_by_column[u] < along_of_row ? along_by_column[u] : along_of_row;
         const float across_density =
@@ -157,8 +157,8 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
     const std::size_t stride = static_cast<std::size_t>(width_) * kChannels;
     std::uint8_t *target = out.mutable_data();
     const float *dither = dither_.data();
-    // The grain of a row is asked for while the row before is read: it is spread over more memory
-    // than a core's cache has, and the ground under a row is not.
+    // The grain of a row is prefetched while the previous row is read: it is spread over more
+    // memory than a core's cache holds; the ground of a row is not.
     for (int v = 0; v <= height_; ++v) {
         if (v < height_) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];

@@ -1,4 +1,4 @@
-// The ground seen through a pinhole: what ground_view.py asks for.
+// The ground in a pinhole camera; used by ground/view.py.
 
 #pragma once
 
@@ -13,27 +13,27 @@ namespace pixels {
 
 // One axis of the ground's texture.
 struct Axis {
-    // Of the coordinate and of its beginning; and the size of the texels that footprints are
-    // measured in. The coordinate is counted from the far end of the ripmap.
+    // Unit and origin of the coordinate, and texel size for footprints. The coordinate is counted
+    // from the far end of the ripmap.
     double unit_m, origin, texel_m;
-    // Limits of the coordinate, that far end in texels, and the scale of the coarsest level.
+    // Limits of the coordinate, the far end in texels, and the scale of the coarsest level.
     float least, most, end, coarsest;
 
-    // A level's scale is 1 or less; one with more pixels than texels reads the finest.
+    // The scale of a level is at most 1: with more pixels than texels the finest level is read.
     INLINE float on_level(float coordinate, float level) const {
         return clipped(coordinate, least, most) * clipped(level, coarsest, 1.0F) + end;
     }
 };
 
-// The bent ruler across the runway: fine between two coarse coordinates, by a factor more than 1;
-// coarse outside of them, which is so many levels.
+// Columns across the runway: finer between two coarse coordinates by a factor 1 + `factor`; coarser
+// outside by `levels`.
 struct Bend {
     float least, most, factor, threshold;
     std::int32_t levels;
 };
 
-// One axis of the grain, which repeats: whole tiles are taken off a place before it is scaled to
-// texels. No level is too coarse, for the ripmap's far end repeats its last one.
+// One axis of the periodic grain: whole tiles are subtracted from a coordinate before it is scaled
+// to texels. No level is too coarse, because the ripmap's far end repeats its last one.
 struct Tile {
     float texels, two_tiles, finest, end;
 
@@ -45,7 +45,7 @@ struct Tile {
     }
 };
 
-// What of the way from a pixel to its texels depends neither on the pose nor on the light.
+// Part of the pixel-to-texel mapping that depends on neither pose nor light.
 struct Ruler {
     float least_fall;
     Axis along, across;
@@ -56,13 +56,12 @@ struct Ruler {
 
 class Ground {
   public:
-    // Dither and pictures are of one size; neutral and scale: what the grain is where it is not
-    // looked up, and the factor on the product of it and the ground.
+    // Dither and images have the same size. neutral: grain value beyond the grain's reach; scale:
+    // factor on the product of grain and ground.
     Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
            const std::array<int, 3> &neutral, float scale);
 
-    // Fills a picture with the ground as one pose sees it, but for so many columns at the left of
-    // each row.
+    // Renders the ground for one pose, without the hidden columns at the left of each row.
     void sample(Bytes out, const Sight &sight, const Whole &hidden);
 
   private:

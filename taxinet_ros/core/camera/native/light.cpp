@@ -10,7 +10,7 @@
 namespace pixels {
 namespace {
 
-// Share of a code in 255ths, rounded; exact, for there are no ties.
+// Share of a code in 255ths, rounded exactly (there are no ties).
 INLINE std::uint8_t share_of(std::uint8_t code, std::uint8_t share) {
     const auto product = static_cast<std::uint16_t>(code * share + 128);
     return static_cast<std::uint8_t>(static_cast<std::uint16_t>(product + (product >> 8)) >> 8);
@@ -23,7 +23,7 @@ INLINE std::uint8_t sum_of(std::uint8_t a, std::uint8_t b) {
 
 using Codes = std::array<std::uint8_t, kChannels>;
 
-// The nearest of the codes 0 to 255, not rounded to single precision before.
+// Nearest code, 0 to 255, without prior rounding to single precision.
 std::uint8_t exact_code_of(double number) {
     return static_cast<std::uint8_t>(std::clamp(std::nearbyint(number), 0.0, 255.0));
 }
@@ -32,7 +32,7 @@ Codes codes_of(const double *numbers) {
     return {exact_code_of(numbers[0]), exact_code_of(numbers[1]), exact_code_of(numbers[2])};
 }
 
-// One colour, again and again, over a row of the picture.
+// Fills a row with one colour.
 void fill_row(const Codes &colour, std::vector<std::uint8_t> &row) {
     std::memcpy(row.data(), colour.data(), kChannels);
     for (std::size_t filled = kChannels; filled < row.size(); filled *= 2) {
@@ -65,8 +65,8 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
 
 #if defined(WITH_VECTORS)
 
-// A whole register of codes at a time: two halves of the table are looked up at once, and the
-// highest bit chooses.
+// Processes a whole register of codes at a time: looks up both halves of the table and selects by
+// the highest bit.
 AVX512_VBMI void look_up_many(const std::uint8_t *table, const std::uint8_t *codes, int bytes,
                               std::uint8_t *out) {
     const __m512i first = _mm512_loadu_si512(table), second = _mm512_loadu_si512(table + 64),
@@ -115,7 +115,7 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
     require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
                 mask.strides(1) == 1,
             "a mask is as large as its part of the picture, its codes side by side");
-    // A byte more, for four are written at once.
+    // One extra byte, because four are written at once.
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
     for (int code = 0; code < 256; ++code) {
         for (int c = 0; c < kChannels; ++c) {

@@ -1,4 +1,4 @@
-// Light, shade and air on a picture, in place. A share is in 255ths, and every product is rounded.
+// Light, shade and haze on an image, in place. Shares are in 255ths, and every product is rounded.
 
 #pragma once
 
@@ -9,21 +9,21 @@
 
 namespace pixels {
 
-// Each row keeps a share, by channel: (rows, 3).
+// Multiplies each row by a share per channel, (rows, 3).
 void tint_rows(Picture picture, const Doubles &shares);
 
-// Each pixel loses, by channel, what its code in the mask says, 255 all of the depth (0 to 1).
+// Darkens each pixel by its mask code; 255 is the full depth (0 to 1) per channel.
 void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth);
 
-// Every code becomes what the curve makes of it; then each of the upper rows keeps a share of that,
-// (n,), and has something added, (n, 3).
+// Applies the curve to every code; then multiplies the upper rows by a share (n,) and adds colours
+// (n, 3).
 void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doubles &added,
              Picture picture);
 
-// Each channel of each pixel keeps a share, and has something added: the picture's size, both.
+// Multiplies each channel of each pixel by a share and adds a code; both have the image's size.
 void lay_over(Picture picture, const Bytes &kept, const Bytes &added);
 
-// Adds the product of a strength by row, one by column, and one by channel.
+// Adds the product of strengths by row, by column and by channel.
 void add_shine(Picture picture, const Floats &by_row, const Floats &by_column,
                const std::array<float, 3> &tint);
 

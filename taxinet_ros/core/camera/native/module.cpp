@@ -1,4 +1,4 @@
-// The module taxinet_ros.core.camera.pixels: what is done once per pixel. pixels.pyi has the signatures.
+// The module taxinet_ros.core.camera.pixels: per-pixel operations. Documented in pixels.pyi.
 
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
@@ -32,7 +32,7 @@ py::tuple arrays(const Parts &parts) {
     return py::make_tuple(array(parts.by_column), array(parts.by_row));
 }
 
-// What of the code written for newer processors is taken on this one; equal bytes come out of all.
+// Instruction-set extensions used on this processor; the output does not depend on them.
 std::vector<std::string> instruction_sets() {
     std::vector<std::string> taken;
 #if defined(WITH_CLONES)
@@ -121,7 +121,7 @@ PYBIND11_MODULE(pixels, module) {
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
     module.def("outlines", &outlines);
-    // What is written to must not be a converted copy, nor must large things be copied unsaid.
+    // noconvert: output arrays must not be converted copies, and large inputs must not be copied.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),
                py::arg("mask").noconvert(), py::arg("depth"));

@@ -19,8 +19,8 @@ struct Pinhole {
         return {focal_u * point[0] + centre_u * point[2], focal_v * point[1] + centre_v * point[2]};
     }
 
-    // Whether a convex part is not wholly beyond one of the five sides of the view. Where some of
-    // its corners are behind the camera, too.
+    // Whether a convex part is not completely outside one of the five planes of the view. Also
+    // valid if some of its corners are behind the camera.
     bool may_see(const std::vector<Point> &part) const {
         std::array<double, 5> most;
         most.fill(-std::numeric_limits<double>::infinity());
@@ -36,8 +36,8 @@ struct Pinhole {
     }
 };
 
-// Points whose hull is the share of these points' hull that lies before the camera: every pair
-// across the nearest plane adds the point where its line pierces it; convexity does the rest.
+// Clips a convex part at the near plane: returns the points in front of it and, for every pair on
+// both sides, the intersection of its line with the plane. The hull of these is the clipped part.
 std::vector<Point> cut(const std::vector<Point> &part, double nearest_m) {
     std::vector<Point> ahead, behind;
     for (const Point &point : part) {

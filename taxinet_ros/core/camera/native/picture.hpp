@@ -1,4 +1,4 @@
-// Pictures that are written to in place.
+// Images that are written to in place.
 
 #pragma once
 
@@ -6,10 +6,10 @@
 
 namespace pixels {
 
-// Colours or parts of a picture: rows of it may lie apart, the pixels of a row may not.
+// An image or a part of one: its rows may be non-contiguous, the pixels of a row may not.
 using Picture = py::array_t<std::uint8_t>;
 
-// A picture, or a part of one: rows of three bytes a pixel, side by side.
+// Rows of an image or a part of one, with three contiguous bytes per pixel.
 struct Rows {
     std::uint8_t *first;
     std::ptrdiff_t stride;

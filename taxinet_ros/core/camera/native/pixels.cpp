@@ -1,5 +1,5 @@
-// The module as one translation unit: reading pybind11's headers takes a compiler longer than all
-// that is said here, and each unit of its own would read them anew.
+// The module as one translation unit: compiling pybind11's headers takes longer than all code here,
+// and separate units would each compile them again.
 
 #include "air.cpp"
 #include "ground.cpp"

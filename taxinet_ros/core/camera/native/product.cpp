@@ -33,7 +33,7 @@ void multiply(const Layer &ground, const Layer &grain, float scale, int first, i
 
 #if defined(WITH_VECTORS)
 
-// The largest of some numbers, none of them negative.
+// Maximum of non-negative numbers.
 FOR_EACH_PROCESSOR std::int32_t greatest(const std::int32_t *numbers, int count) {
     std::int32_t most = 0;
     for (int i = 0; i < count; ++i) {
@@ -42,7 +42,7 @@ FOR_EACH_PROCESSOR std::int32_t greatest(const std::int32_t *numbers, int count)
     return most;
 }
 
-// Whether eight bytes can be read wherever six are needed.
+// Whether eight bytes can be read at every position where six are needed.
 bool is_roomy(const Layer &layer, int first, int width) {
     if (layer.texture == nullptr) {
         return true;
@@ -51,8 +51,8 @@ bool is_roomy(const Layer &layer, int first, int width) {
     return furthest + layer.texture->stride() + 8 <= layer.texture->owner.size();
 }
 
-// A layer as what follows reads it. Of each pixel red, green, blue and nothing are side by side, in
-// words of four bytes.
+// A layer for vector code. Each pixel is red, green, blue and an unused value, in words of four
+// bytes.
 struct Source {
     const std::uint8_t *texels = nullptr;
     std::ptrdiff_t stride = 0;
@@ -73,13 +73,13 @@ struct Source {
         return _mm_load_si128(reinterpret_cast<const __m128i *>(plain));
     }
 
-    // Upper left and upper right texel in the lower half, two bytes unused; the lower ones above.
+    // Upper two texels in the lower half, lower two texels in the upper half; two bytes unused.
     AVX2 INLINE __m128i four_texels(int u) const {
         const std::uint8_t *upper = texels + offset[u];
         return _mm_unpacklo_epi64(_mm_loadu_si64(upper), _mm_loadu_si64(upper + stride));
     }
 
-    // Of each channel both upper and both lower texels side by side.
+    // Shuffle that groups both upper and both lower texels by channel.
     AVX2 INLINE static __m128i by_channel() {
         return _mm_setr_epi8(0, 3, 8, 11, 1, 4, 9, 12, 2, 5, 10, 13, -1, -1, -1, -1);
     }
@@ -103,7 +103,7 @@ AVX2 INLINE __m256i two_pixels(const Source &source, int u) {
     return _mm256_srai_epi32(_mm256_add_epi32(sum, _mm256_set1_epi32(kWhole / 2)), 2 * kStepBits);
 }
 
-// Returns the first column that is left.
+// Returns the first column that is not processed.
 AVX2 int multiply_twos(const Source &ground, const Source &grain, float scale, int first,
                        int width, std::uint8_t *row) {
     const __m256 factor = _mm256_set1_ps(scale);
@@ -143,7 +143,7 @@ AVX512 INLINE __m512i four_pixels(const Source &source, int u) {
     return _mm512_srai_epi32(_mm512_add_epi32(sum, _mm512_set1_epi32(kWhole / 2)), 2 * kStepBits);
 }
 
-// Returns the first column that is left.
+// Returns the first column that is not processed.
 AVX512 int multiply_fours(const Source &ground, const Source &grain, float scale, int first,
                           int width, std::uint8_t *row) {
     const __m512 factor = _mm512_set1_ps(scale);

@@ -1,4 +1,4 @@
-// The product of what two textures show: the ground and its grain.
+// Product of two textures: the ground and its grain.
 
 #pragma once
 
@@ -11,17 +11,17 @@ namespace pixels {
 
 using Colour = std::array<std::int32_t, kChannels>;
 
-// What is looked up for one row: a texture, and where in it. Without a texture it is one colour.
+// A texture and the positions looked up for one row. Without a texture: a plain colour.
 struct Layer {
     const Texture *texture;
     const Places *places;
     Colour plain;
 };
 
-// Bytes that may be written to beyond a row.
+// Number of bytes that may be written beyond a row.
 constexpr int kBytesBeyond = 4;
 
-// Fills the columns from `first` on: the product of both, times a scale, as codes.
+// Fills the columns from `first` on with the product of both, times a scale, as codes.
 void multiply_row(const Layer &ground, const Layer &grain, float scale, int first, int width,
                   std::uint8_t *row);
 

@@ -1,4 +1,4 @@
-// The rays of a picture's pixels.
+// Rays of image pixels.
 
 #pragma once
 
@@ -10,7 +10,7 @@ namespace pixels {
 
 using Ray = std::array<double, 3>;
 
-// From homogenous pixel (u, v, 1) to a direction in `map`.
+// Maps a homogeneous pixel (u, v, 1) to a direction in `map`.
 using Rays = std::array<Ray, 3>;
 
 inline Rays rays_of(const Doubles &directions) {

@@ -1,5 +1,5 @@
-// A camera frame reduced to the network's grey picture, in bands that are averaged each in its own
-// proportion; the numbers are those of OpenCV's RGB2GRAY and INTER_AREA, to the bit.
+// Reduces a camera frame to the network's grey image, in bands that are averaged with different row
+// ratios; bit-identical to OpenCV's RGB2GRAY and INTER_AREA.
 
 #include "reduction.hpp"
 
@@ -53,7 +53,7 @@ FOR_EACH_PROCESSOR void round_row(const float *__restrict sum, int count,
 }  // namespace
 
 Shares::Shares(int from, int to) : from(from), count(to), taps(0), first(to) {
-    // In double precision and in this order, as OpenCV's computeResizeAreaTab.
+    // In double precision and in this order, as in OpenCV's computeResizeAreaTab.
     const double scale = static_cast<double>(from) / to;
     std::vector<std::vector<float>> weights(to);
     for (int i = 0; i < to; ++i) {
@@ -76,7 +76,7 @@ Shares::Shares(int from, int to) : from(from), count(to), taps(0), first(to) {
         }
         taps = std::max(taps, static_cast<int>(weights[i].size()));
     }
-    // Nothing times what lies beyond is added where others have more.
+    // Elements with fewer taps are padded with zero weights.
     weight.assign(static_cast<std::size_t>(taps) * to, 0.0F);
     for (int i = 0; i < to; ++i) {
         for (std::size_t tap = 0; tap < weights[i].size(); ++tap) {
@@ -95,7 +95,7 @@ Reduction::Reduction(int height, int width, std::vector<std::pair<int, int>> ban
         out_height_ += out_rows;
     }
     require(from == height && width >= columns && columns > 0, "bands make up the frame");
-    // One pass over a row takes three of its numbers for each of the fewer.
+    // average_columns uses three source elements per output element.
     require(columns_.taps <= kMostTaps, "a row is reduced by no more than a half");
     columns_.weight.resize(static_cast<std::size_t>(kMostTaps) * columns, 0.0F);
     grey_.assign(static_cast<std::size_t>(width_) + kMostTaps, 0.0F);
@@ -119,7 +119,7 @@ Bytes Reduction::reduce(const Bytes &frame) {
                 if (weight == 0.0F) {
                     break;
                 }
-                // Two rows of the picture may share one of the frame.
+                // Two output rows may share a frame row.
                 const int row = from + band.first[v] + tap;
                 if (row != averaged) {
                     grey_row(frame.data(row), width_, grey_.data());

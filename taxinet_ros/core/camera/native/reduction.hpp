@@ -7,18 +7,18 @@
 
 namespace pixels {
 
-// Which of a row's numbers, and what share of each, make up each of fewer.
+// Source elements and weights of each element of a reduced row.
 struct Shares {
     int from, count, taps;
     std::vector<std::int32_t> first;
-    std::vector<float> weight;  // by tap, then by number
+    std::vector<float> weight;  // by tap, then by output element
 
     Shares(int from, int to);
 };
 
 class Reduction {
   public:
-    // Bands from the top of the frame: their rows, and the rows that are made of them.
+    // Bands from the top of the frame: number of frame rows and of output rows.
     Reduction(int height, int width, std::vector<std::pair<int, int>> bands, int columns);
 
     Bytes reduce(const Bytes &frame);

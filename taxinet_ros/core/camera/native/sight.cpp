@@ -6,7 +6,7 @@
 namespace pixels {
 namespace {
 
-// Footprints are not allowed to vanish.
+// Lower limit that keeps footprints from vanishing.
 constexpr double kLeastSlope = 1e-9;
 
 std::vector<float> density_along(double slope, double start, double scale, int count) {
@@ -48,7 +48,7 @@ Parts Sight::density(int axis, double texel_m) const {
 }
 
 Form Sight::coordinate(int axis, double unit_m, double origin) const {
-    // A form in u, v and 1 times w; v w follows from the definition of w.
+    // A form in u w, v w and w; v w is eliminated by the definition of w.
     const double scale = camera_[2] / unit_m;
     const auto &[a0, a1, a2] = rays_[axis];
     const auto &[f0, f1, f2] = rays_[2];

@@ -8,13 +8,13 @@
 namespace pixels {
 namespace {
 
-// A column less than once round beside the panorama.
+// Wraps a column that is at most one turn outside the panorama.
 INLINE int wrapped(int column, int count) {
     column += column < 0 ? count : 0;
     return column < count ? column : column - count;
 }
 
-// Rows of a picture from the top in which some ray falls by less than a tangent.
+// Number of image rows from the top in which some ray falls by less than a tangent.
 int rows_above(const Rays &rays, double end_tan, const Rows &picture) {
     const auto &[f0, f1, f2] = rays[2];
     const double left = (-end_tan - f2) / f1;
@@ -39,7 +39,7 @@ void Panorama::lay_over(Picture picture, const Doubles &directions) const {
     const Rows target(picture);
     const Rays rays = rays_of(directions);
     require(target.width % spacing_ == 0, "the distance of directions divides a picture's width");
-    // One column more on both sides: all of the picture lies between two.
+    // One extra column on both sides, so that every image column lies between two.
     std::vector<Place> places(target.width / spacing_ + 2);
     const int middle_column = first_column_ + static_cast<int>(places.size()) / 2 * spacing_;
     const Ray middle = ray_of(rays, middle_column, 0);
@@ -87,7 +87,7 @@ INLINE Panorama::Place Panorama::between_alone(const Place &a, const Place &b, f
 
 void Panorama::find_places(const Rays &rays, const Ray &middle, int v,
                            std::vector<Place> &places) const {
-    // Measured from the view's middle, yaw has no jump inside the picture.
+    // Relative to the centre of the view, yaw has no discontinuity inside the image.
     const double cos = middle[0], sin = middle[1];
     const double north = std::atan2(sin, cos) + std::numbers::pi;
     const double per_radian = codes_.columns / (2 * std::numbers::pi);

@@ -1,4 +1,4 @@
-// What stands at the horizon, looked up in a panorama: what atmosphere.py asks for.
+// Horizon of an image, looked up in a panorama; used by atmosphere.py.
 
 #pragma once
 
@@ -13,29 +13,29 @@ namespace pixels {
 
 class Panorama {
   public:
-    // Codes (rows, columns, 3); columns are counted from yaw -pi and go round, rows upwards from an
-    // elevation [rad]. It begins where a ray falls by less than that tangent. Directions are
-    // computed for columns of the picture that are `spacing_px` apart, and interpolated between.
+    // Codes (rows, columns, 3): columns cover 360 degrees from yaw -pi, rows go upwards from
+    // `lowest_rad`. Rays that fall by less than the tangent `end_tan` use it. Directions are
+    // computed for image columns that are `spacing_px` apart, and interpolated between them.
     Panorama(Bytes codes, double lowest_rad, double step_rad, double end_tan, int spacing_px);
 
-    // Replaces what lies above the end of the ground. Directions (3, 3): see rays_of.
+    // Draws the panorama above the end of the ground. Directions (3, 3): see rays_of.
     void lay_over(Picture picture, const Doubles &directions) const;
 
   private:
-    // In columns and rows of the panorama; columns may go on beyond its end.
+    // Position in columns and rows of the panorama; columns may exceed its end.
     struct Place {
         float across, up;
     };
 
-    // Which direction a column of the picture is next to on its right, and what share of the way to
-    // the following one.
+    // Index of the computed direction to the left of an image column, and the fraction of the way
+    // to the next one.
     struct Between {
         int left;
         float share;
     };
 
-    // OpenCV's cv::resize, which interpolated at first, has an arithmetic of its own for a row that
-    // is alone. Bags from then shall give the same bytes when they are rendered.
+    // Compatibility with bags rendered by an earlier version, which interpolated by cv::resize: it
+    // uses different arithmetic for a single row.
     std::vector<Between> columns_between(int width, bool alone) const;
     static Place between(const Place &a, const Place &b, float share);
     static Place between_alone(const Place &a, const Place &b, float share);

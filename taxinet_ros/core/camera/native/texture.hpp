@@ -1,4 +1,4 @@
-// Textures, and where the pixels of a row fall in them.
+// Textures, and positions of a row's pixels in them.
 
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace pixels {
 
-// A picture of three channels that is looked up.
+// An image of three channels for lookups.
 struct Texture {
     Bytes owner;
     const std::uint8_t *texels;
@@ -29,16 +29,16 @@ struct Texture {
     std::ptrdiff_t stride() const { return static_cast<std::ptrdiff_t>(columns) * kChannels; }
 };
 
-// Where the pixels of one row of the picture fall between four texels of a texture: the offset of
-// the upper left one; the weights of left and right, a byte each, twice; and those of above and
-// below, half a word each. Each two add up to 32.
+// Positions of the pixels of one image row between four texels of a texture: offset of the upper
+// left texel; weights of left and right, a byte each, twice; weights of above and below, half a
+// word each. Each pair of weights adds up to 32.
 struct Places {
     std::vector<std::int32_t> offset, across, down;
 
     explicit Places(int width) : offset(width), across(width), down(width) {}
 };
 
-// One channel between four texels, of which the right and the lower ones have so many of 32 steps.
+// Bilinear interpolation of one channel; weights of the right and lower texels are in 32 steps.
 INLINE std::int32_t blended(const std::uint8_t *upper, const std::uint8_t *lower, int left,
                             int right, int of_right, int of_lower) {
     const int high = upper[left] * (kSteps - of_right) + upper[right] * of_right;

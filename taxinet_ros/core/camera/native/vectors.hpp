@@ -1,11 +1,11 @@
-// For what is written for one kind of processor, within `#if defined(WITH_VECTORS)`.
+// Definitions for processor-specific code, within `#if defined(WITH_VECTORS)`.
 
 #pragma once
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
 #define WITH_VECTORS
 #if !defined(__clang__)
-// GCC 12 warns of what its own header does on purpose (its bug 105593).
+// GCC 12 warns about intended code in its own header (GCC bug 105593).
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
 #endif
 #include <immintrin.h>

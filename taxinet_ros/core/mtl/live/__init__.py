@@ -1,1 +1,1 @@
-"""Signals of live topics, sampled and held for a monitor."""
+"""Live monitoring: signals read from topics, sampled and held."""

@@ -1,10 +1,10 @@
-"""Messages of several topics into samples of all signals: the last value of each is held.
+"""Sample and hold: combines messages of several topics into samples of all signals.
 
-A sample is made either whenever one topic speaks, or on a grid of a fixed period; the stamps alone
-decide, never a timer, so equal messages in equal order give equal samples. On the grid a sample is
-made when the first message from beyond it comes. The first sample waits until every signal has a
-value that is fresh. From then on a value that is too old, or whose stamp went back, is no value:
-the sample has NaN in its place, which a monitor refuses, and says why.
+A sample is made either at each message of one topic, or on a grid of a fixed period. Sampling
+depends on stamps only, never on a timer, so equal messages in equal order give equal samples. A
+grid sample is made at the first message after it. The first sample waits until every signal has a
+fresh value. After that, a value that is too old or whose stamp went back is unusable: the sample
+has NaN in its place and the reason, and a monitor rejects it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 _MAX_FILL = 10_000
-"""Most grid samples that one message brings; with more, time has jumped."""
+"""Maximum number of grid samples made at one message; more means that time has jumped."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Value:
-    """What a signal is worth, and since when.
+    """Value of a signal with its stamp.
 
     Attributes:
-        value: the number; NaN where there is none.
+        value: the number; NaN if there is none.
         stamp_ns: its time [ns].
         trouble: why it is unusable, in a few words, or ''.
     """
@@ -37,12 +37,12 @@ class Value:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """All signals at one time.
+    """Values of all signals at one time.
 
     Attributes:
         stamp_ns: its time [ns].
-        values: by signal; NaN where there is no usable one.
-        troubles: why a signal is unusable, by signal, for those that are.
+        values: value by signal; NaN if unusable.
+        troubles: reason by signal, for unusable signals only.
     """
 
     stamp_ns: int
@@ -51,13 +51,14 @@ class Sample:
 
 
 class SampleHold:
-    """Makes samples of what comes in.
+    """Makes samples from incoming messages.
 
     Args:
-        topics: the topic of each signal, by the signal's name.
-        sampled_on: topic whose messages each make a sample; '' on a grid.
-        period_ns: step of the grid [ns]; 0 where a topic makes the samples.
-        max_age_ns: how far a held value's stamp may be from the sample's [ns]; 0: any distance.
+        topics: topic of each signal, by signal name.
+        sampled_on: topic whose messages each trigger a sample; '' for a grid.
+        period_ns: step of the grid [ns]; 0 with ``sampled_on``.
+        max_age_ns: maximum distance between the stamps of a held value and of the sample [ns]; 0:
+            unlimited.
 
     Raises:
         UsageError: not exactly one of ``sampled_on`` and ``period_ns``, or a topic of no signal.
@@ -86,7 +87,7 @@ class SampleHold:
         return [name for name in self._topics if name not in self._held]
 
     def restart(self) -> None:
-        """Wait for a first sample again; usable values stay held, stamps may begin anew."""
+        """Wait for a first sample again; usable values stay held, stamps may restart."""
         self._held = {name: held for name, held in self._held.items() if not held.trouble}
         self._newest_ns.clear()
         self._next_ns = None
@@ -95,11 +96,11 @@ class SampleHold:
     def arrive(
         self, topic: str, stamp_ns: int, readings: Mapping[str, tuple[float, str]]
     ) -> list[Sample]:
-        """Take the message of a topic; answer the samples that are complete now, often one.
+        """Process a message; return the samples that are now complete, usually one.
 
         Args:
-            topic: where it came from.
-            stamp_ns: its time [ns].
+            topic: topic of the message.
+            stamp_ns: stamp of the message [ns].
             readings: value and trouble (or '') of every signal that is read from the topic.
         """
         filled = self._fill(stamp_ns) if self._period_ns else []
@@ -113,7 +114,7 @@ class SampleHold:
     ) -> None:
         back_ns = self._newest_ns.get(topic, stamp_ns) - stamp_ns
         if back_ns > 0 and topic != self._sampled_on:
-            # What a message from the past says is not the present; nor is what was held before.
+            # A message from the past is not current, and neither is the held value.
             trouble = f'stamps of {topic} went back by {back_ns / NS_PER_S:g} s'
             for name in readings:
                 if name in self._held:
@@ -124,7 +125,7 @@ class SampleHold:
             self._held[name] = Value(value=value, stamp_ns=stamp_ns, trouble=trouble)
 
     def _sample(self, stamp_ns: int) -> list[Sample]:
-        """The sample at a stamp; none while the first one is still waited for."""
+        """Sample at a stamp; none before all signals have a fresh value."""
         stale = {name: self._stale(name, stamp_ns) for name in self._held}
         if not self._begun and (self.missing or any(stale.values())):
             return []
@@ -151,7 +152,7 @@ class SampleHold:
         return f'{name} is stamped {-age_ns / NS_PER_S:.3f} s after the sample ({limit})'
 
     def _fill(self, stamp_ns: int) -> list[Sample]:
-        """Grid samples before a message's stamp, with what was held before it came."""
+        """Grid samples before a message's stamp, with the values held before the message."""
         if self._next_ns is None or stamp_ns <= self._next_ns:
             return []
         steps = -((self._next_ns - stamp_ns) // self._period_ns)

@@ -1,6 +1,6 @@
-"""Where a signal comes from: ``NAME[unit]=/topic:field.path*factor`` as a user writes it.
+"""Signal sources: ``NAME[unit]=/topic:field.path*factor``.
 
-A field path leads to one number in a structured message: ``pose.pose.position.y``, ``ranges[0]``.
+A field path addresses one number in a structured message: ``pose.pose.position.y``, ``ranges[0]``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from taxinet_ros.core.mtl.units import DIMENSIONS, dimension_of, si_unit
 from taxinet_ros.errors import UsageError
 
 FieldsOf = Callable[[str], Mapping[str, str]]
-"""Fields of a structured type, name to type, by the type's name ``package/Name``."""
+"""Maps the name ``package/Name`` of a structured type to its fields (name to type)."""
 _STEP = re.compile(r'([A-Za-z][A-Za-z0-9_]*)(?:\[([0-9]{1,9})\])?')
 _ARRAY = re.compile(r'(.+)\[([0-9]+)\]|sequence<(.+?)(?:, *[0-9]+)?>')
 _NUMBER = re.compile(r'u?int(8|16|32|64)|float|double|long double|boolean|octet|char')
@@ -25,7 +25,7 @@ _NUMBER = re.compile(r'u?int(8|16|32|64)|float|double|long double|boolean|octet|
 
 @dataclass(frozen=True, slots=True)
 class FieldPath:
-    """A field of a message, or of a structure in it, or an element of an array.
+    """Path to a field of a (nested) message, or to an element of an array.
 
     Attributes:
         steps: field names and array indices, outermost first.
@@ -39,10 +39,10 @@ class FieldPath:
 
 
 def parse_field_path(text: str) -> FieldPath:
-    """Read a path: field names joined by dots, an index in brackets behind an array's.
+    """Parse a path: field names joined by dots, with an index in brackets after an array.
 
     Raises:
-        UsageError: the text is no path.
+        UsageError: invalid path.
     """
     steps: list[str | int] = []
     for part in text.split('.'):
@@ -58,15 +58,15 @@ def parse_field_path(text: str) -> FieldPath:
 
 
 def check_field(path: FieldPath, type_name: str, fields_of: FieldsOf) -> None:
-    """Make sure that messages of a type have a number at a path.
+    """Check that messages of a type have a number at a path.
 
     Args:
         path: the path.
         type_name: type of the whole message, ``package/Name``.
-        fields_of: gives the fields of it and of what is inside.
+        fields_of: gives the fields of this type and of nested types.
 
     Raises:
-        UsageError: there is no such field, or it is no number; the message names what there is.
+        UsageError: no such field, or not a number; the message lists the fields.
     """
     kind, done = type_name, FieldPath(())
     for step in path.steps:
@@ -108,10 +108,10 @@ def _member(done: FieldPath, kind: str, name: str, fields_of: FieldsOf) -> str:
 
 
 def number_at(message: Any, path: FieldPath) -> float:
-    """The number at a path that :func:`check_field` has passed; a truth value is 1 or 0.
+    """Number at a path that :func:`check_field` has accepted; a boolean is 1 or 0.
 
     Raises:
-        LookupError: the message's array is too short; the message says how long it is.
+        LookupError: the array in the message is too short; the error gives its length.
     """
     value, done = message, ''
     for step in path.steps:
@@ -123,7 +123,7 @@ def number_at(message: Any, path: FieldPath) -> float:
         else:
             value = getattr(value, step)
             done += f'.{step}' if done else step
-    # ROS hands out an octet as a byte string of length 1.
+    # ROS represents an octet as a byte string of length 1.
     return float(value[0] if isinstance(value, bytes) else value)
 
 
@@ -137,14 +137,14 @@ _NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SignalSource:
-    """One number of the messages of a topic.
+    """Source of a signal: one number in the messages of a topic.
 
     Attributes:
-        name: what formulas call it.
+        name: signal name in formulas.
         topic: topic, as the user wrote it.
         path: the field.
-        factor: what the field is multiplied with, e.g. 0.01745329 for a field in degrees.
-        unit: SI unit of the product, such as ``m`` or ``rad``; '' where nobody said.
+        factor: multiplies the field, e.g. 0.01745329 for a field in degrees.
+        unit: SI unit of the product, such as ``m`` or ``rad``; '' if not given.
     """
 
     name: str
@@ -159,7 +159,7 @@ class SignalSource:
         return f'{self.name}{unit}={self.topic}:{self.path}{factor}'
 
     def read(self, message: Any) -> tuple[float, str]:
-        """The signal's value in a message, and '' or why it is none (then the value is NaN)."""
+        """Value of the signal in a message, and '' or the reason why it is unusable."""
         try:
             value = number_at(message, self.path) * self.factor
         except LookupError as error:
@@ -169,10 +169,10 @@ class SignalSource:
 
 
 def parse_signals(texts: Iterable[str]) -> tuple[SignalSource, ...]:
-    """Read sources, each ``NAME=/topic:field.path``; ``NAME[unit]``, and ``*factor`` at the end.
+    """Parse sources, each ``NAME=/topic:field.path``, optionally ``NAME[unit]`` and ``*factor``.
 
     Raises:
-        UsageError: a text of another form, a name that formulas cannot use, or one used twice.
+        UsageError: an invalid text, a reserved name, or a repeated name.
     """
     found: dict[str, SignalSource] = {}
     for text in texts:

@@ -1,7 +1,7 @@
-"""A stretch of time that formulas are judged on, from its first sample to its end, if it has one.
+"""Evaluation of formulas on a stretch of live time: the run of a monitor without explicit start.
 
-It is the run of a monitor that nobody starts and stops: it begins with the first sample that comes.
-How a formula stands is told to an operator by a level and a line.
+A stretch begins with the first sample and ends at its horizon, if it has one. The state of each
+formula is reported to an operator as a level and a line.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from taxinet_ros.core.mtl.live.sample_hold import Sample
 from taxinet_ros.core.types import NS_PER_S
 
 _ENDLESS_NS = 2**62
-"""Horizon of a stretch without one [ns]: 146 years."""
+"""Horizon used for an unlimited stretch [ns]: 146 years."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Standing:
-    """How one formula stands.
+    """State of one formula.
 
     Attributes:
         reading: its newest reading.
-        decided: the verdict that a valid stretch came to, UNKNOWN while there is none. It outlives
-            what makes the stretch invalid later: no completion could have taken it back.
-        decided_s: when that was, since the start of the stretch [s], or -1.
+        decided: verdict reached while the stretch was valid, or UNKNOWN. It stays when the stretch
+            becomes invalid later: no completion could have changed it.
+        decided_s: time of that verdict since the start of the stretch [s], or -1.
         trouble: what made the stretch invalid for this formula, or ''.
-        breach: how a sample broke what was vouched for, or ''; what was decided before that is
-            taken back, for it may have rested on it.
+        breach: how a sample violated the assumptions, or ''. An earlier verdict is then withdrawn,
+            because it may depend on them.
     """
 
     reading: Reading
@@ -48,14 +48,14 @@ class Standing:
 
 
 class Stretch:
-    """Judges formulas on one stretch.
+    """Monitors formulas on one stretch.
 
     Args:
         specs: the formulas.
-        horizon_ns: length of the stretch [ns]; 0: it has no end, and a formula that only the end
-            can decide stays an interval.
-        max_gap_ns: longest time without a sample [ns]; 0: any.
-        assumptions: what the user vouches for.
+        horizon_ns: length of the stretch [ns]; 0: unlimited, and a formula that only the end can
+            decide stays undecided.
+        max_gap_ns: longest time without a sample [ns]; 0: unlimited.
+        assumptions: assumed bounds and rates of signals.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Stretch:
 
     @property
     def begun(self) -> bool:
-        """Whether there was a sample."""
+        """Whether the first sample has arrived."""
         return self._start_ns is not None
 
     @property
     def length_s(self) -> float:
-        """From the first sample to the newest, at most to the horizon [s]."""
+        """Time from the first sample to the newest, at most the horizon [s]."""
         start_ns = self._start_ns if self._start_ns is not None else self._newest_ns
         return min(self._newest_ns - start_ns, self._horizon_ns) / NS_PER_S
 
@@ -100,7 +100,10 @@ class Stretch:
         return self._start_ns is not None and stamp_ns - self._start_ns > self._horizon_ns
 
     def push(self, sample: Sample) -> list[bool]:
-        """Take a sample; for each formula, whether it is now decided, final or not valid anew."""
+        """Process a sample; return for each formula whether its state has changed.
+
+        State: verdict, validity, finality and trust of the reading.
+        """
         if self._start_ns is None:
             self._start_ns = self._newest_ns = sample.stamp_ns
         before = self.standings
@@ -128,7 +131,7 @@ class Stretch:
         )
 
     def _trouble(self, spec: Spec, sample: Sample) -> str:
-        """Why the monitor refused a sample, or no longer trusts the stretch."""
+        """Reason why the monitor rejected a sample or the stretch became invalid."""
         step_s = (sample.stamp_ns - self._newest_ns) / NS_PER_S
         if step_s < 0:
             return f'stamps went back by {-step_s:g} s'
@@ -146,7 +149,7 @@ def _face(standing: Standing) -> tuple[Verdict, bool, bool, bool]:
 
 
 class Level(enum.IntEnum):
-    """How much a formula's standing matters; the numbers are those of ROS diagnostics."""
+    """Severity of a formula's state; values as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -154,7 +157,10 @@ class Level(enum.IntEnum):
 
 
 def standing_level(standing: Standing) -> Level:
-    """ERROR violated or not valid, WARN 0 at best or an assumption broken, OK satisfied or open."""
+    """Level of a state: ERROR if violated or invalid, else WARN, else OK.
+
+    WARN: the robustness can be 0 at best, or an assumption was violated.
+    """
     reading = standing.reading
     if not reading.valid or standing.decided is Verdict.VIOLATED:
         return Level.ERROR
@@ -163,7 +169,7 @@ def standing_level(standing: Standing) -> Level:
 
 
 def standing_line(standing: Standing) -> str:
-    """E.g. ``violated at 3.2 s, rho within [-inf, -0.5]``."""
+    """State in words, e.g. ``violated at 3.2 s, rho within [-inf, -0.5]``."""
     words = _verdict(standing)
     if standing.reading.samples:
         words += f', {standing.reading.interval.words(".4g")}'

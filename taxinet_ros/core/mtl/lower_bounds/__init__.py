@@ -1,1 +1,1 @@
-"""Lower bounds of robustness while a run goes on."""
+"""Lower bounds of robustness during a run."""

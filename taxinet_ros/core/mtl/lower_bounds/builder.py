@@ -1,4 +1,4 @@
-"""Core form to the nodes that bound it from below, each with the time range that matters."""
+"""Builds the lower-bound nodes of a core formula, each with the time range that matters."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from taxinet_ros.errors import UsageError
 MakeAtom = Callable[[CoreAtom, BoundRequest], AtomBound]
 
 MAX_NODES = 1_000
-"""Most nodes of one formula: a sample may cost a millisecond or so, and not more."""
+"""Maximum number of nodes of one formula; limits the cost of a sample to about a millisecond."""
 
 _NO_END_NS = 2**62
 
 
 class Root:
-    """The node of a whole formula, which is asked at the first sample only.
+    """Node of a whole formula, which is evaluated at the first sample only.
 
     Attributes:
         bound: lower bound of the run's robustness.
@@ -57,12 +57,12 @@ class Root:
         self.wake_ns = node.wake_ns
 
     def follow(self, now_ns: int) -> None:
-        """Follow the trace, of which all is known up to ``now_ns``."""
+        """Update the bound; the trace is complete up to ``now_ns``."""
         node = self._node
         for step in self._steps:
             step(now_ns)
         if node.low < node.high:
-            # Adding zero turns -0.0 into 0.0, as offline.
+            # Adding 0.0 turns -0.0 into 0.0, as in offline evaluation.
             self.bound = node.value[0] + 0.0
         if now_ns >= node.final_ns:
             self.wake_ns = INF
@@ -71,7 +71,7 @@ class Root:
 class Builder:
     """Builds the nodes of one core formula over one growing trace.
 
-    A subformula that is asked at the same samples from several places is one node.
+    A subformula that is evaluated at the same samples in several places is one node.
 
     Args:
         stamps_ns: stamps of the trace, which the owner appends to.
@@ -79,7 +79,7 @@ class Builder:
         make_atom: makes the node of a predicate.
 
     Attributes:
-        nodes: all of them, operands first: the order in which they are to be stepped.
+        nodes: all nodes, operands first; they must be stepped in this order.
     """
 
     def __init__(self, stamps_ns: list[int], horizon_ns: int, make_atom: MakeAtom) -> None:
@@ -90,10 +90,10 @@ class Builder:
         self.nodes: list[LowerBound] = []
 
     def build(self, core: Core, begin_ns: float, end_ns: float) -> LowerBound:
-        """Node for a core formula that is asked at samples within [begin, end].
+        """Node of a core formula that is evaluated at samples within [begin, end].
 
         Raises:
-            UsageError: there would be more than :data:`MAX_NODES`.
+            UsageError: there would be more than :data:`MAX_NODES` nodes.
         """
         key = id(core), begin_ns, end_ns
         node = self._built.get(key)
@@ -162,13 +162,13 @@ class Builder:
 
 
 def check_parts(formula: ast.Formula) -> None:
-    """See that a formula can be followed.
+    """Check that a formula can be monitored.
 
     Raises:
-        UsageError: it would take more than :data:`MAX_NODES` nodes on some run.
+        UsageError: it would need more than :data:`MAX_NODES` nodes on some run.
     """
     def blank(core: CoreAtom, asked: BoundRequest) -> AtomBound:
         return AtomBound(asked, margins=(), floor=-INF, outlook=None)
 
-    # The end of a run only ever makes ranges of samples equal that are not without it.
+    # Worst case: a finite horizon can only make sample ranges equal, so nodes are shared more.
     Builder([], _NO_END_NS, blank).build(normalise(formula), 0, 0)

@@ -1,4 +1,4 @@
-"""Lower bounds of a formula's robustness while a trace still grows: atoms, logic and chains.
+"""Lower-bound nodes of a formula on a growing trace: atoms, logic and chains.
 
 Chains are unbounded until, since and their duals, once and historically.
 """
@@ -18,7 +18,7 @@ _NONE = sys.maxsize
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoundRequest:
-    """The trace, and where on it a node is asked.
+    """The trace, and the range of it in which a node is evaluated.
 
     Attributes:
         stamps_ns: stamps of the trace [ns], shared by all nodes; the owner appends to it.
@@ -33,21 +33,21 @@ class BoundRequest:
 
 
 class LowerBound(ABC):
-    """One node. After each :meth:`step` its public face holds for the trace so far.
+    """Base class of nodes. After each :meth:`step`, public attributes hold for the trace so far.
 
-    Each node is stepped once for every sample, and its operands before it (:class:`.build.Root`).
+    Each node is stepped once per sample, after its operands (:class:`.builder.Root`).
 
     Attributes:
-        value: lower bound by sample index; entries before :attr:`first` mean nothing, and samples
-            after ``end_ns`` have none that counts.
+        value: lower bound by sample index; undefined before :attr:`first` and for samples after
+            ``end_ns``.
         rows: number of samples up to ``end_ns``.
         first: index of the first sample that matters.
-        low, high: the last step changed no bounds but those of samples low <= i < high.
-        monotone: the bounds are sorted, one way or the other.
-        settled: a bound that was given once never changes.
-        floor: no bound, of any sample that came or may come, is below.
+        low, high: the last step changed only bounds of samples low <= i < high.
+        monotone: the bounds are sorted, ascending or descending.
+        settled: a bound never changes once it is set.
+        floor: minimum of all bounds, of present and future samples.
         steady_ns: before this time :meth:`future` is :attr:`floor`.
-        wake_ns: before this time every bound is :attr:`floor`, and no step need be made.
+        wake_ns: before this time every bound is :attr:`floor`, and :meth:`step` is not needed.
         final_ns: from this time on no bound changes.
     """
 
@@ -83,17 +83,17 @@ class LowerBound(ABC):
         self.monotone = self.settled = False
         self.floor = self.steady_ns = self.wake_ns = -INF
         self._asked_ns, self._told = -1, -INF
-        # A window behind asks its operand earlier than it is asked itself.
+        # A past window evaluates its operand earlier than it is evaluated itself.
         self.final_ns = max([asked.end_ns, *(node.final_ns for node in operands)])
 
     @abstractmethod
     def step(self, now_ns: int) -> None:
-        """Follow the trace, to which samples were added; all is known up to ``now_ns``."""
+        """Update the bounds for the added samples; the trace is complete up to ``now_ns``."""
 
     def future(self, now_ns: int) -> float:
-        """Lower bound at every sample that may still come and matter; +inf if none can.
+        """Lower bound at every relevant future sample; +inf if there can be none.
 
-        To be asked after the step to ``now_ns``. Kept until the next one, for several may ask.
+        Call it after the step to ``now_ns``. The result is cached until the next step.
         """
         if now_ns >= self.end_ns:
             return INF
@@ -103,10 +103,10 @@ class LowerBound(ABC):
 
     @abstractmethod
     def _future(self, now_ns: int) -> float:
-        """Lower bound at samples later than ``now_ns``, when there can be some."""
+        """Lower bound at samples after ``now_ns``; called only if there can be some."""
 
     def _grow(self) -> bool:
-        """Count the samples that came in; these alone are the changed ones so far.
+        """Count the new samples and reset the changed range to them.
 
         Returns whether there were any.
         """
@@ -122,15 +122,15 @@ class LowerBound(ABC):
         return True
 
     def _touch(self, low: int, high: int) -> None:
-        """Count samples low <= i < high among the changed ones, as far as they matter."""
-        # Some operands know more samples than this node: until looks beyond what it is asked.
+        """Extend the changed range by samples low <= i < high, as far as they matter."""
+        # Operands may have more samples than this node: until looks beyond its own range.
         low, high = max(low, self.first), min(high, self.rows)
         if low < high:
             self.low, self.high = min(self.low, low), max(self.high, high)
 
 
 class ListedBound(LowerBound):
-    """A node that keeps the bounds of its samples in a list."""
+    """Base class of nodes that store their bounds in a list."""
 
     __slots__ = ()
 
@@ -148,14 +148,14 @@ class ListedBound(LowerBound):
 
 
 class AtomBound(LowerBound):
-    """A predicate: known where there is a sample.
+    """Node of a predicate; exact at every sample.
 
     Args:
-        asked: where it is asked.
+        asked: trace and range of evaluation.
         margins: (negated) margin of the predicate by sample index, shared; the owner appends to it.
-        floor: the least (negated) margin that any sample can have.
-        outlook: gives the least possible (negated) margin up to a time [ns], where that changes
-            with the samples; else None.
+        floor: minimum possible (negated) margin of any sample.
+        outlook: gives the minimum possible (negated) margin up to a time [ns]; None if that does
+            not depend on the samples.
     """
 
     __slots__ = ('_outlook',)
@@ -176,10 +176,10 @@ class AtomBound(LowerBound):
         self._outlook = outlook
 
     def step(self, now_ns: int) -> None:
-        """See the base; the margins themselves are there already."""
+        """Count the new samples; their margins are already in ``value``."""
         known, stamps = self.rows, self.stamps_ns
         if known + 1 == len(stamps) and self.begin_ns <= stamps[known] <= self.end_ns:
-            # The usual case, without a call.
+            # Fast path for the usual case.
             self.low, self.high = known, known + 1
             self.rows = known + 1
         else:
@@ -190,7 +190,7 @@ class AtomBound(LowerBound):
 
 
 class JoinBound(ListedBound):
-    """Lowest or highest of nodes with the same range, sample by sample."""
+    """Minimum or maximum of nodes with the same range, sample by sample."""
 
     __slots__ = ('_children', '_pick')
 
@@ -206,7 +206,7 @@ class JoinBound(ListedBound):
         self.wake_ns = min(child.wake_ns for child in children)
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         self._grow()
         for child in self._children:
             self._touch(child.low, child.high)
@@ -223,10 +223,10 @@ class ChainBound(ListedBound):
     """A recursion from sample to sample over two nodes with the same range.
 
     Args:
-        asked: where it is asked.
+        asked: trace and range of evaluation.
         lowest: False for until and since, True for their duals.
-        left: the operand that has to hold on the way; None, looking back, where nothing has to.
-        right: the operand that has to be reached.
+        left: the operand that must hold until then; None for unbounded once and historically.
+        right: the operand that must be reached.
     """
 
     __slots__ = ('_left', '_lowest', '_other', '_own', '_right')
@@ -248,7 +248,7 @@ class ChainBound(ListedBound):
 
 
 class ChainAheadBound(ChainBound):
-    """Unbounded until, or its dual, from the newest sample back."""
+    """Unbounded until or its dual; recursion from the newest sample backwards."""
 
     __slots__ = ('_beyond',)
 
@@ -262,10 +262,10 @@ class ChainAheadBound(ChainBound):
         self.floor, self.steady_ns = right.floor, right.steady_ns
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         self._follow_operands()
-        # After the newest sample nothing may follow, which is the worst for until; for the dual
-        # the worst is the least that the right operand can still do.
+        # The worst case for until is that no sample follows; for the dual it is the minimum
+        # future value of the right operand.
         beyond = self._right.future(now_ns) if self._lowest else -INF
         if beyond != self._beyond:
             self._beyond = beyond
@@ -291,7 +291,7 @@ class ChainAheadBound(ChainBound):
 
 
 class ChainBackBound(ChainBound):
-    """Unbounded since, or its dual, from the first sample on."""
+    """Unbounded since or its dual; recursion from the first sample onwards."""
 
     __slots__ = ('_start',)
 
@@ -303,7 +303,7 @@ class ChainBackBound(ChainBound):
         self.settled = right.settled and (left is None or left.settled)
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         self._follow_operands()
         if self.low >= self.high:
             return

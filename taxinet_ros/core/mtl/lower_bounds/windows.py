@@ -1,4 +1,4 @@
-"""Lower bounds of windows (always, eventually, historically, once) and of shifts by a delay."""
+"""Lower-bound nodes of windows (always, eventually, historically, once) and of shifts."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from taxinet_ros.core.mtl.lower_bounds.nodes import BoundRequest, ListedBound, L
 from taxinet_ros.core.mtl.sliding import INF, Stairs, empty_value, slide
 
 Offsets = tuple[float, float]
-"""Start and end of a window relative to its sample [ns]: ints, or +-inf; one sign for both."""
+"""Start and end of a window relative to its sample [ns]: ints or +-inf, both of one sign."""
 
 
 class AheadBound(LowerBound):
-    """Lowest or highest over a window ahead, of a settled node: amortised constant time."""
+    """Minimum or maximum of a settled node over a future window, in amortised constant time."""
 
     __slots__ = ('_child', '_lowest', '_offsets', '_past', '_reached', '_taken')
 
@@ -30,12 +30,12 @@ class AheadBound(LowerBound):
         self.monotone = offsets[1] == INF
         _forecast(self, lowest, offsets, child)
         self._lowest, self._offsets, self._child = lowest, offsets, child
-        # Samples taken in; windows before ``past`` ended before the newest one, and windows before
-        # ``reached`` started at or before it.
+        # ``taken``: number of samples processed. Windows before ``past`` ended before the newest
+        # sample; windows before ``reached`` started at or before it.
         self._taken = self._past = self._reached = 0
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         child, stairs = self._child, self.value
         if self._grow():
             stairs.rows = self.rows
@@ -47,7 +47,7 @@ class AheadBound(LowerBound):
             self._cap(now_ns)
 
     def _take(self) -> None:
-        """Let the operand's new samples fall into the windows that they meet."""
+        """Add the operand's new samples to the windows that contain them."""
         stamps, values, rows = self.stamps_ns, self._child.value, self.rows
         low_ns, high_ns = self._offsets
         past, reached, changed = self._past, self._reached, rows
@@ -67,7 +67,7 @@ class AheadBound(LowerBound):
         self._past, self._reached = past, reached
 
     def _cap(self, now_ns: int) -> None:
-        """Lowest: what may still come counts in the windows that are open."""
+        """Apply the minimum of possible future values to the open windows (minimum only)."""
         stairs, was_open, cap = self.value, self.value.open, self.value.cap
         stairs.open = closed_rows(self, was_open, self._offsets[1], now_ns)
         self._touch(was_open, stairs.open)
@@ -83,7 +83,7 @@ class AheadBound(LowerBound):
 
 
 class WindowBound(ListedBound):
-    """Lowest or highest over any window, of any node."""
+    """Minimum or maximum of any node over any window."""
 
     __slots__ = (
         '_child', '_lowest', '_offsets', '_open', '_so_far', '_so_far_from', '_worst',
@@ -93,25 +93,25 @@ class WindowBound(ListedBound):
         self, asked: BoundRequest, *, lowest: bool, offsets: Offsets, child: LowerBound
     ) -> None:
         super().__init__(asked, child)
-        # A window behind a sample is closed when the sample comes.
+        # A past window is closed when its sample arrives.
         self.settled = child.settled and offsets[1] <= 0
         self.monotone = offsets[1] == INF
         _forecast(self, lowest, offsets, child)
         self._lowest, self._offsets, self._child = lowest, offsets, child
         self._open, self._worst = 0, -INF
-        # Extreme of the samples of one window from the first on, up to each: see _seen_by.
+        # Running extreme of the samples of one window: see _seen_by.
         self._so_far: list[float] = []
         self._so_far_from = 0
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         child = self._child
         grown = self._grow()
         if child.low < child.high:
             self._touch(*self._affected(child.low, child.high))
             del self._so_far[max(child.low - self._so_far_from, 0):]
         elif not grown and self._open == self.rows and now_ns >= self.end_ns:
-            # No window is open, and none will be.
+            # No window is open or will be.
             return
         if self._lowest:
             self._step_lowest(now_ns)
@@ -119,7 +119,7 @@ class WindowBound(ListedBound):
             self.value[self.low : self.high] = self._seen(self.low, self.high)
 
     def _affected(self, low: int, high: int) -> tuple[int, int]:
-        """Rows start <= i < stop whose windows hold some of the samples low <= i < high."""
+        """Rows start <= i < stop whose windows contain any of the samples low <= i < high."""
         stamps, (low_ns, high_ns) = self.stamps_ns, self._offsets
         start = bisect_left(stamps, stamps[low] - high_ns, self.first, self.rows)
         return start, bisect_right(stamps, stamps[high - 1] - low_ns, start, self.rows)
@@ -143,14 +143,14 @@ class WindowBound(ListedBound):
             self.value[never:high] = [INF] * (high - never)
 
     def _hedged(self, start: int, stop: int) -> list[float]:
-        """Bounds of open windows: what was seen, and the worst that may come."""
+        """Bounds of open windows: minimum of the samples so far and of possible future ones."""
         worst = self._worst
         if worst <= self._child.floor:
             return [worst] * (stop - start)
         return [min(seen, worst) for seen in self._seen(start, stop)]
 
     def _seen(self, start: int, stop: int) -> list[float]:
-        """Extremes of the samples so far, whatever may come."""
+        """Extremes of the samples so far, without future ones."""
         values, (low_ns, high_ns) = self._child.value, self._offsets
         if stop - start != 1 and high_ns == INF:
             return self._seen_nested(start, stop)
@@ -160,7 +160,7 @@ class WindowBound(ListedBound):
         return [self._seen_by(start)]
 
     def _seen_nested(self, start: int, stop: int) -> list[float]:
-        """The same for windows without an end: each holds the next, and what lies before that."""
+        """Like :meth:`_seen`, for windows without end: each contains the next one."""
         stamps, values, low_ns = self.stamps_ns, self._child.value, self._offsets[0]
         extreme: Callable[..., float] = min if self._lowest else max
         found = [self._seen_by(stop - 1)] * (stop - start)
@@ -176,10 +176,10 @@ class WindowBound(ListedBound):
         return found
 
     def _seen_by(self, row: int) -> float:
-        """The same for one window: the usual case at the root of a formula, and many times faster.
+        """Like :meth:`_seen`, for one window: the usual case at the root, and many times faster.
 
-        A sample changes the operand at the newest samples only, so the extremes of all beginnings
-        of the window are kept, and only those that reach into the change are made anew.
+        A sample changes the operand at the newest samples only. So the extremes of all prefixes of
+        the window are cached, and only those that include a changed sample are recomputed.
         """
         stamps, values, (low_ns, high_ns) = self.stamps_ns, self._child.value, self._offsets
         left = bisect_left(stamps, stamps[row] + low_ns, 0, len(values))
@@ -207,10 +207,10 @@ class WindowBound(ListedBound):
 
 
 def _forecast(node: LowerBound, lowest: bool, offsets: Offsets, child: LowerBound) -> None:
-    """Set what is known of a window's bounds before any sample comes."""
+    """Set the attributes of a window node that are known before the first sample."""
     low_ns, high_ns = offsets
     if not lowest:
-        # A window that starts at the sample holds it; any other may stay empty.
+        # A window that includes offset 0 contains its sample; any other may stay empty.
         node.floor = child.floor if 0 in offsets else -INF
         node.steady_ns = min(node.end_ns, child.steady_ns) if 0 in offsets else node.end_ns
         node.wake_ns = child.wake_ns if node.floor == child.floor else -INF
@@ -218,13 +218,13 @@ def _forecast(node: LowerBound, lowest: bool, offsets: Offsets, child: LowerBoun
     node.floor = child.floor
     node.steady_ns = min(node.end_ns, node.horizon_ns - low_ns, child.steady_ns)
     if low_ns >= 0:
-        # Until the first window closes all are open, and in the worst case hold the floor.
+        # Until the first window closes all are open and may, at worst, reach the floor.
         first_ns = min(node.begin_ns + high_ns, node.horizon_ns, node.horizon_ns - low_ns + 1)
         node.wake_ns = min(first_ns, child.steady_ns)
 
 
 def closed_rows(node: LowerBound, known: int, high_ns: float, now_ns: int) -> int:
-    """Number of windows into which no sample can fall any more, at least ``known``."""
+    """Number of windows that can get no more samples, at least ``known``."""
     stamps, rows = node.stamps_ns, node.rows
     closed = max(known, node.first)
     if now_ns >= node.horizon_ns:
@@ -235,7 +235,7 @@ def closed_rows(node: LowerBound, known: int, high_ns: float, now_ns: int) -> in
 
 
 def never_row(node: LowerBound, low_ns: float) -> int:
-    """Index of the first window that starts beyond the end of the run: it is empty for good."""
+    """Index of the first window that starts after the end of the run and so stays empty."""
     stamps, rows = node.stamps_ns, node.rows
     if not rows or stamps[rows - 1] + low_ns <= node.horizon_ns:
         return rows
@@ -253,7 +253,7 @@ def _window_future(
 
 
 def least_from(node: LowerBound, start: int, now_ns: int) -> float:
-    """Least lower bound of a node at its samples from an index on and at those still to come."""
+    """Minimum bound of a node over its samples from an index on and all future samples."""
     future = node.future(now_ns)
     if future == node.floor:
         return future
@@ -261,7 +261,7 @@ def least_from(node: LowerBound, start: int, now_ns: int) -> float:
 
 
 class ShiftBound(ListedBound):
-    """A node at a sample ``delay_ns`` away; ``lowest`` tells what an absent one is worth."""
+    """A node at a sample ``delay_ns`` away; an absent one is +inf if ``lowest``, else -inf."""
 
     __slots__ = ('_child', '_delay_ns', '_lowest')
 
@@ -284,10 +284,10 @@ class ShiftAheadBound(ShiftBound):
         self._known = 0
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         self._grow()
         stamps, rows = self.stamps_ns, self.rows
-        # The samples whose delay had not passed with the last one known may see a change.
+        # Samples whose delay had not elapsed at the last step may change.
         low = min(self._child.low, self._known)
         self._known = len(stamps)
         before = stamps[low - 1] - self._delay_ns if low else -INF
@@ -326,7 +326,7 @@ class ShiftBackBound(ShiftBound):
         self.settled = child.settled
 
     def step(self, now_ns: int) -> None:
-        """See the base."""
+        """Update the bounds; see :meth:`LowerBound.step`."""
         self._grow()
         stamps, rows = self.stamps_ns, self.rows
         if self._child.low < self._child.high:

@@ -1,1 +1,1 @@
-"""Networks in ONNX files, looked at before they are trusted."""
+"""Third-party networks in ONNX files, checked before use."""

@@ -1,12 +1,8 @@
-"""From a camera frame to the array that a third party's network takes, as its sidecar says.
+"""Third-party network in an ONNX file: input preparation and inference as its sidecar describes.
 
-A third party's network in an ONNX file, run by onnxruntime as its sidecar says.
-
-The file comes from elsewhere, so it is tried before anything relies on it, in a process that may
-be lost: see :mod:`taxinet_ros.core.perception.onnx.trial`. Nothing but the two files is read: a
-model whose weights lie in further files is refused.
-
-onnxruntime is imported by the function that needs it, so that nobody else waits for it.
+The file is untrusted, so it is first tried in a separate process: see
+:mod:`taxinet_ros.core.perception.onnx.trial`. Only the model and its sidecar are read; a model with
+external weight files is rejected. onnxruntime is imported lazily.
 """
 
 from __future__ import annotations
@@ -46,7 +42,7 @@ _RESIZES = {
 
 
 def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
-    """The network's input of a camera frame, (height, width, 3) uint8 RGB.
+    """Convert a camera frame, (height, width, 3) uint8 RGB, to the network's input.
 
     Returns:
         Array of the shape ``sidecar.picture.shape``.
@@ -85,7 +81,7 @@ def _brightest(levels: NDArray[np.float32], reduction: Brightest) -> NDArray[np.
 
 
 def _scaled(levels: NDArray[np.float32], scaling: Scaling) -> NDArray[np.float32]:
-    """Every step of the scaling, in its order."""
+    """Apply the scaling steps in order."""
     levels = levels / np.float32(scaling.divide_by)
     if scaling.per_image != 'none':
         levels -= levels.mean()
@@ -98,16 +94,16 @@ def _scaled(levels: NDArray[np.float32], scaling: Scaling) -> NDArray[np.float32
 
 ONNX_SUFFIX = '.onnx'
 MAX_BYTES = 256 << 20
-"""Largest model that is read."""
+"""Maximum size of a model file."""
 MEMORY_BYTES = 2 << 30
-"""Address space of the process that tries a network; Python and the runtime take a quarter."""
+"""Address space limit of the trial process; Python and the runtime use a quarter of it."""
 _DTYPES: dict[str, type[np.floating[Any]]] = {
     'tensor(float)': np.float32, 'tensor(double)': np.float64, 'tensor(float16)': np.float16,
 }
 
 
 def trial_frames() -> dict[str, NDArray[np.uint8]]:
-    """What a network is tried on: camera frames, by what they are called in a complaint."""
+    """Camera frames for the trial, by their name in error messages."""
     noise = np.random.default_rng(0).integers(0, 256, IMAGE_SHAPE, np.uint8)
     plain = {'grey': 128, 'dark': 0, 'bright': 255}
     return {name: np.full(IMAGE_SHAPE, level, np.uint8) for name, level in plain.items()} | {
@@ -117,12 +113,12 @@ def trial_frames() -> dict[str, NDArray[np.uint8]]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NetworkFiles:
-    """A network as it was read, so that what is tried and what is used are the same bytes.
+    """File contents of a network; the trial and the use are of the same bytes.
 
     Attributes:
-        path: of the model, ``NAME.onnx``.
-        model: its bytes.
-        description: those of ``NAME.yaml``.
+        path: path of the model, ``NAME.onnx``.
+        model: bytes of the model.
+        description: bytes of ``NAME.yaml``.
     """
 
     path: Path
@@ -131,10 +127,10 @@ class NetworkFiles:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The two files of a network.
+        """Read the two files of a network.
 
         Raises:
-            UsageError: one is not there, cannot be read, or is too large.
+            UsageError: a file is missing, unreadable or too large.
         """
         return cls(
             path=path, model=_read(path, MAX_BYTES),
@@ -143,25 +139,25 @@ class NetworkFiles:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the model's bytes with the description's after them."""
+        """SHA-256 of the model followed by the description."""
         return hashlib.sha256(self.model + self.description).hexdigest()
 
 
 class OnnxNetwork:
-    """A network ready to look.
+    """A network ready for inference.
 
-    It runs on one thread of the processor: on one machine the same frame gives the same answer to
-    the bit, in any process.
+    It runs on one CPU thread: on one machine the same frame gives bit-identical results in any
+    process.
     """
 
     def __init__(self, files: NetworkFiles) -> None:
-        """Open the model and see that the two files agree.
+        """Open the model and check that it matches its description.
 
-        Opening runs part of the model, for onnxruntime computes what is constant in it; so it
-        takes what time and memory the model wants.
+        onnxruntime evaluates the constant parts of the model when opening it, so time and memory
+        are unlimited.
 
         Raises:
-            UsageError: one line on the first thing that is wrong.
+            UsageError: an unusable model or description; one line on the first error.
         """
         path = self._path = files.path
         self._sidecar = parse_sidecar(sidecar_path(path), files.description)
@@ -173,17 +169,17 @@ class OnnxNetwork:
                                 'outputs of floating point')
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8.
+        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
 
-        Not finite where the network's answer is not, or where it fails.
+        NaN if the network fails; not finite if its output is not.
         """
         try:
             return self._meaning(self._run(image))
-        except Exception:  # onnxruntime's have no other base, and a run must not end for one
+        except Exception:  # onnxruntime's have no other base class; they must not end the run
             return math.nan, math.nan
 
     def _input(self) -> tuple[str, type[np.floating[Any]]]:
-        """Name and number type of the model's input, once it is as the sidecar says."""
+        """Check the model's input against the sidecar; return its name and number type."""
         if len(self._model.inputs) != 1:
             raise file_error(
                 self._path, f'has {len(self._model.inputs)} inputs; a network that sees has one'
@@ -208,18 +204,19 @@ class OnnxNetwork:
         return given.name, _DTYPES[given.kind]
 
     def trial(self) -> bytes:
-        """Look at each of :func:`trial_frames`; every number that came out, to be compared.
+        """Evaluate all of :func:`trial_frames`; return all outputs as bytes, for comparison.
 
         Raises:
-            UsageError: it needs too much memory; or it fails on the grey frame, or does not answer
-                it as described. Where it fails on others, it has no answer there in a run, either.
+            UsageError: the model needs too much memory, fails on the grey frame, or gives outputs
+                for it that do not match the description. Failures on other frames are allowed;
+                in a run they give no estimate.
         """
         return b'\n'.join(self._tried(*named) for named in trial_frames().items())
 
     def _tried(self, name: str, frame: NDArray[np.uint8]) -> bytes:
         try:
             numbers = self._run(frame)
-        except Exception as error:  # onnxruntime's have no other base
+        except Exception as error:  # onnxruntime's have no other base class
             if short_of_memory(error):
                 raise too_large(self._path) from None
             if name != 'grey':
@@ -231,7 +228,7 @@ class OnnxNetwork:
         return numbers.tobytes()
 
     def _check(self, numbers: NDArray[np.float64]) -> None:
-        """See that these numbers are as many as are described, and finite."""
+        """Check that the number of outputs matches the description and all are finite."""
         entries = len(self._sidecar.outputs)
         if len(numbers) != entries:
             raise self._disagrees(f'outputs has {entries} entries',
@@ -244,7 +241,7 @@ class OnnxNetwork:
             )
 
     def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Every number that comes out, in order."""
+        """All output numbers, in order."""
         with np.errstate(over='ignore', invalid='ignore'):
             inputs = prepare(image, self._sidecar).astype(self._dtype)
         arrays = self._model.session.run(None, {self._name: inputs})
@@ -266,7 +263,7 @@ class OnnxNetwork:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Tensor:
-    """What goes in or out of a model; None in its shape is a side of any length."""
+    """Input or output of a model; None in its shape is a side of any length."""
 
     name: str
     kind: str
@@ -288,7 +285,7 @@ class _Tensor:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Model:
-    """onnxruntime's session with a model."""
+    """An onnxruntime session with its inputs and outputs."""
 
     session: Any
     inputs: tuple[_Tensor, ...]
@@ -305,7 +302,7 @@ def _open(path: Path, data: bytes) -> _Model:
             inputs=_Tensor.all_of(session.get_inputs()),
             outputs=_Tensor.all_of(session.get_outputs()),
         )
-    except Exception as error:  # onnxruntime's have no other base
+    except Exception as error:  # onnxruntime's have no other base class
         if 'external data' in str(error).lower():
             raise file_error(
                 path, 'keeps weights in further files, which are not read; export it in one file'
@@ -339,7 +336,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 def short_of_memory(error: Exception) -> bool:
-    """Whether an error, be it onnxruntime's, says that there was no more memory."""
+    """Whether an error, also one of onnxruntime, reports lack of memory."""
     return isinstance(error, MemoryError) or 'alloc' in str(error).lower()
 
 
@@ -352,5 +349,5 @@ def too_large(path: Path) -> UsageError:
 
 
 def _reason(error: Exception) -> str:
-    """What onnxruntime says, in one line, without its code numbers."""
+    """Message of onnxruntime in one line, without error codes."""
     return ' '.join(str(error).split()).rpartition(' : ')[2][:160]

@@ -1,34 +1,33 @@
-"""YAML written by people, read strictly: every complaint is one line with file, key and mend.
+"""Description of a third-party network: ``NAME.yaml`` next to ``NAME.onnx``.
 
-The description of a third party's network: ``NAME.yaml`` beside ``NAME.onnx``.
+An ONNX file does not define the meaning of its inputs and outputs; the description does, in YAML
+(or JSON). Parsing is strict; every error is one line with file, key and correction. The keys, those
+in brackets optional::
 
-An ONNX file says which numbers go in and out, and not what they mean. The description says it, in
-YAML (so in JSON too). Its keys, those in brackets optional::
-
-    input:                     the network's one input, made from a camera frame
-      [name]                   the input's name, to be sure of the file
+    input:                     the network's single input, made from a camera frame
+      [name]                   name of the input, as a check
       layout                   nchw, nhwc, or flat: (1, height x width), row by row, grey only
       colour                   rgb, bgr or grey
       [crop]                   [left, top, right, bottom] pixels of the 360 x 200 frame to keep
-      height, width            of the picture that the network takes
+      height, width            size of the network's input image
       [resize]                 area (default), linear, cubic or nearest
-      [brightest]              {block, keep}: resize to block times height and width, then put the
-                               mean of the keep brightest pixels for each square of block x block
-    scaling:                   from grey levels 0..255 to what the network takes, in this order
-      divide_by                1 where the network takes grey levels
-      [per_image]              none (default), centre: subtract the picture's mean, or standardise:
-                               and divide by its deviation, which counts as one grey level at least
+      [brightest]              {block, keep}: resize to block times height and width, then replace
+                               each block x block square by the mean of its keep brightest pixels
+    scaling:                   from grey levels 0..255 to the network's input, in this order
+      divide_by                1 if the network takes grey levels
+      [per_image]              none (default), centre: subtract the image's mean, or standardise:
+                               also divide by its deviation, at least one grey level
       [mean, std]              both or none, a list with a number per channel: (x - mean) / std
       [clip]                   [lowest, highest]
-    outputs:                   a list with one entry per number that comes out, in order
-      - quantity               cte, heading_error (one of each), or ignore, which ends the entry
+    outputs:                   a list with one entry per output number, in order
+      - quantity               cte, heading_error (one of each), or ignore (without further keys)
         unit                   m; deg or rad
-        positive               left or right: where an aircraft is, or its nose points, at a value
-                               above zero
+        positive               left or right: position of the aircraft, or direction of its nose,
+                               at positive values
         scale                  value = scale x output + offset, in that unit
         [offset]               0 by default
 
-Whatever is not as it says here is refused, for a misread picture fails in silence.
+Anything else is rejected, because a wrong input image would not cause an error.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ RESIZES = ('area', 'linear', 'cubic', 'nearest')
 PER_IMAGE = ('none', 'centre', 'standardise')
 QUANTITIES = ('cte', 'heading_error', 'ignore')
 MAX_SIDE = 4096
-"""Longest side [pixels] that a frame is resized to."""
+"""Maximum side length of a resized frame [pixels]."""
 MAX_SIDECAR_BYTES = 16 << 10
 _UNITS = {'cte': {'m': 1.0}, 'heading_error': {'deg': math.radians(1.0), 'rad': 1.0}}
 _SIGNS = {'left': 1.0, 'right': -1.0}
@@ -72,16 +71,16 @@ class Brightest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Picture:
-    """How the network's picture is cut out of a camera frame.
+    """How the network's input image is made from a camera frame.
 
     Attributes:
-        name: of the model's input; None where the description leaves it open.
+        name: name of the model's input; None if not given.
         layout: one of :data:`LAYOUTS`.
         colour: key of :data:`CHANNELS`.
         crop: left, top, right and bottom [pixels], right and bottom excluded.
-        height, width: of the picture [pixels].
+        height, width: size of the image [pixels].
         resize: one of :data:`RESIZES`.
-        brightest: the reduction after resizing, None for none.
+        brightest: reduction after resizing, or None.
     """
 
     name: str | None
@@ -106,7 +105,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scaling:
-    """What becomes of the grey levels, in the order of the attributes; see the module."""
+    """Scaling of the grey levels, applied in the order of the attributes; see the module."""
 
     divide_by: float
     per_image: str
@@ -117,7 +116,7 @@ class Scaling:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Output:
-    """One number that comes out: ``scale * number + offset`` is in m or rad, left positive."""
+    """One output number: ``scale * number + offset`` is in m or rad, left positive."""
 
     quantity: str
     scale: float = 0.0
@@ -134,15 +133,19 @@ class Sidecar:
 
 
 def sidecar_path(path: Path) -> Path:
-    """The description that belongs to an ONNX file."""
+    """Path of the description of an ONNX file."""
     return path.with_suffix('.yaml')
 
 
 def parse_sidecar(path: Path, data: bytes) -> Sidecar:
-    """Read the description that ``data`` holds, the bytes of ``path``.
+    """Parse a description.
+
+    Args:
+        path: its file.
+        data: content of the file.
 
     Raises:
-        UsageError: one line on the first thing that is wrong: file, key and what to write.
+        UsageError: an invalid description; one line with file, key and correction.
     """
     content = parse_yaml(path, data, about=_ABOUT)
     top = Section(path, content, ('input', 'scaling', 'outputs'), about=_ABOUT)

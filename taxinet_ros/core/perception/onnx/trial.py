@@ -1,14 +1,13 @@
 """Try a third-party network in a process with resource limits before opening it here.
 
-Opening a model runs part of it, in native code that nothing here can interrupt: some hundred bytes
-can ask for gigabytes, or for hours. So ``python -m taxinet_ros.core.perception.onnx.trial
-NAME.onnx`` opens it and looks with it first, under limits of the operating system, and says what
-it found; what is lost with that process is one line to the user. The same bytes on the same
-machine then take the same time and memory here.
+Opening a model runs part of it, in native code that cannot be interrupted from Python: a few
+hundred bytes can demand gigabytes or hours. So the child process ``python -m
+taxinet_ros.core.perception.onnx.trial NAME.onnx`` opens and evaluates it first, under limits of the
+operating system, and reports the result; if it crashes, the user gets a one-line error. The same
+bytes on the same machine then need the same time and memory in this process.
 
-A network has to answer the same frame alike each time. Layers that roll dice are refused by their
-name, wherever in the model they stand; and every trial frame is looked at twice by that process and
-once by this one.
+A network must be deterministic. Random layers are rejected by name anywhere in the model, and every
+trial frame is evaluated twice in the child process and once in this one.
 """
 
 from __future__ import annotations
@@ -39,27 +38,27 @@ from taxinet_ros.processes.child import (
 )
 
 CPU_S = 30
-"""Processor time in which it has to be through; a control step has a small part of it."""
+"""CPU time limit of the trial [s]; a control step has much less."""
 
 WALL_S = 600.0
-"""After which it is given up, however busy the machine is."""
+"""Wall-clock limit of the trial [s]."""
 
 RANDOM_LAYERS = frozenset({
     'Bernoulli', 'Multinomial', 'RandomNormal', 'RandomNormalLike', 'RandomUniform',
     'RandomUniformLike', 'Sampling',
 })
-"""Operators that draw numbers, of ONNX and of onnxruntime's own."""
+"""Random operators of ONNX and of onnxruntime."""
 
 _sound: set[str] = set()
-"""Fingerprints of networks that this process has found sound."""
+"""Fingerprints of networks that passed a trial in this process."""
 
 
 def tried_network(path: Path) -> tuple[OnnxNetwork, str]:
-    """The network of ``NAME.onnx`` and ``NAME.yaml``, and the two files' fingerprint.
+    """Load ``NAME.onnx`` and ``NAME.yaml`` after a trial; return the network and its fingerprint.
 
     Raises:
-        UsageError: one line on the first thing that is wrong with it.
-        InfraError: the process that tries it was killed by somebody else.
+        UsageError: an unusable network; one line on the first error.
+        InfraError: the trial process was killed from outside.
     """
     files = NetworkFiles.read(path)
     fingerprint = files.fingerprint
@@ -74,7 +73,7 @@ def tried_network(path: Path) -> tuple[OnnxNetwork, str]:
 
 
 def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
-    """What the child makes of a network: the digest of its answers.
+    """Run the trial in a child process; return the digest of the outputs.
 
     Raises:
         UsageError, InfraError: as :func:`tried_network`.
@@ -103,7 +102,7 @@ def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
 
 
 def _lost(path: Path, code: int) -> UsageError | InfraError:
-    """How to speak of a child that has not come to its end."""
+    """Error for a child process that did not finish."""
     if code == -signal.SIGXCPU:
         return file_error(
             path,
@@ -118,10 +117,10 @@ def _lost(path: Path, code: int) -> UsageError | InfraError:
 
 
 def inspect(files: NetworkFiles) -> bytes:
-    """What a network answers to the trial frames, once nothing is found against it.
+    """Check a network in this process; return its outputs for the trial frames.
 
     Raises:
-        UsageError: one line on the first thing that is wrong.
+        UsageError: an unusable network; one line on the first error.
     """
     network = OnnxNetwork(files)
     _refuse_dice(files)
@@ -136,7 +135,7 @@ def _refuse_dice(files: NetworkFiles) -> None:
 
     try:
         model = onnx.load_model_from_string(files.model)
-    except Exception:  # protobuf's have no other base
+    except Exception:  # protobuf's have no other base class
         raise file_error(files.path, f'cannot be read by onnx {onnx.__version__}; export it again'
                   ) from None
     for node in (*_nodes(model.graph.node), *_nodes(n for f in model.functions for n in f.node)):
@@ -149,7 +148,7 @@ def _refuse_dice(files: NetworkFiles) -> None:
 
 
 def _nodes(nodes: Iterable[Any]) -> Iterator[Any]:
-    """Nodes, and those of the graphs within them."""
+    """Nodes, including those of nested graphs."""
     for node in nodes:
         yield node
         for attribute in node.attribute:
@@ -158,7 +157,7 @@ def _nodes(nodes: Iterable[Any]) -> Iterator[Any]:
 
 
 def _drops_out(node: Any) -> bool:
-    """Whether a node is a dropout that can be told, by a third input, to train."""
+    """Whether a node is a dropout with a training-mode input."""
     return node.op_type == 'Dropout' and len(node.input) > 2 and node.input[2] != ''
 
 
@@ -175,7 +174,7 @@ def _digest(answers: bytes) -> str:
 
 
 def main() -> None:
-    """Try the network of ``NAME.onnx MEMORY_BYTES CPU_S``; print one line of JSON."""
+    """Try a network (arguments ``NAME.onnx MEMORY_BYTES CPU_S``); print one line of JSON."""
     path, memory_bytes, cpu_s = sys.argv[1:]
     limit_memory(int(memory_bytes))
     limit_cpu(int(cpu_s))
