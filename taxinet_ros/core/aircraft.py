@@ -222,7 +222,7 @@ class Aircraft:
     """Aircraft of one run; starts at the scenario's pose and speed.
 
     Attributes:
-        model: of it, with all that was measured.
+        model: its model, including measured values.
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
     """
 
@@ -241,7 +241,7 @@ class Aircraft:
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
             InfraError: JSBSim cannot load or start the model.
-            UsageError: something is left to be measured of the model, and it cannot taxi.
+            UsageError: the model is incomplete and cannot be measured.
         """
         self._steps, rest = divmod(period_ns * PHYSICS_HZ, NS_PER_S)
         if self._steps < 1 or rest:
@@ -411,10 +411,10 @@ class Aircraft:
 
 @lru_cache(maxsize=16)
 def full_steering_rad(model: AircraftModel) -> float:
-    """Angle of the nose wheel (or tail wheel) of a model that loads at full deflection [rad].
+    """Full deflection of the nose or tail wheel of a model [rad].
 
     Raises:
-        UsageError: no wheel steers, or none as far as the aircraft's limit.
+        UsageError: no wheel steers, or less than the aircraft's limit.
     """
     if model.files:
         root = ET.fromstring(dict(model.files)[f'{model.model}.xml'])
@@ -444,18 +444,18 @@ _GUESSED_GAINS = SpeedGains(
 _SETTLE_S, _RESPONSE_S, _TURN_S = 40, 6, 6
 _TRIAL_LEVER = 0.25
 _SPEED_RATE_RADPS = 0.5
-"""Bandwidth of the speed hold of measured models: slower than propellers and turbines speed up."""
+"""Bandwidth of the speed hold of measured models, below that of propellers and turbines."""
 _BRAKING_MPS2 = 3.5
-"""Deceleration of full brakes on dry pavement, a common value."""
+"""Typical deceleration with full brakes on dry pavement."""
 _LOOSEST_MPS = 0.5
 _LEAST_TURN_RAD = math.radians(0.5)
 
 
 def checked_aircraft(model: AircraftModel) -> AircraftModel:
-    """A complete model, as a run has it, once it has been tried.
+    """Load and test a model; return it with measured values for what its document leaves out.
 
     Raises:
-        UsageError: JSBSim cannot load it, it cannot taxi, or gives other numbers every time.
+        UsageError: JSBSim cannot load it, it cannot taxi, or its runs are not reproducible.
     """
     try:
         complete = Aircraft(Scenario(), model=model).model
@@ -467,13 +467,12 @@ def checked_aircraft(model: AircraftModel) -> AircraftModel:
 
 @lru_cache(maxsize=16)
 def measured_model(model: AircraftModel) -> AircraftModel:
-    """A model with the attitude and the speed hold that its document leaves out.
+    """Measure the attitude and the speed hold that a model's document leaves out.
 
-    JSBSim lets it roll straight ahead until it has settled. A second of computing; the same model
-    gives the same numbers.
+    JSBSim simulates straight taxiing until it has settled, in about a second. Reproducible.
 
     Raises:
-        UsageError: it cannot be loaded, does not stand, hold the taxi speed or turn.
+        UsageError: the model does not load, hold the taxi speed or turn.
     """
     try:
         settled = model.settled or _rough_attitude(model)
@@ -513,7 +512,7 @@ def _rough_attitude(model: AircraftModel) -> Attitude:
 
 
 def _driven(model: AircraftModel, duration_s: int) -> tuple[Attitude, float, list[float]]:
-    """Roll straight ahead.
+    """Simulate straight taxiing.
 
     Returns:
         Mean attitude and mean lever of the last quarter, and the speeds in it [m/s].
@@ -538,7 +537,7 @@ def _driven(model: AircraftModel, duration_s: int) -> tuple[Attitude, float, lis
 
 
 def _response(model: AircraftModel) -> SpeedGains:
-    """Gains for the acceleration that a constant lever gives."""
+    """Derive gains from the acceleration at a constant lever position."""
     def speed_after(lever: float) -> float:
         constant = replace(_GUESSED_GAINS, lever_per_mps=0.0, lever_per_m=0.0, rolling_lever=lever)
         return _driven(replace(model, speed_gains=constant), _RESPONSE_S)[2][-1]
@@ -556,7 +555,7 @@ def _response(model: AircraftModel) -> SpeedGains:
 
 
 def _check_turn(model: AircraftModel) -> None:
-    """Refuse a model that the wheel does not turn, or that does not do the same twice."""
+    """Refuse a model that its wheel does not steer, or whose runs are not reproducible."""
     aircraft, again = (Aircraft(Scenario(), model=model) for _ in range(2))
     command = TaxiCommand(
         steering_rad=min(aircraft.max_steering_rad / 2, math.radians(10.0)),

@@ -1,8 +1,8 @@
-"""Named documents: values of their own that a scenario carries, such as its place or its camera.
+"""Lookup of named documents in scenarios: places, aircraft and cameras.
 
-A scenario says one by a shipped name, or carries the whole of it as JSON, so that messages, bags
-and other processes need no file. Tables have the short reference ``NAME@DIGEST``; what it stands
-for is in the campaign's ledger, once, and known here to whoever has read that.
+A scenario contains a shipped name or the whole document as JSON, so messages, bags and other
+processes need no file. Tables contain the short reference ``NAME@DIGEST``; the whole document is
+stored once in the campaign's ledger, and the reference resolves after that has been read.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _SUFFIXES = ('.yaml', '.yml')
 
 @dataclass(frozen=True, kw_only=True)
 class NamedDocument:
-    """A value that is known by its name, and can be made again from its document.
+    """Base of values with a name, which can be recreated from their document.
 
     Attributes:
         name: lower-case identifier, used on the command line and in tables.
         title: display name.
-        document: all of it as canonical JSON.
-        shipped: whether it came with the program, so that its name says it all.
+        document: the whole value as canonical JSON.
+        shipped: whether it is shipped with the package and identified by its name.
     """
 
     name: str
@@ -43,7 +43,7 @@ class NamedDocument:
 
     @property
     def text(self) -> str:
-        """What a scenario has of it, enough to find it anywhere: a shipped name, or everything."""
+        """Self-contained text for scenarios: a shipped name, or the document."""
         return self.name if self.shipped else self.document
 
     @cached_property
@@ -53,7 +53,7 @@ class NamedDocument:
 
     @property
     def reference(self) -> str:
-        """What tables have of it: a shipped name, or ``NAME@DIGEST`` with 12 digits of it."""
+        """Short text for tables: a shipped name, or ``NAME@DIGEST`` with 12 hex digits."""
         return self.name if self.shipped else f'{self.name}@{self.digest[:_DIGEST_SIGNS]}'
 
 
@@ -61,41 +61,41 @@ _T = TypeVar('_T', bound=NamedDocument)
 
 
 class Catalogue(Generic[_T]):
-    """The documents of one kind: those shipped, those of files, and those this process has seen.
+    """Documents of one kind: shipped ones, ones from files, and ones already loaded.
 
     Attributes:
-        key: the scenario's key that has them.
-        shipped: names of those that come with the program, the usual one first.
+        key: scenario key of the documents.
+        shipped: names of the shipped ones, the default first.
     """
 
     def __init__(
         self, key: str, *, shipped: tuple[str, ...], read: Callable[[Path, bool], _T],
         make: Callable[[object, Path], _T], folder: Path,
     ) -> None:
-        """Take the readers.
+        """Initialise with the readers.
 
         Args:
-            key: the scenario's key.
-            shipped: names of those that come with the program.
-            read: makes one of a YAML file; told whether it is a shipped one.
-            make: makes one of plain values; the path is for messages.
-            folder: of the shipped YAML files.
+            key: scenario key of the documents.
+            shipped: names of the shipped ones, the default first.
+            read: reads a YAML file; its second argument is whether it is a shipped one.
+            make: builds a document from plain values; the path is for error messages.
+            folder: folder of the shipped YAML files.
         """
         self.key = key
         self.shipped = shipped
         self._one = f'{"an" if key[0] in "aeiou" else "a"} {key}'
         self._read, self._make, self._folder = read, make, folder
-        # What a reference stands for never changes, so it does not matter who told.
+        # By reference; references are content hashes, so entries never change.
         self._known: dict[str, _T] = {}
         self.find: Callable[[str], _T] = lru_cache(maxsize=64)(self._find)
-        """The document of a scenario: of a shipped name, or of the JSON that it carries.
+        """Find the document of a scenario by a shipped name or by its JSON.
 
-        Raises ``UsageError``: there is none of that name, or the JSON is not as it should be.
+        Raises ``UsageError``: unknown name, or invalid JSON.
         """
 
     @property
     def default(self) -> str:
-        """Name of the usual one."""
+        """Name of the default document."""
         return self.shipped[0]
 
     def _find(self, text: str) -> _T:
@@ -120,10 +120,10 @@ class Catalogue(Generic[_T]):
         """Find the document given by a user.
 
         Args:
-            text: a shipped name, a YAML file, JSON, or a reference out of a table.
+            text: a shipped name, a YAML file, JSON, or a reference from a table.
 
         Raises:
-            UsageError: it is none of these, or the file is not as it should be.
+            UsageError: none of these, or an invalid file.
         """
         if text.lower().endswith(_SUFFIXES):
             return self.find(self._read(Path(text), False).text)
@@ -137,20 +137,20 @@ class Catalogue(Generic[_T]):
         return self.find(text)
 
     def is_reference(self, text: str) -> bool:
-        """Whether a text is what tables have of a document."""
+        """Whether a text is a :attr:`NamedDocument.reference`."""
         return text in self.shipped or _REFERENCE.fullmatch(text) is not None
 
 
 def canonical(values: Mapping[str, Any]) -> str:
-    """Plain values as JSON, the same text for the same values whatever their order."""
+    """Canonical JSON of plain values: independent of the order of keys."""
     return json.dumps(values, sort_keys=True, separators=(',', ':'), ensure_ascii=False)
 
 
 def document_name(section: Section, example: str) -> str:
-    """The name under the key ``name``.
+    """Read the name under the key ``name``.
 
     Raises:
-        UsageError: it is missing, or no lower-case word.
+        UsageError: missing, or not a lower-case word.
     """
     kind = f'a lower-case word, such as {example}'
     name = section.text('name', kind=kind)

@@ -95,7 +95,7 @@ class ScenarioField:
         counted: from where and in which direction, as it follows either unit.
         form: format of displayed numbers.
         words: all allowed words, in order.
-        catalogue: of a key whose values are documents, all that are known.
+        catalogue: lookup of the documents of a key whose values are documents.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
         absent: its value in recordings older than the key, in SI units; None if the key has always
@@ -159,10 +159,10 @@ class ScenarioField:
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def settled(self, typed: str) -> str:
-        """A user's text as it is kept: of a document its reference, for a file may change.
+        """Convert a user's text for storage: a document to its reference, since files may change.
 
         Raises:
-            UsageError: there is no such document.
+            UsageError: unknown document, or an invalid file.
         """
         return typed if self.catalogue is None else self.catalogue.typed(typed).reference
 
@@ -371,7 +371,7 @@ SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.shor
 CATALOGUES = {
     field.key: field.catalogue for field in SCENARIO_FIELDS if field.catalogue is not None
 }
-"""By each key whose values are documents, all that are known; these attributes have its name."""
+"""Lookup of documents by scenario key; each such attribute has the name of its key."""
 
 BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
 """Keys whose valid values depend on the track."""

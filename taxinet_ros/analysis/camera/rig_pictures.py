@@ -25,9 +25,9 @@ _SIDES = (
     ('from ahead, right', -28.0, 14.0), ('from the left', 90.0, 8.0),
     ('from behind, left', 152.0, 18.0), ('from above, behind', 180.0, 55.0),
 )
-"""What a picture shows, and where its camera stands: round to the left and up [deg]."""
+"""Caption of each view, and azimuth (to the left) and elevation of its camera [deg]."""
 _DISTANCE = 1.35
-"""Of these cameras, in spans or lengths of the aircraft."""
+"""Distance of these cameras, relative to the aircraft's greatest extent."""
 _HOUR_S = 15 * 3600.0
 _WING, _CAMERA, _SEEN = '#7d848c', '#b03a2e', '#f2c14e'
 _AHEAD_M = 14.0
@@ -50,7 +50,7 @@ def draw_aircraft(aircraft: AircraftModel, path: Path) -> None:
 def _outside(
     middle: np.ndarray, distance_m: float, left_deg: float, up_deg: float
 ) -> CameraModel:
-    """A camera round an aircraft that looks at its middle."""
+    """A camera outside an aircraft, looking at its centre."""
     left, up = math.radians(left_deg), math.radians(up_deg)
     away = np.array([math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up)])
     values = {
@@ -81,7 +81,7 @@ def draw_camera(camera: CameraModel, aircraft: AircraftModel, path: Path) -> Non
 def _draw_plan(
     axes: Axes, camera: CameraModel, aircraft: AircraftModel, across: int, title: str
 ) -> None:
-    """The outline in the body frame, x to the right, and the middle and edges of the view."""
+    """Draw the outline in the body frame, and the axis and edges of the view."""
     hulls = [
         cv2.convexHull(part.points[:, [0, across]].astype(np.float32))[:, 0]
         for part in aircraft.outline if part.seen

@@ -1,4 +1,4 @@
-"""``taxinet aircraft`` and ``taxinet camera show``: what there is, and whether a file will do."""
+"""``taxinet aircraft``, and ``taxinet camera list`` and ``show``."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def print_aircraft() -> None:
 
 
 def show_aircraft(word: str, out: Path | None) -> None:
-    """Load an aircraft, measure what its file leaves out, print what it is and draw it.
+    """Load and measure an aircraft, print its parameters and draw it.
 
     Raises:
-        UsageError: it cannot be read or cannot taxi, or the picture cannot be written.
+        UsageError: an invalid file, an aircraft that cannot taxi, or an unwritable picture.
     """
     given = AIRCRAFT.typed(word)
     aircraft = checked_aircraft(given)
@@ -51,7 +51,7 @@ def _aircraft_lines(given: AircraftModel, found: AircraftModel) -> Iterator[tupl
     settled, gains = found.settled, found.speed_gains
     assert settled is not None
     assert gains is not None
-    # Written as it may stand in the file.
+    # In the syntax of the file, to be pasted there.
     yield 'settled', (
         f'{{height_m: {settled.z_m:.5f}, pitch_deg: {math.degrees(settled.pitch_rad):.4f}, '
         f'roll_deg: {math.degrees(settled.roll_rad):.4f}}}{_measured(given.settled)}'
@@ -80,10 +80,10 @@ def print_cameras() -> None:
 
 
 def show_camera(word: str, on: str | None, out: Path | None) -> None:
-    """Print what a camera is, and draw what it sees.
+    """Print the parameters of a camera, and draw its view.
 
     Raises:
-        UsageError: there is no such camera or aircraft, or the picture cannot be written.
+        UsageError: unknown camera or aircraft, an invalid file, or an unwritable picture.
     """
     camera, aircraft = CAMERAS.typed(word), checked_aircraft(AIRCRAFT.typed(on or AIRCRAFT.default))
     path = new_picture(out, f'camera-{camera.name}')

@@ -1,8 +1,8 @@
 """Visible parts of the own aircraft: its shadow, and what the camera sees of it.
 
-What the paper's wing camera sees of the Caravan (cowling, gear leg and wheel at the left edge) is
-drawn by hand after the published pictures; what any other camera or aircraft shows, is drawn from
-the outline (:mod:`taxinet_ros.core.camera.solids`).
+The Caravan's parts in the wing camera (cowling, gear leg and wheel at the left) are drawn by hand
+after the published images; any other combination is rendered from the outline
+(:mod:`taxinet_ros.core.camera.solids`).
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _WingDrawing:
-    """The Caravan as the wing camera sees it; as :class:`.SolidDrawing`."""
+    """The Caravan in the wing camera; same interface as :class:`.SolidDrawing`."""
 
     rows, columns = slice(0, HEIGHT), slice(0, WIDTH)
 
@@ -238,12 +238,12 @@ Drawing = _WingDrawing | SolidDrawing
 def drawing(
     aircraft: AircraftModel, camera: CameraModel, size: tuple[int, int]
 ) -> Drawing | None:
-    """What a camera sees of its aircraft; None where it sees none of it.
+    """Drawing of the aircraft in a camera's pinhole image; None if it is not visible.
 
     Args:
-        aircraft: with the outline.
-        camera: mounting and lens.
-        size: height and width of the pinhole picture [px].
+        aircraft: the aircraft, with its outline.
+        camera: the camera.
+        size: height and width of the pinhole image [px].
     """
     if aircraft.name == DEFAULT_AIRCRAFT and camera.view == find_camera(DEFAULT_CAMERA).view:
         return _WingDrawing()

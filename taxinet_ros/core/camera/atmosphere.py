@@ -39,8 +39,7 @@ class RainSheet:
         table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
         streaks = _streaks(round(light.rain * _LEVELS))
         self._sheet = np.asarray(cv2.LUT(cv2.merge([streaks] * 3), table), np.uint8)
-        # Half the sheet at most, so that it may lie elsewhere at every stamp; drops that are near
-        # are as large in a picture of more pixels.
+        # At most half of the sheet is shown, to vary its offset; larger images enlarge the drops.
         self._larger = max(1.0, 2 * height / _SHEET_HEIGHT, 2 * width / _SHEET_WIDTH)
         self._size = (height, width)
 

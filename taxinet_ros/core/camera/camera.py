@@ -8,10 +8,10 @@ the whole number u as ROS has it, lies at 100 + (u + 0.5) * 1720/360 on the scre
 fx = 1125 * 360/1720, fy = 1125 * 200/730, cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and
 cy = (540 - 330) * 200/730 - 0.5 = 57.03.
 
-A frame is made by inverse mapping: every pixel's ray meets the ground, whose colour comes from a
-ripmap at the level of the pixel's footprint; then shade, light, haze, glare, sky, rain and
-the aircraft's own parts. A lens that distorts is a pinhole picture taken apart; the sensor's noise
-comes last. Equal state, stamp and scenario give equal bytes in every process.
+A frame is rendered by inverse mapping: each pixel's ray is intersected with the ground, whose
+colour comes from a ripmap at the level of the pixel's footprint. Shade, light, haze, glare, sky,
+rain and the aircraft's own parts follow; distortion then resamples this pinhole image, and the
+sensor's noise is added last. Equal state, stamp and scenario give equal bytes in every process.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ STAGES = (
 """Rendering stages in order."""
 
 WING = find_camera(DEFAULT_CAMERA)
-"""The paper's camera."""
+"""The paper's camera, the default."""
 IMAGE_HEIGHT, IMAGE_WIDTH, _ = WING.shape
-"""Of its pictures [px]."""
+"""Its image size [px]."""
 
 Vectors = NDArray[np.float64]
 
@@ -148,7 +148,7 @@ class Camera:
         track = None if scenario.line.is_runway else scenario.line
         self._light = scenario_light(scenario, runway, model)
         self._intrinsics, (height, width), *taken_from = model.inner_view
-        # The renderer's pictures are so many columns wide; what is too many is cut off.
+        # The renderer needs a multiple of columns; the excess is cropped.
         width += -width % SPARSE_PX
         self._size = height, width
         self._to_ray = np.linalg.inv(self._intrinsics)
@@ -178,7 +178,7 @@ class Camera:
         )
         if model.distorts:
             across, down = (table.astype(np.float32) for table in taken_from)
-            # Whole numbers: interpolation gives the same bytes in every process.
+            # Integer maps give the same bytes on every processor.
             self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
         self._noise = _Noise(scenario, model)
 
@@ -226,7 +226,7 @@ class Camera:
         return picture
 
     def _taken(self, picture: NDArray[np.uint8], stamp_ns: int) -> NDArray[np.uint8]:
-        """The picture through the lens, with the sensor's noise."""
+        """Apply distortion, crop and noise."""
         if self.model.distorts:
             across, down = self._maps
             picture = np.asarray(cv2.remap(picture, across, down, cv2.INTER_LINEAR), np.uint8)
@@ -245,12 +245,12 @@ class Camera:
 
 
 class _Noise:
-    """Normal noise of a sensor: one field of it, laid elsewhere over every picture."""
+    """Gaussian noise of a sensor: one field per run, with another offset for each image."""
 
     _SPARE_PX = 128
 
     def __init__(self, scenario: Scenario, model: CameraModel) -> None:
-        # Of the start and the hour only: the same however many keys scenarios have.
+        # From start and time only: independent of the number of scenario keys.
         self._seed = struct.pack(
             '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
             scenario.time_of_day_s,
@@ -266,7 +266,7 @@ class _Noise:
         return np.asarray(np.rint(noise), np.int16)
 
     def at(self, stamp_ns: int) -> NDArray[np.int16]:
-        """What to add to the picture of a stamp, (height, width, 3); a view."""
+        """Noise of the image at a stamp, (height, width, 3); a view."""
         bits = scramble(stamp_ns)
         top, left = bits % self._SPARE_PX, (bits >> 20) % self._SPARE_PX
         return self._field[top:top + self._model.height_px, left:left + self._model.width_px]

@@ -1,7 +1,7 @@
-"""Parts of the own aircraft that a camera sees, drawn from its outline.
+"""Rendering of the own aircraft from its outline.
 
-The camera is fixed to the aircraft, so where the parts are seen never changes: their faces are
-found once, with a depth buffer, several samples to a pixel. Only the light on them changes.
+The camera is fixed to the aircraft, so the image positions of the parts are constant: their faces
+are rasterised once, with a depth buffer and several samples per pixel. Only the lighting changes.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _FINEST = 4
 _FLAT_M = 1e-6
 _SHIFT = 4
 _LOWEST_SINE = 0.12
-"""Of the sun's elevation: what its beam is divided by, to know it from that on level ground."""
+"""Least sine of the sun's elevation when converting irradiance of level ground to the beam's."""
 _FROM_GROUND = 0.18
-"""Share of the light on the ground that it throws back on what faces it."""
+"""Reflectance of the ground for light on faces that look down."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SolidDrawing:
-    """Where which face of the aircraft is seen.
+    """Rasterised faces of the aircraft.
 
     Attributes:
-        rows, columns: part of the picture that holds all of them.
+        rows, columns: part of the image that contains them.
         behind: transparency (rows, columns, 3), in 255ths.
         hidden: columns at the left of each row of the whole picture that are covered, (height,).
-        faces: of each sample the face, 0 for none, (n * rows, n * columns).
-        normals: of the faces, outwards in the body frame, (faces + 1, 3).
-        albedo: of the faces, (faces + 1, 3).
+        faces: face of each sample, 0 for none, (n * rows, n * columns).
+        normals: outward normals of the faces in the body frame, (faces + 1, 3).
+        albedo: albedo of the faces, (faces + 1, 3).
     """
 
     rows: slice
@@ -67,7 +67,7 @@ class SolidDrawing:
         codes[0] = 0
         size = self.behind.shape[1], self.behind.shape[0]
         shown = cv2.resize(codes[self.faces], size, interpolation=cv2.INTER_AREA)
-        # What rounding adds to a pixel must not carry it over the end of the range.
+        # Rounding must not make the sum with what shines through exceed 255.
         return np.minimum(np.asarray(shown, np.uint8), 255 - self.behind)
 
 
@@ -75,12 +75,12 @@ class SolidDrawing:
 def solid_drawing(
     aircraft: AircraftModel, camera: CameraModel, size: tuple[int, int]
 ) -> SolidDrawing | None:
-    """What a camera sees of its aircraft, as a pinhole picture; None where it sees none.
+    """Rasterise the aircraft in a camera's pinhole image; None if it is not visible.
 
     Args:
-        aircraft: with the outline.
-        camera: mounting and lens; distortion is left out.
-        size: height and width of the pinhole picture [px].
+        aircraft: the aircraft, with its outline.
+        camera: the camera; its distortion is not applied.
+        size: height and width of the pinhole image [px].
     """
     height, width = size
     finer = min(_FINEST, max(1, math.isqrt(_MANY_SAMPLES // (height * width))))
@@ -109,7 +109,7 @@ class _Buffer:
         self._nearness = np.zeros(size, np.float32)
 
     def add(self, number: int, corners: Vectors) -> bool:
-        """Draw a face with these corners in the optical frame; whether it may be seen."""
+        """Draw a face with corners in the optical frame; return whether any sample is visible."""
         corners = _before_camera(corners)
         if len(corners) < 3:
             return False
@@ -136,7 +136,7 @@ class _Buffer:
         return bool(nearer.any())
 
     def drawing(self, finer: int, normals: Vectors, albedo: Vectors) -> SolidDrawing | None:
-        """The faces as they were added last, in whole pixels."""
+        """The drawing of all faces so far, reduced to pixels."""
         covered = self._faces > 0
         if not covered.any():
             return None
@@ -160,7 +160,7 @@ class _Buffer:
 
 
 def _before_camera(corners: Vectors) -> Vectors:
-    """A polygon cut off at the nearest depth (Sutherland and Hodgman)."""
+    """Clip a polygon at the nearest depth (Sutherland and Hodgman)."""
     kept = []
     for one, following in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if one[2] >= _NEAREST_M:
@@ -172,7 +172,7 @@ def _before_camera(corners: Vectors) -> Vectors:
 
 
 def _seen_faces(part: Part, eye: Vectors) -> list[tuple[Vectors, Vectors]]:
-    """Outward normals and corners of the faces that look towards the camera."""
+    """Outward normals and corners of the faces that are turned towards the camera."""
     return [
         (normal, corners) for normal, corners in hull_faces(part)
         if normal @ (eye - corners[0]) > _FLAT_M
@@ -181,7 +181,7 @@ def _seen_faces(part: Part, eye: Vectors) -> list[tuple[Vectors, Vectors]]:
 
 @lru_cache(maxsize=512)
 def hull_faces(part: Part) -> tuple[tuple[Vectors, Vectors], ...]:
-    """Outward normal and corners, in order around it, of each face of a convex part."""
+    """Outward normal and ordered corners of each face of a convex part."""
     points = part.points
     triples = np.array(list(combinations(range(len(points)), 3)))
     first, second, third = (points[triples[:, i]] for i in range(3))
@@ -209,7 +209,7 @@ def hull_faces(part: Part) -> tuple[tuple[Vectors, Vectors], ...]:
 
 
 def _around(corners: Vectors, normal: Vectors) -> Vectors:
-    """Corners of a flat face in the order around its middle."""
+    """Sort the corners of a flat face around its centre."""
     middle = corners.mean(axis=0)
     along = corners[0] - middle
     aside = np.cross(normal, along)

@@ -113,9 +113,9 @@ def is_frame(image: object) -> bool:
 
 
 def usual_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A frame (height, width, 3) of any camera as networks take it, (200, 360, 3).
+    """Resize a frame (height, width, 3) of any camera for networks, to (200, 360, 3).
 
-    Of another size it is averaged over areas, and does not keep its aspect.
+    Pixels are averaged over areas; the aspect ratio is not kept.
     """
     if image.shape == IMAGE_SHAPE:
         return image

@@ -1,4 +1,4 @@
-"""Places by name: those that are shipped, those of files, and those that this process has seen."""
+"""Lookup of places, see :mod:`taxinet_ros.core.documents`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
 """Tracks at the shipped places, see :class:`.track.Track`."""
 
 _OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
-"""``FILE:ICAO/RUNWAY``, and the time zone where it is told."""
+"""``FILE:ICAO/RUNWAY``, optionally with ``@ZONE``."""
 
 
 class Places(Catalogue[Place]):
@@ -30,7 +30,7 @@ class Places(Catalogue[Place]):
                 zone).
 
         Raises:
-            UsageError: it is none of these, or the file is not as it should be.
+            UsageError: none of these, or an invalid file.
         """
         if airport := _OF_AIRPORT.fullmatch(text):
             return _place_of_airport(*airport.groups(default=''))
@@ -40,7 +40,7 @@ PLACES = Places(
     'place', shipped=('kmwh_04', 'bikf_10', 'nzqn_05'), read=read_place, make=make_place,
     folder=Path(__file__).parent / 'shipped',
 )
-"""Grant County (the paper's), Keflavík and Queenstown, and the user's."""
+"""Grant County (the paper's), Keflavík and Queenstown; and the user's."""
 SHIPPED_PLACES = PLACES.shipped
 DEFAULT_PLACE = PLACES.default
 find_place = PLACES.find

@@ -1,7 +1,7 @@
-"""An aircraft as a value: its flight-dynamics model, limits and outline. YAML and scenarios.
+"""Aircraft as data: flight-dynamics model, limits and outline, from YAML files and scenarios.
 
-The model is one of JSBSim's, by name, or the user's, by a path. A scenario carries all its XML
-files, so that messages, bags and other machines need none.
+The model is one of JSBSim's, by name, or the user's, by path. Scenarios contain all of its XML
+files, so messages, bags and other machines need none.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
 _OWN_MODELS = Path(__file__).parent.parent / 'aircraft_models'
 _BARE_MODELS = ('caravan', 'c172p')
-"""Ours, and the one of JSBSim's that is used as it is; of the others scenarios carry the files,
-without what they write to and hear from."""
+"""Models used as installed; scenarios contain the files of all others."""
 _KEYS = (
     'name', 'title', 'model', 'max_steering_deg', 'taxi_speed_mps', 'most_wind_mps', 'settled',
     'speed_hold', 'outline',
@@ -51,9 +50,9 @@ class SpeedGains:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Attitude:
-    """How an aircraft stands while it rolls straight at taxi speed.
+    """Trimmed attitude in straight taxiing at taxi speed.
 
-    A run that starts so has no vertical or pitch transient. Signs are those of
+    A run that starts with it has no vertical or pitch transient. Signs are those of
     :class:`~taxinet_ros.core.types.AircraftState`.
 
     Attributes:
@@ -68,17 +67,17 @@ class Attitude:
 
 @dataclass(frozen=True, kw_only=True)
 class AircraftModel(NamedDocument):
-    """A flight-dynamics model, what it can do, and what it looks like.
+    """A flight-dynamics model with its limits and its outline.
 
     Attributes:
         model: name of the model's folder and of the file in it.
         folder: folder of model folders, None for JSBSim's own.
         files: path and text of each file of the model; empty for the two shipped ones.
-        max_steering_rad: largest nose-wheel angle [rad]; None: the model's.
+        max_steering_rad: largest nose-wheel angle [rad]; None for the model's.
         taxi_speed_mps: lowest and highest speed that it taxis at [m/s].
         most_wind_mps: limit of the wind and three standard deviations of the gusts [m/s].
-        settled: attitude; None: to be measured.
-        speed_gains: of the speed hold; None: to be measured.
+        settled: trimmed attitude; None if it is to be measured.
+        speed_gains: gains of the speed hold; None if they are to be measured.
         outline: convex parts.
     """
 
@@ -94,10 +93,10 @@ class AircraftModel(NamedDocument):
 
 
 def read_aircraft(path: Path, shipped: bool = False) -> AircraftModel:
-    """The aircraft in a YAML file, with the files of the model that it names.
+    """Read the aircraft of a YAML file, and the files of its model.
 
     Raises:
-        UsageError: one cannot be read, or a value in it is not as it should be.
+        UsageError: an unreadable file, or an invalid value.
     """
     values = read_yaml(path, option='aircraft')
     if isinstance(values, dict) and isinstance(values.get('model'), str):
@@ -110,15 +109,15 @@ def read_aircraft(path: Path, shipped: bool = False) -> AircraftModel:
 
 
 def make_aircraft(values: object, path: Path, *, shipped: bool = False) -> AircraftModel:
-    """The aircraft that plain values stand for.
+    """Build an aircraft from plain values.
 
     Args:
-        values: what a file holds, with the texts of the model where it is the user's.
-        path: of the file, for the messages.
-        shipped: whether it comes with the program.
+        values: content of an aircraft file, with the texts of the model's files.
+        path: path of the file, for error messages.
+        shipped: whether it is shipped with the package.
 
     Raises:
-        UsageError: a value is not as it should be.
+        UsageError: an invalid value.
     """
     top = Section(path, values, _KEYS)
     name = document_name(top, 'c172p')
@@ -150,7 +149,7 @@ def make_aircraft(values: object, path: Path, *, shipped: bool = False) -> Aircr
 def _model_path(top: Section, word: str, beside: Path) -> Path:
     if word.lower().endswith('.xml') or '/' in word:
         return beside / Path(word).expanduser()
-    # Without importing it, which would slow down whoever only looks up an aircraft.
+    # Not imported: that would slow down commands that only look up an aircraft.
     found = importlib.util.find_spec('jsbsim')
     assert found is not None
     assert found.origin is not None

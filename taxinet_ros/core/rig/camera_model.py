@@ -1,6 +1,6 @@
-"""A camera as a value: where it is mounted, its lens and its sensor. Read from YAML and scenarios.
+"""Cameras as data: mounting, lens and sensor, from YAML files and from the JSON in scenarios.
 
-The pinhole camera is ROS's: pixel centres are whole numbers, the optical axis meets the picture at
+The pinhole model is that of ROS: pixel centres are integers, the optical axis meets the image at
 (cx, cy). Distortion is Brown and Conrady's model with the five coefficients of ``plumb_bob``
 (k1, k2, p1, p2, k3), as in sensor_msgs/CameraInfo and OpenCV.
 """
@@ -21,11 +21,11 @@ from taxinet_ros.core.types import quaternion, quaternion_product
 from taxinet_ros.files.plain_values import Section, read_yaml
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 8, 2048
-"""Of the pictures; a network takes none that is larger, and of smaller ones sees nothing."""
+"""Limits of the image size."""
 LEAST_HEIGHT_M = 0.1
 """Above the ground, where the aircraft stands on its wheels."""
 _MOST_ASIDE = math.tan(math.radians(75.0))
-"""How far from the optical axis a picture may look, as a tangent."""
+"""Largest angle from the optical axis, as a tangent."""
 _MOST_INNER_PX = 6144
 _KEYS = (
     'name', 'title', 'offset_m', 'roll_deg', 'pitch_deg', 'yaw_deg', 'size_px',
@@ -34,15 +34,15 @@ _KEYS = (
 _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _NEWTON_STEPS = 30
 _BESIDE = 1.05
-"""How far beyond a picture its lens is known, as a share of the farthest pixel's tangent."""
+"""Range of validity of a lens model, relative to the tangent of the farthest pixel."""
 _ROUND_TRIP_PX = 0.02
-"""How exactly distortion has to be undone everywhere in the picture."""
+"""Largest error of undistorting any pixel."""
 
 Vectors = NDArray[np.float64]
 
 
 def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vectors:
-    """Rotation matrix (3, 3) of REP-103 fixed-axis angles: turned frame to ours."""
+    """Rotation matrix (3, 3) of REP-103 fixed-axis angles, from the rotated to the base frame."""
     cr, sr = math.cos(roll_rad), math.sin(roll_rad)
     cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
     cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -61,11 +61,11 @@ class CameraModel(NamedDocument):
         offset_m: camera in the body frame (x forward, y left, z up) from the reference point [m].
         roll_rad, pitch_rad, yaw_rad: attitude (REP-103: pitch positive nose down, yaw positive
             left) [rad].
-        width_px, height_px: size of the pictures.
-        focal_px: focal lengths along a row and a column.
-        centre_px: where the optical axis meets the picture.
+        width_px, height_px: image size.
+        focal_px: focal lengths along a row and along a column.
+        centre_px: principal point.
         distortion: k1, k2, p1, p2, k3.
-        exposure_ev: exposure beside the automatic one, in stops: +1 is twice the light.
+        exposure_ev: exposure compensation in stops; +1 doubles the light.
         noise_codes: standard deviation of the sensor's noise, in display codes 0..255.
     """
 
@@ -83,17 +83,17 @@ class CameraModel(NamedDocument):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of its pictures: height, width, RGB."""
+        """Shape of its images: height, width, 3 (RGB)."""
         return self.height_px, self.width_px, 3
 
     @property
     def distorts(self) -> bool:
-        """Whether its lens is other than a pinhole."""
+        """Whether the lens is not a pinhole."""
         return any(self.distortion)
 
     @property
     def view(self) -> tuple[object, ...]:
-        """What decides where in the picture a thing is seen."""
+        """All parameters of the projection, for comparing cameras."""
         return (
             self.offset_m, self.roll_rad, self.pitch_rad, self.yaw_rad, self.shape, self.focal_px,
             self.centre_px, self.distortion,
@@ -107,7 +107,7 @@ class CameraModel(NamedDocument):
 
     @property
     def attitude(self) -> tuple[float, float, float, float]:
-        """That of ``camera_optical`` in ``base_link``: x, y, z, w; z ahead, x right, y down."""
+        """Quaternion (x, y, z, w) of ``camera_optical`` (z forward, x right) in ``base_link``."""
         turned = quaternion(self.roll_rad, self.pitch_rad, self.yaw_rad)
         return quaternion_product(turned, (-0.5, 0.5, -0.5, 0.5))
 
@@ -118,9 +118,10 @@ class CameraModel(NamedDocument):
         return np.asarray(to_body.T)
 
     def pixels(self, points: Vectors) -> Vectors:
-        """Pixels (N, 2) of points (N, 3) in the optical frame [m]; valid only before the camera.
+        """Project points (N, 3) in the optical frame [m] to pixels (N, 2).
 
-        Far outside the picture of a lens that distorts its polynomial means nothing: NaN there.
+        Valid only for positive depth. NaN where a distorting lens model is not valid, that is far
+        outside the image.
         """
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             if self.distorts:
@@ -133,7 +134,7 @@ class CameraModel(NamedDocument):
         return found
 
     def straight_rays(self, u: Vectors, v: Vectors) -> tuple[Vectors, Vectors]:
-        """Directions x/z and y/z that pixels see, by Newton's method where the lens distorts."""
+        """Undistorted directions x/z and y/z of pixels (Newton's method)."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
         aimed_x, aimed_y = (u - cx) / fx, (v - cy) / fy
         if not self.distorts:
@@ -151,7 +152,7 @@ class CameraModel(NamedDocument):
 
     @cached_property
     def _reach(self) -> float:
-        """How far aside of its axis the lens is known, a little beyond the picture; a tangent."""
+        """Range of validity of the lens model, as a tangent."""
         _, _, u, v = self.inner_view
         (fx, fy), (cx, cy) = self.focal_px, self.inner_intrinsics[:2, 2]
         return _BESIDE * float(np.hypot((u - cx) / fx, (v - cy) / fy).max())
@@ -179,11 +180,11 @@ class CameraModel(NamedDocument):
 
     @cached_property
     def inner_view(self) -> tuple[Vectors, tuple[int, int], Vectors, Vectors]:
-        """The pinhole picture that the distorted one is taken from.
+        """Pinhole image that contains the whole distorted one.
 
         Returns:
-            Its camera matrix (3, 3); its height and width [px]; and the coordinates in it, along
-            rows and columns, of each pixel of the distorted one, (height, width) each.
+            Its camera matrix (3, 3), its height and width [px], and its coordinates along rows and
+            along columns for each pixel of the distorted image, (height, width) each.
         """
         rows, columns = np.mgrid[0:self.height_px, 0:self.width_px].astype(np.float64)
         if not self.distorts:
@@ -198,29 +199,29 @@ class CameraModel(NamedDocument):
 
     @property
     def inner_intrinsics(self) -> Vectors:
-        """Camera matrix (3, 3) of the pinhole picture."""
+        """Camera matrix (3, 3) of :attr:`inner_view`."""
         return self.inner_view[0]
 
 
 def read_camera(path: Path, shipped: bool = False) -> CameraModel:
-    """The camera in a YAML file.
+    """Read the camera of a YAML file.
 
     Raises:
-        UsageError: it cannot be read, or a value in it is not as it should be.
+        UsageError: an unreadable file, or an invalid value.
     """
     return make_camera(read_yaml(path, option='camera'), path, shipped=shipped)
 
 
 def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraModel:
-    """The camera that plain values stand for.
+    """Build a camera from plain values.
 
     Args:
-        values: what a file holds.
-        path: of the file, for the messages.
-        shipped: whether it comes with the program.
+        values: content of a camera file.
+        path: path of the file, for error messages.
+        shipped: whether it is shipped with the package.
 
     Raises:
-        UsageError: a value is not as it should be.
+        UsageError: an invalid value.
     """
     top = Section(path, values, _KEYS)
     name = document_name(top, 'wing')
@@ -271,16 +272,18 @@ def _focal(top: Section, width: int) -> tuple[float, float]:
 
 
 def _check_view(top: Section, camera: CameraModel) -> None:
-    """Refuse a lens that sees a direction twice, or too far aside."""
+    """Refuse a lens that cannot be undistorted, or with too large an angle of view."""
     u = np.linspace(0.0, camera.width_px - 1.0, 33)
     v = np.linspace(0.0, camera.height_px - 1.0, 33)
     columns, rows = (grid.ravel() for grid in np.meshgrid(u, v))
     x, y = camera.straight_rays(columns, rows)
     key = 'distortion' if camera.distorts else ''
     if camera.distorts:
-        again = camera.pixels(np.stack([x, y, np.ones_like(x)], axis=1))
-        off = np.hypot(again[:, 0] - columns, again[:, 1] - rows).max()
-        # Farther out than where the polynomial turns back, it would be another direction's pixel.
+        fx, fy = camera.focal_px
+        cx, cy = camera.centre_px
+        again_x, again_y = camera._distorted(x, y)
+        off = np.hypot(fx * again_x + cx - columns, fy * again_y + cy - rows).max()
+        # Beyond the turning point of the polynomial, pixels would repeat directions.
         shares = np.linspace(0.0, 1.0, 17)[:, None]
         dxx, dxy, dyy = camera._slopes(shares * x, shares * y)
         if not (off < _ROUND_TRIP_PX and (dxx * dyy - dxy * dxy > 0).all() and (dxx > 0).all()):

@@ -1,4 +1,4 @@
-"""Aircraft and cameras by name: those that are shipped, and those of files and scenarios."""
+"""Lookup of aircraft and cameras, see :mod:`taxinet_ros.core.documents`."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ DEFAULT_CAMERA = CAMERAS.default
 
 
 def load_aircraft(word: str) -> str:
-    """An aircraft as a scenario has it: ``Scenario(aircraft=load_aircraft('mine.yaml'))``.
+    """Load an aircraft for a scenario: ``Scenario(aircraft=load_aircraft('mine.yaml'))``.
 
     Args:
         word: a shipped name, or a YAML file (docs/world.md).
 
     Raises:
-        UsageError: it is neither, or the file is not as it should be.
+        UsageError: neither, or an invalid file.
     """
     return AIRCRAFT.typed(str(word)).text
 
 
 def load_camera(word: str) -> str:
-    """A camera as a scenario has it: ``Scenario(camera=load_camera('mine.yaml'))``.
+    """Load a camera for a scenario: ``Scenario(camera=load_camera('mine.yaml'))``.
 
     Args:
         word: a shipped name, or a YAML file (docs/world.md).
 
     Raises:
-        UsageError: it is neither, or the file is not as it should be.
+        UsageError: neither, or an invalid file.
     """
     return CAMERAS.typed(str(word)).text

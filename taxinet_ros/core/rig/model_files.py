@@ -1,7 +1,7 @@
-"""The XML files of a user's JSBSim model: found, cut to what a run needs, checked, written out.
+"""Collects, checks and writes the XML files of a JSBSim model.
 
-Scenarios carry them, and bags come from anywhere: so nothing in them may reach out of the model.
-Outputs (files, sockets) and inputs are left out, and names of files are plain ones.
+Scenarios contain them, and bags may come from anywhere, so they must not access anything outside
+the model: outputs and inputs (files, sockets) are removed, and file names are plain.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section
 
 MOST_CHARACTERS = 600_000
-"""Of all files of a model together."""
+"""Limit for all files of a model together."""
 _MOST_FILES = 64
 _SUFFIX = '.xml'
 _FOLDERS = ('', 'Engines', 'Engine', 'engines', 'Systems', 'systems')
-"""Where a model's folder may have what it includes, as JSBSim and FlightGear look for it."""
+"""Subfolders in which JSBSim and FlightGear look for included files."""
 _MODEL_TAG, _REACHING_OUT = 'fdm_config', ('output', 'input')
-"""Elements of a model itself that open files and sockets; within a control they are signals."""
+"""Top-level elements that open files and sockets; in flight controls they are signals."""
 _NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_. +-]*')
 MODEL_NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,63}')
 
 
 def collect_model_files(top: Section, path: Path) -> tuple[str, dict[str, str]]:
-    """Read a model and the files in its folder that it includes.
+    """Read a model and the files of its folder that it includes.
 
     Args:
         top: of the aircraft's file, for messages.
@@ -60,10 +60,10 @@ def collect_model_files(top: Section, path: Path) -> tuple[str, dict[str, str]]:
 def check_model_files(
     section: Section, name: str, texts: Mapping[str, str]
 ) -> tuple[str, dict[str, str]]:
-    """Check what a scenario carries of a model.
+    """Check the files of a model in a scenario.
 
     Raises:
-        UsageError: a text is no XML, reaches out of the model, or there are too many.
+        UsageError: invalid XML, access to anything outside the model, or too many files.
     """
     if not MODEL_NAME.fullmatch(name):
         raise section.wrong(f'{name!r:.60} is no name of a model', 'name')
@@ -89,7 +89,7 @@ def check_model_files(
 
 
 def write_model_files(folder: Path, name: str, texts: Iterable[tuple[str, str]]) -> Path:
-    """Write a model below a folder for JSBSim to load; return the folder of model folders."""
+    """Write a model for JSBSim below ``folder``; return the folder of model folders."""
     for file, text in texts:
         path = folder / name / file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def write_model_files(folder: Path, name: str, texts: Iterable[tuple[str, str]])
 
 
 def _plain_text(top: Section, path: Path) -> str:
-    """A file as canonical XML without comments, outputs and inputs."""
+    """Canonical XML of a file, without comments, outputs and inputs."""
     try:
         if path.stat().st_size > 4 * MOST_CHARACTERS:
             raise top.wrong(f'{path}: is too large for a model', 'model')
@@ -129,7 +129,7 @@ def _included(root: ET.Element) -> Iterator[str]:
 
 
 def _found(folder: Path, wanted: str) -> str | None:
-    """Path in the model's folder of what it includes; None where it is JSBSim's own."""
+    """Path of an included file in the model's folder; None if it is one of JSBSim's."""
     if not all(map(_NAME.fullmatch, wanted.split('/'))):
         raise UsageError(f'aircraft: {folder} includes {wanted!r:.60}, no plain name of a file')
     for inner in _FOLDERS:

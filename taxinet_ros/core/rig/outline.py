@@ -1,6 +1,6 @@
-"""The outside of an aircraft as convex parts, for its shadow and for cameras that see it.
+"""Outline of an aircraft as convex parts, for its shadow and for cameras that see it.
 
-All are in the body frame: x forward, y left, z up from the reference point, in metres.
+Coordinates are in the body frame: x forward, y left, z up from the reference point, in metres.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _REACH_M = 60.0
 _WHEEL_CORNERS = 8
 _RING_CORNERS = 14
 _THICKEST = 0.3
-"""Where along its chord a wing is thickest."""
+"""Position of a wing's greatest thickness, relative to its chord."""
 _LEAST_M = 1e-3
 _WHITE = (243, 242, 238)
 
@@ -34,10 +34,10 @@ class Part:
     """A convex part.
 
     Attributes:
-        points: (n, 3), of which it is the hull [m].
-        colour: in daylight, RGB 0..255.
-        caps: whether it ends with the first half of its points, and with the last; or goes on there
-            in another part.
+        points: corners (n, 3) of its convex hull [m].
+        colour: colour in daylight, RGB 0..255.
+        caps: whether the first half of the points, and the last, form a face; False where the next
+            part of a body or wing is joined.
         shades: whether it casts a shadow.
         seen: whether cameras see it.
     """
@@ -50,10 +50,10 @@ class Part:
 
 
 def read_outline(top: Section) -> tuple[Part, ...]:
-    """The parts under the key ``outline``.
+    """Read the parts under the key ``outline``.
 
     Raises:
-        UsageError: a value is not as it should be.
+        UsageError: an invalid value.
     """
     parts: list[Part] = []
     for entry in top.sections('outline', _KEYS):
