@@ -13,9 +13,12 @@ rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), air
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
 positive], speed_mps [m/s], track (the line to follow: 'runway', or the name of a taxiway's
-centreline at the place, such as 'exit_left'), duration_s [s], place (a shipped one by its name,
-such as 'bikf_10', or the path of a YAML file). Short forms without the unit (time_of_day, rain,
-duration) mean the same.
+centreline at the place, such as 'exit_left'), camera_dropout_percent [%], camera_freeze_s [s],
+lens_dirt_percent [%], lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV,
+brighter positive], loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
+steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number), duration_s [s],
+place (a shipped one by its name, such as 'bikf_10', or the path of a YAML file). Short forms
+without the unit (time_of_day, rain, duration) mean the same.
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are

@@ -54,9 +54,10 @@ from taxinet_ros.core.controller import (
     make_controller,
     read_command,
 )
+from taxinet_ros.core.faults import unseen_faults
 from taxinet_ros.core.judge import Judgement, check_specs
 from taxinet_ros.core.judging import Judging, parse_stop_on
-from taxinet_ros.core.loop import LateCommands, Step, rolling_on, run_closed_loop
+from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
@@ -253,7 +254,7 @@ class Run:
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Replay the run: number and image of each step; None where not wanted or not available."""
         world = self.world.make(self.scenario)
-        commands = LateCommands(self.timing, *_DRAWS, rolling_on(self.scenario.speed_mps))
+        commands = LateCommands(self.timing, *_DRAWS, self.scenario)
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
             if repr(now.state) != repr(step.observation.state):  # by repr, NaN equals NaN
@@ -329,7 +330,8 @@ def run(
         The run with its trace, robustness and outcome.
 
     Warns:
-        UserWarning: a requirement is likely mistaken, or the run violated an assumed bound or rate.
+        UserWarning: a requirement is likely mistaken, the run violated an assumed bound or rate, or
+            the perception needs no picture and so cannot notice faults of the camera.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
@@ -346,7 +348,8 @@ def run(
     asked = judging.parsed_specs
     check_read(assumptions, (spec.formula for spec in asked))
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
-    for line in check_specs(asked, scenario, gains).warnings:
+    unseen = [] if eyes.needs_image else unseen_faults(scenario)
+    for line in (*check_specs(asked, scenario, gains).warnings, *unseen):
         warnings.warn(line, stacklevel=CALLER)
     steps: list[Step] = []
 

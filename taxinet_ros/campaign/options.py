@@ -23,6 +23,7 @@ from pathlib import Path
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.aircraft import checked_aircraft
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.judge import SpecCheck, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
@@ -37,7 +38,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, by_key
@@ -187,8 +188,11 @@ class CampaignOptions:
             first: scenario of the first run.
 
         Raises:
-            UsageError: a requirement cannot be evaluated on such runs, or a gain has no effect.
+            UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
+                the scenario delays the loop of a free run.
         """
+        if self.timing.free:
+            check_free(first)
         usual_mps = SteeringGains().speed_mps
         if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
             raise UsageError(
@@ -199,7 +203,8 @@ class CampaignOptions:
         gains = SteeringGains(**self.gains) if known else None
         found = check_specs(self.judging.parsed_specs, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
+        unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
 
     @property
     def standing_graph(self) -> bool:

@@ -19,7 +19,7 @@ from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import along_words, clock_words, pushing_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5
@@ -102,7 +102,7 @@ def scene_words(row: RunRow) -> str:
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
         f'at {row.distance_m:.0f} m{track}  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
-        f'{pushing_words(row.scene)}{where}'
+        f'{unusual_words(row.scene)}{where}'
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
+from taxinet_ros.core.faults import loop_delay_ns
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
@@ -57,13 +58,16 @@ def rolling_on(speed_mps: float) -> TaxiCommand:
 class LateCommands:
     """Selects the command in effect at each control step with delayed answers.
 
+    The latency of the campaign and the loop's delay in the scenario add up.
+
     Attributes:
         answers: pending commands.
     """
 
-    def __init__(self, timing: Timing, seed: int, index: int, first: TaxiCommand) -> None:
-        """Start run ``index`` of a campaign with this seed; ``first``: see :func:`rolling_on`."""
-        self.answers = LateAnswers(first)
+    def __init__(self, timing: Timing, seed: int, index: int, scenario: Scenario) -> None:
+        """Start run ``index`` of a campaign with this seed."""
+        self.answers = LateAnswers(rolling_on(scenario.speed_mps))
+        self._scenario = scenario
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
@@ -72,7 +76,8 @@ class LateCommands:
         Call once per step, in order.
         """
         now_ns = seq * CONTROL_PERIOD_NS
-        self.answers.put(seq, now_ns + next(self._latencies_ns), command)
+        delay_ns = next(self._latencies_ns) + loop_delay_ns(self._scenario, now_ns)
+        self.answers.put(seq, now_ns + delay_ns, command)
         return self.answers.newest(now_ns)
 
 
@@ -129,7 +134,7 @@ def run_closed_loop(
     perception.begin()
     controller.begin(scenario)
     world = make_world(scenario, pictures=perception.needs_image)
-    commands = LateCommands(timing, *draws, rolling_on(scenario.speed_mps))
+    commands = LateCommands(timing, *draws, scenario)
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(
         specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m

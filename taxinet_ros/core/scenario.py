@@ -7,6 +7,7 @@ words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,6 +30,10 @@ from taxinet_ros.core.scenario_fields import (
     CROSS_TRACK,
     CROSSING,
     DISTANCE,
+    DRAWN_FAULTS,
+    FAULT_ONSET,
+    FAULT_SEED,
+    FAULTS,
     HUMAN_KEYS,
     PLACE,
     RAIN_CLOUDS,
@@ -72,6 +77,17 @@ class Scenario:
             differs from the default.
         track: the line to follow: ``runway``, its centreline, or the name of another one of the
             place; also taxi routes of these names, ``A+B``. Empty is ``runway``.
+        camera_dropout_fraction: share of the camera frames that are lost, 0..1; black.
+        camera_freeze_s: time for which the picture at the onset repeats [s].
+        lens_dirt_fraction, lens_drops_fraction: share of the picture covered, 0..1.
+        glare_ghost_fraction: strength of the reflections within the lens of a sun ahead, 0..1.
+        exposure_jump_ev: change of the exposure [EV], brighter positive.
+        loop_delay_s: additional time from a frame to the effect of its command [s].
+        loop_jitter_s: greatest random part of that time, uniform from 0 [s].
+        steering_bias_rad: offset of the nose wheel from the command [rad], left positive.
+        steering_rate_limit_radps: greatest rate of the nose wheel [rad/s]; 0 for no limit.
+        fault_onset_s: simulated time from which the faults of this run hold [s].
+        fault_seed: random seed of the faults; a whole number.
         camera: likewise, see :mod:`taxinet_ros.core.rig.camera_model`.
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
@@ -99,6 +115,18 @@ class Scenario:
     slope_fraction: float = 0.0
     speed_mps: float = 5.0
     track: str = RUNWAY_TRACK
+    camera_dropout_fraction: float = 0.0
+    camera_freeze_s: float = 0.0
+    lens_dirt_fraction: float = 0.0
+    lens_drops_fraction: float = 0.0
+    glare_ghost_fraction: float = 0.0
+    exposure_jump_ev: float = 0.0
+    loop_delay_s: float = 0.0
+    loop_jitter_s: float = 0.0
+    steering_bias_rad: float = 0.0
+    steering_rate_limit_radps: float = 0.0
+    fault_onset_s: float = 0.0
+    fault_seed: float = 0.0
     camera: str = DEFAULT_CAMERA
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
@@ -126,6 +154,26 @@ class Scenario:
         self._check_aircraft()
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
+        self._check_faults()
+
+    def _check_faults(self) -> None:
+        if self.fault_onset_s and not self.faults:
+            raise UsageError(
+                'scenario: fault_onset_s has no effect without a fault: '
+                + ', '.join(field.key for field in FAULTS)
+            )
+        if self.fault_onset_s >= self.duration_s:
+            raise UsageError(
+                f'scenario: fault_onset_s is {self.fault_onset_s:g}, not before the end of the run '
+                f'at {self.duration_s:g} s'
+            )
+        if self.fault_seed and not any(field in DRAWN_FAULTS for field in self.faults):
+            raise UsageError(
+                'scenario: fault_seed has no effect without a fault that is drawn: '
+                + ', '.join(field.key for field in DRAWN_FAULTS)
+            )
+        if self.fault_seed % 1:
+            raise UsageError(f'scenario: fault_seed is {self.fault_seed:g}, not a whole number')
 
     def _check_aircraft(self) -> None:
         strongest_mps, model = self.wind_speed_mps + 3 * self.gust_mps, self.aircraft_model
@@ -194,6 +242,21 @@ class Scenario:
         return bool(self.wind_speed_mps or self.gust_mps or self.slope_fraction) or (
             self.surface != 'dry'
         )
+
+    @property
+    def faults(self) -> tuple[ScenarioField, ...]:
+        """The faults that it has."""
+        return tuple(field for field in FAULTS if getattr(self, field.attribute))
+
+    def without_faults(self, *fields: ScenarioField) -> Scenario:
+        """The same without some of its faults, and without an onset or a seed of none."""
+        changes: dict[str, Any] = {field.attribute: 0.0 for field in fields}
+        left = [field for field in self.faults if field not in fields]
+        if not left:
+            changes[FAULT_ONSET.attribute] = 0.0
+        if not any(field in DRAWN_FAULTS for field in left):
+            changes[FAULT_SEED.attribute] = 0.0
+        return dataclasses.replace(self, **changes)
 
     @property
     def surface(self) -> str:

@@ -255,14 +255,15 @@ def along_words(track: str) -> str:
     return 'past the threshold' if track in ('', RUNWAY_TRACK) else f'along {track}'
 
 
-def pushing_words(scene: Mapping[str, Any]) -> str:
-    """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
+def unusual_words(scene: Mapping[str, Any]) -> str:
+    """What pushes the aircraft, and what fails, if anything: ``', wind 8.0 m/s, …'``.
 
     Args:
         scene: in human units, by key.
     """
     return ''.join(
-        f', {field.title} {field.value_words(scene[field.key])}' for field in PUSHING_FIELDS
+        f', {field.title} {field.value_words(scene[field.key])}'
+        for field in (*PUSHING_FIELDS, *FAULT_FIELDS)
         if scene[field.key] not in (None, '', field.to_human(field.absent))
     )
 
@@ -341,6 +342,66 @@ SPEED = ScenarioField(
 TRACK = ScenarioField(
     key='track', attribute='track', title='track', kind=Kind.WORD, absent=RUNWAY_TRACK,
 )
+CAMERA_DROPOUT = ScenarioField(
+    key='camera_dropout_percent', short='camera_dropout', attribute='camera_dropout_fraction',
+    title='lost camera frames', unit='%', si=0.01, form='{:.0f}', low=0.0, high=1.0,
+    si_unit='as a fraction', absent=0.0,
+)
+CAMERA_FREEZE = ScenarioField(
+    key='camera_freeze_s', short='camera_freeze', attribute='camera_freeze_s',
+    title='frozen camera picture', unit='s', form='{:.1f}', low=0.0, high=600.0, si_unit='s',
+    absent=0.0,
+)
+LENS_DIRT = ScenarioField(
+    key='lens_dirt_percent', short='lens_dirt', attribute='lens_dirt_fraction',
+    title='dirt on the lens', unit='%', si=0.01, form='{:.0f}', low=0.0, high=1.0,
+    si_unit='as a fraction', absent=0.0,
+)
+LENS_DROPS = ScenarioField(
+    key='lens_drops_percent', short='lens_drops', attribute='lens_drops_fraction',
+    title='drops on the lens', unit='%', si=0.01, form='{:.0f}', low=0.0, high=1.0,
+    si_unit='as a fraction', absent=0.0,
+)
+GLARE_GHOST = ScenarioField(
+    key='glare_ghost_percent', short='glare_ghost', attribute='glare_ghost_fraction',
+    title='ghosts of the sun in the lens', unit='%', si=0.01, form='{:.0f}', low=0.0, high=1.0,
+    si_unit='as a fraction', absent=0.0,
+)
+EXPOSURE_JUMP = ScenarioField(
+    key='exposure_jump_ev', short='exposure_jump', attribute='exposure_jump_ev',
+    title='jump of the exposure', unit='EV', form='{:+.1f}', low=-6.0, high=6.0, si_unit='EV',
+    absent=0.0,
+)
+LOOP_DELAY = ScenarioField(
+    key='loop_delay_s', short='loop_delay', attribute='loop_delay_s',
+    title='delay from frame to command', unit='s', form='{:.2f}', low=0.0, high=30.0, si_unit='s',
+    absent=0.0,
+)
+LOOP_JITTER = ScenarioField(
+    key='loop_jitter_s', short='loop_jitter', attribute='loop_jitter_s',
+    title='jitter from frame to command', unit='s', form='{:.2f}', low=0.0, high=30.0,
+    si_unit='s', absent=0.0,
+)
+STEERING_BIAS = ScenarioField(
+    key='steering_bias_deg', short='steering_bias', attribute='steering_bias_rad',
+    title='steering bias', unit='°', si=math.pi / 180, form='{:+.1f}',
+    low=-math.pi / 6, high=math.pi / 6, si_unit='rad', counted=', left positive', absent=0.0,
+)
+STEERING_RATE_LIMIT = ScenarioField(
+    key='steering_rate_limit_degps', short='steering_rate_limit',
+    attribute='steering_rate_limit_radps', title='limit of the steering rate', unit='°/s',
+    si=math.pi / 180, form='{:.1f}', low=0.0, high=math.pi, si_unit='rad/s',
+    counted=', 0 for none', absent=0.0,
+)
+FAULT_ONSET = ScenarioField(
+    key='fault_onset_s', short='fault_onset', attribute='fault_onset_s',
+    title='onset of the faults', unit='s', form='{:.1f}', low=0.0, high=600.0, si_unit='s',
+    absent=0.0,
+)
+FAULT_SEED = ScenarioField(
+    key='fault_seed', attribute='fault_seed', title='seed of the faults',
+    form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
+)
 CAMERA = ScenarioField(
     key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
     absent=CAMERAS.default,
@@ -358,8 +419,18 @@ PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
 PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
 """Fields that affect the aircraft's motion but not the image."""
+PICTURE_FAULTS = (
+    CAMERA_DROPOUT, CAMERA_FREEZE, LENS_DIRT, LENS_DROPS, GLARE_GHOST, EXPOSURE_JUMP,
+)
+"""Faults that change camera frames."""
+FAULTS = (*PICTURE_FAULTS, LOOP_DELAY, LOOP_JITTER, STEERING_BIAS, STEERING_RATE_LIMIT)
+"""Faults of sensors, computers and actuators; 0: none."""
+DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
+"""Faults that the seed of the faults determines."""
+FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
-    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, CAMERA,
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
+    CAMERA,
     DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}

@@ -16,10 +16,14 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
-from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
+from taxinet_ros.core.camera.camera import Camera, pose
+from taxinet_ros.core.camera.lens_faults import LensFaults
+from taxinet_ros.core.camera.light import scenario_light
+from taxinet_ros.core.faults import SteeringFaults, shown_step
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -131,8 +135,12 @@ class SimulatedWorld(World):
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
+        self._steering = SteeringFaults(
+            scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS
+        )
         self._seq = 0
         self._track = scenario.line
+        self._shown = self._aircraft.state, 0
 
     @cached_property
     def _camera(self) -> Camera:
@@ -142,16 +150,18 @@ class SimulatedWorld(World):
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
         stamp_ns = self._seq * CONTROL_PERIOD_NS
-        state = self._aircraft.state
-        image = self._camera.render(state, stamp_ns) if picture and self._pictures else None
+        image = self._camera.render(*self._shown) if picture and self._pictures else None
         return Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=state, image=image, track=self._track
+            seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
+            track=self._track,
         )
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
-        self._aircraft.advance(command)
+        self._aircraft.advance(self._steering.apply(command, self._seq * CONTROL_PERIOD_NS))
         self._seq += 1
+        if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
+            self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -208,7 +218,10 @@ def world_options(name: str) -> list[str]:
 
 
 class _PluginWorld(World):
-    """World of a package; failures of its code are infrastructure errors naming the package."""
+    """World of a package; failures of its code are infrastructure errors naming the package.
+
+    It gets the scenario without faults, which are added to its pictures and commands here.
+    """
 
     def __init__(
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
@@ -216,15 +229,25 @@ class _PluginWorld(World):
         self._extension, self._seq = extension, -1
         self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
-        self._world = self._call(lambda: make(scenario, pictures=pictures))
         self._scenario = scenario
+        self._shown: NDArray[np.uint8] | None = None
+        model = scenario.aircraft_model
+        self._steering = SteeringFaults(
+            scenario, model.max_steering_rad or full_steering_rad(model), CONTROL_PERIOD_NS
+        )
+        well = scenario.without_faults(*FAULTS)
+        self._world = self._call(lambda: make(well, pictures=pictures))
         told = self._call(lambda: self._world.last_seq)
         if told != self.last_seq:
             raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
         self._seq = 0
 
     def observe(self, *, picture: bool = True) -> Observation:
-        now = self._call(lambda: self._world.observe(picture=picture))
+        shown = shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS)
+        # The picture that will repeat is needed, whether or not it is asked for now.
+        repeats = shown_step(self._scenario, self._seq + 1, CONTROL_PERIOD_NS) == self._seq
+        wanted = (picture or repeats) and shown == self._seq
+        now = self._call(lambda: self._world.observe(picture=wanted))
         if not isinstance(now, Observation):
             raise self._broken(f'observed {type(now).__name__}, expected an Observation')
         if now.seq != self._seq:
@@ -234,8 +257,14 @@ class _PluginWorld(World):
             raise self._broken(f'observed stamp {now.stamp_ns!r} ns, expected {stamp_ns}')
         if not isinstance(now.state, AircraftState):
             raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
+        if shown == self._seq:
+            self._shown = self._picture(now.image)
+            if self._shown is not None and self._lens.any:
+                _, to_optical, _ = pose(now.state, self._scenario.camera_model)
+                self._shown = self._lens.apply(self._shown, to_optical, stamp_ns)
         seen = Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=now.state, image=self._picture(now.image),
+            seq=self._seq, stamp_ns=stamp_ns, state=now.state,
+            image=self._shown.copy() if picture and self._shown is not None else None,
             track=self._scenario.line,
         )
         if self._seq == 0 and not self._scenario.line.is_runway:
@@ -253,6 +282,12 @@ class _PluginWorld(World):
                 'has to place the aircraft by scenario.line.pose'
             )
 
+    @cached_property
+    def _lens(self) -> LensFaults:
+        camera = self._scenario.camera_model
+        light = scenario_light(self._scenario)
+        return LensFaults(self._scenario, light, camera.intrinsics, camera.shape[:2])
+
     def _picture(self, image: Any) -> NDArray[np.uint8] | None:
         frame = self._frame
         if image is None:
@@ -266,7 +301,8 @@ class _PluginWorld(World):
         return np.array(image, order='C')  # the package may reuse its buffer
 
     def advance(self, command: TaxiCommand) -> None:
-        self._call(lambda: self._world.advance(command))
+        obeyed = self._steering.apply(command, self._seq * CONTROL_PERIOD_NS)
+        self._call(lambda: self._world.advance(obeyed))
         self._seq += 1
 
     def _call(self, work: Callable[[], _T]) -> _T:

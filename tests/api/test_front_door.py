@@ -22,6 +22,8 @@ EXAMPLES = {
     'random_search.py': 'worst: Scenario(',
     'wind_table.py': '| dry | 100 % ',
     'place_table.py': '| kmwh_04 | 100 % ',
+    'fault_table.py': '| dirt on the lens 20 % | 100% ',
+    'fault_sheet.py': 'sheet: ',
     'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
@@ -96,10 +98,13 @@ def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypat
 
 
 @pytest.mark.parametrize('name', EXAMPLES)
-def test_given_an_example_then_it_is_short_and_runs_without_ros(name, campaign_folder):
+def test_given_an_example_then_it_is_short_and_runs_without_ros(name, campaign_folder, tmp_path):
     file = ROOT / 'examples' / name
     assert len(file.read_text().splitlines()) <= 30
-    argument = GOLDEN / 'taxinet-midday' if name == 'read_bag.py' else campaign_folder
+    arguments = {
+        'read_bag.py': GOLDEN / 'taxinet-midday', 'fault_sheet.py': tmp_path / 'sheet.jpg',
+    }
+    argument = arguments.get(name, campaign_folder)
     out = python(WITHOUT_ROS + f"""
 import runpy
 sys.argv = [{str(file)!r}, {str(argument)!r}]

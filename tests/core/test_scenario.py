@@ -40,7 +40,7 @@ def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and
 
 
 def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
-    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 21
+    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 33
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,13 @@ def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
         ({'date': 'tomorrow'}, "date is 'tomorrow', not YYYY-MM-DD"),
         ({'cross_track': True}, 'cross_track_m needs a number, got True'),
         ({'wind_direction': 90}, 'wind_direction_deg has no effect without wind_speed_mps'),
+        ({'fault_onset': 1}, 'fault_onset_s has no effect without a fault: camera_dropout_percent'),
+        ({'fault_seed': 1}, 'fault_seed has no effect without a fault that is drawn: camera_drop'),
+        ({'fault_seed': 1, 'steering_bias': 2, 'camera_freeze': 1}, 'fault_seed has no effect'),
+        ({'fault_seed': 1.5, 'lens_dirt': 2}, 'fault_seed is 1.5, not a whole number'),
+        ({'fault_onset': 30, 'lens_dirt': 2}, 'fault_onset_s is 30, not before the end of the run'),
+        ({'lens_dirt': 101}, 'lens_dirt_percent is 101, outside 0..100 %'),
+        ({'steering_bias': 31}, 'steering_bias_deg is 31, outside -30..30°, left positive'),
         ({'gust_seed': 1}, 'gust_seed has no effect without gust_mps'),
         ({'gust': 2, 'gust_seed': 1.5}, 'gust_seed is 1.5, not a whole number'),
         ({'wind_speed': 31}, 'wind_speed_mps is 31, outside 0..30 m/s'),

@@ -36,7 +36,9 @@ TYPES = {
     Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool',
     Kind.DOCUMENT: 'str',
 }
-UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%', 'm/m': '%', '1': ''}
+UNITS = {
+    'm': 'm', 'rad': '°', 'rad/s': '°/s', 's': 'h', '0..1': '%', 'm/m': '%', '1': '',
+}
 """Units of the message by what people type; a duration is in seconds either way."""
 
 NUMBERS = [field for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
@@ -157,7 +159,9 @@ def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyo
         ('rain_percent', 30.0, '30 %'), ('time_of_day_h', 10.55, '10:33'),
         ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration_s', 30.0, '30 s'),
         ('wind_direction_deg', 270.0, '270 deg'), ('slope_percent', -1.0, '-1.0 %'),
-        ('gust_seed', 7.0, '7'),
+        ('gust_seed', 7.0, '7'), ('lens_dirt_percent', 20.0, '20 %'),
+        ('exposure_jump_ev', -1.5, '-1.5 EV'), ('steering_bias_deg', 2.0, '+2.0 deg'),
+        ('steering_rate_limit_degps', 5.0, '5.0 °/s'), ('fault_onset_s', 3.0, '3.0 s'),
     ],
 )
 def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):

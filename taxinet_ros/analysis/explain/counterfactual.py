@@ -1,8 +1,9 @@
-"""Counterfactual images: the network's estimate of the same moment without shadow, rain, etc.
+"""Counterfactuals: the same moment without shadow, rain, dirt, etc., and the same run without wind.
 
 The camera is deterministic, so a single property of the scene can be changed. If the error vanishes
 with the property, the property causes it; this needs no gradient and works for any network. It is
-valid for single frames; the effect on the whole run requires a rerun.
+valid for single frames; the effect on the whole run requires a rerun. So faults, and what pushes
+the aircraft without being visible, are also removed from the whole run.
 """
 
 from __future__ import annotations
@@ -17,10 +18,17 @@ import numpy as np
 
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Estimator, Frame, Moment, misled_rad
+from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.controller import STEERING, SteeringGains, make_controller
+from taxinet_ros.core.faults import shown_step
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import FAULTS, PICTURE_FAULTS, ScenarioField
 from taxinet_ros.core.types import TrackingError
 
 SHADOW, CROSSING, RAIN = 'shadow', 'crossing', 'rain'
@@ -92,25 +100,130 @@ class Effect:
 
 
 def factors(scenario: Scenario) -> tuple[Factor, ...]:
-    """Factors of a scene, without those that would change nothing."""
+    """Factors of a scene's images, without those that would change nothing."""
     rain = scenario.rain_fraction > 0
-    wanted: list[tuple[str, str, str, dict[str, Any]]] = [
-        (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
-        (CROSSING, 'without the crossing', 'the crossing runway', {'crossing': False}),
-        (RAIN, 'dry', 'the rain', {'rain_fraction': 0.0}),
-        ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
+    seen = [field for field in scenario.faults if field in PICTURE_FAULTS]
+
+    def changed(**values: Any) -> Scenario:
+        return dataclasses.replace(scenario, **values)
+
+    return _different(scenario, [
+        *_without_faults(scenario, seen, 'without any fault of the camera'),
+        (SHADOW, 'without its shadow', "the aircraft's own shadow", changed(shadows=False)),
+        (CROSSING, 'without the crossing', 'the crossing runway', changed(crossing=False)),
+        (RAIN, 'dry', 'the rain', changed(rain_fraction=0.0)),
+        ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky',
+         changed(clouds='overcast')),
         ('clear', 'dry under a clear sky' if rain else 'under a clear sky',
          f'the {scenario.clouds} sky with its rain' if rain else f'the {scenario.clouds} sky',
-         {'clouds': 'clear', 'rain_fraction': 0.0}),
-        ('ten', 'at 10:00', 'the hour', {'time_of_day_s': _TEN}),
-        ('easy', 'all at once, under a clear sky', 'all of it together', _EASY),
-    ]
-    return tuple(
-        Factor(name=name, words=words, cause=cause, rank=rank,
-               scenario=dataclasses.replace(scenario, **changes))
-        for rank, (name, words, cause, changes) in enumerate(wanted)
-        if any(getattr(scenario, field) != value for field, value in changes.items())
+         changed(clouds='clear', rain_fraction=0.0)),
+        ('ten', 'at 10:00', 'the hour', changed(time_of_day_s=_TEN)),
+        ('easy', 'all at once, under a clear sky', 'all of it together',
+         dataclasses.replace(scenario.without_faults(*PICTURE_FAULTS), **_EASY)),
+    ])
+
+
+def run_factors(scenario: Scenario) -> tuple[Factor, ...]:
+    """What fails in a run, or pushes the aircraft; left out is what does not."""
+    calm: dict[str, Any] = {
+        'wind_speed_mps': 0.0, 'wind_direction_rad': 0.0, 'gust_mps': 0.0, 'gust_seed': 0.0,
+    }
+    nothing = dataclasses.replace(
+        scenario.without_faults(*FAULTS), **calm, runway_state='dry', slope_fraction=0.0
     )
+    wanted = [
+        *_without_faults(scenario, scenario.faults, 'without any fault'),
+        ('wind', 'without wind', 'the wind', dataclasses.replace(scenario, **calm)),
+        ('friction', 'on a dry runway', f'the {scenario.surface} runway',
+         dataclasses.replace(scenario, runway_state='dry')),
+        ('slope', 'on a level runway', 'the slope',
+         dataclasses.replace(scenario, slope_fraction=0.0)),
+    ]
+    if nothing not in [changed for *_, changed in wanted]:
+        wanted.append(('all', 'without any of this', 'all of it together', nothing))
+    return _different(scenario, wanted)
+
+
+_Wanted = tuple[str, str, str, Scenario]
+
+
+def _without_faults(
+    scenario: Scenario, faults: Sequence[ScenarioField], words: str
+) -> list[_Wanted]:
+    """A scene without each of its faults, and without all."""
+    found = [
+        (field.key, f'without the {field.title}', f"the fault '{field.title}'",
+         scenario.without_faults(field))
+        for field in faults
+    ]
+    if len(faults) > 1:
+        found.append(
+            ('faults', words, 'the sum of the faults', scenario.without_faults(*faults))
+        )
+    return found
+
+
+def _different(scenario: Scenario, wanted: Sequence[_Wanted]) -> tuple[Factor, ...]:
+    """The factors that change the scene."""
+    return tuple(
+        Factor(name=name, words=words, cause=cause, rank=rank, scenario=changed)
+        for rank, (name, words, cause, changed) in enumerate(wanted) if changed != scenario
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rerun:
+    """What a whole run comes to.
+
+    Attributes:
+        name: of the factor that was changed; ``recorded`` where none was.
+        words: how the scene then is.
+        outcome: PASS or FAIL, or INFRA_ERROR where it could not be judged.
+        robustness: of the headline; None if it could not be judged.
+    """
+
+    name: str
+    words: str
+    outcome: Outcome
+    robustness: RobustnessInterval | None
+
+
+def reruns(
+    run: RecordedRun, perception: Perception,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Rerun, ...]:
+    """Drive a run again, and again with each of :func:`run_factors`; empty if it has none.
+
+    Args:
+        run: in the simulated world, with reproducible timing.
+        perception: the network.
+        on_progress: is told how many are done, of how many.
+
+    Raises:
+        UsageError: its controller is not there.
+        InfraError, UserCodeError: a run broke down.
+    """
+    wanted = run_factors(run.request.scenario)
+    if not wanted:
+        return ()
+    judging = run.request.judging
+    controller = make_controller(run.controller or STEERING, SteeringGains(**run.gains))
+    scenes = [('recorded', 'as recorded', run.request.scenario)]
+    scenes += [(factor.name, factor.words, factor.scenario) for factor in wanted]
+    found = []
+    for number, (name, words, scenario) in enumerate(scenes, 1):
+        judged = run_closed_loop(
+            scenario, perception, specs=judging.parsed_specs, controller=controller,
+            assumptions=judging.assumptions, timing=run.timing,
+            draws=(run.request.seed, run.request.index),
+        )
+        outcome = outcome_of(judged)
+        found.append(Rerun(
+            name=name, words=words, outcome=outcome,
+            robustness=judged.readings[0].interval if outcome.judged else None,
+        ))
+        on_progress(number, len(scenes))
+    return tuple(found)
 
 
 def effects(
@@ -130,7 +243,9 @@ def effects(
     wanted = factors(scenario)
     for number, factor in enumerate(wanted, 1):
         camera = Camera(factor.scenario)
-        outcomes = tuple(_outcome(camera, moment, look, gains) for moment in moments)
+        outcomes = tuple(
+            _outcome(camera, factor.scenario, moment, look, gains) for moment in moments
+        )
         found.append(Effect(
             factor=factor, outcomes=outcomes, removed=_removed(moments, outcomes),
             changed=any(outcome.changed > 0 for outcome in outcomes),
@@ -156,10 +271,14 @@ def _best_single(found: Sequence[Effect]) -> float:
     return max((e.removed for e in found if e.factor.name != 'easy'), default=0.0)
 
 
-def _outcome(camera: Camera, moment: Moment, look: Estimator, gains: SteeringGains) -> ChangedView:
-    if moment.state is None:
-        raise ValueError(f'step {moment.seq}: its state is unknown')
-    image = camera.render(moment.state, moment.seq * CONTROL_PERIOD_NS)
+def _outcome(
+    camera: Camera, scenario: Scenario, moment: Moment, look: Estimator, gains: SteeringGains
+) -> ChangedView:
+    step = shown_step(scenario, moment.seq, CONTROL_PERIOD_NS)
+    state = moment.state if step == moment.seq else moment.shown
+    if state is None:
+        raise ValueError(f'step {step}: its state is unknown')
+    image = camera.render(state, step * CONTROL_PERIOD_NS)
     estimate = look(image)
     return ChangedView(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),

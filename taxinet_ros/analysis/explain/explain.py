@@ -17,8 +17,11 @@ from taxinet_ros.analysis.explain.counterfactual import (
     LEAST_SHARE,
     SHADOW,
     Effect,
+    Rerun,
     effect_to_blame,
     effects,
+    reruns,
+    run_factors,
 )
 from taxinet_ros.analysis.explain.nearest_images import NearestImages, Nearness
 from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
@@ -34,10 +37,12 @@ from taxinet_ros.analysis.explain.track import (
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.errors import UsageError
+from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.errors import InfraError, UsageError
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, the number of steps done and their total."""
@@ -75,6 +80,9 @@ class Explanation:
         effects: effects of changing the scene at these moments, in the factors' order; empty if the
             run cannot be rerun.
         training: the training images, or None.
+        reruns: the whole run as recorded, and without what failed in it or pushed the aircraft;
+            empty if nothing did.
+        not_rerun: why there are none, though something did; '' otherwise.
     """
 
     bag: Path
@@ -85,6 +93,8 @@ class Explanation:
     insights: tuple[Insight, ...]
     effects: tuple[Effect, ...]
     training: NearestImages | None
+    reruns: tuple[Rerun, ...] = ()
+    not_rerun: str = ''
 
     @property
     def own(self) -> bool:
@@ -138,6 +148,9 @@ def explain(
             run.request.scenario, chosen, look, track.gains,
             lambda done, all_: on_progress('scenes', done, all_),
         )
+    driven, not_rerun = _driven_again(
+        run, perception, lambda done, all_: on_progress('runs', done, all_)
+    )
     insights = []
     for number, moment in enumerate(chosen):
         insights.append(_insight(number, moment, look, track, found, run, training))
@@ -145,7 +158,21 @@ def explain(
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
         track=track, insights=tuple(insights), effects=found, training=training,
+        reruns=driven, not_rerun=not_rerun,
     )
+
+
+def _driven_again(
+    run: RecordedRun, perception: Perception, on_progress: Callable[[int, int], None]
+) -> tuple[tuple[Rerun, ...], str]:
+    """Its reruns; else why there are none."""
+    if run.timing.free:
+        wanted = run_factors(run.request.scenario)
+        return (), f'a free run: {NOT_REPRODUCIBLE}' if wanted else ''
+    try:
+        return reruns(run, perception, on_progress), ''
+    except (InfraError, UsageError, UserCodeError) as error:
+        return (), str(error)
 
 
 def _insight(
@@ -182,6 +209,7 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
     """The findings."""
     worst = found.insights[found.worst]
     yield from _cause(found)
+    yield from rerun_sentences(found)
     yield f'Largest error at {moment_words(worst.moment)}.'
     yield from attention_sentences(worst)
     yield from _nearness(found)
@@ -191,6 +219,20 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
             f'This run used the controller {found.run.controller}, but the effect of an estimate '
             'is computed with the shipped steering law.'
         )
+
+
+def rerun_sentences(found: Explanation) -> Iterator[str]:
+    """What the run would have been without what failed in it, or pushed the aircraft."""
+    headline = found.run.request.judging.headline
+    for rerun in found.reruns:
+        known = rerun.robustness
+        result = 'could not be judged'
+        if known is not None:
+            verb = 'satisfies' if known.satisfied else 'violates'
+            result = f'{verb} {headline} ({known.words(".2f")})'
+        yield f'Driven again {rerun.words}, the run {result}.'
+    if found.not_rerun:
+        yield f'The run cannot be driven again otherwise: {found.not_rerun}.'
 
 
 def moment_words(moment: Moment) -> str:

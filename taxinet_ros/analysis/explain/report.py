@@ -13,6 +13,7 @@ from taxinet_ros.analysis.explain.explain import (
     explain_sentences,
     moment_words,
     recomputed_sentence,
+    rerun_sentences,
 )
 from taxinet_ros.analysis.explain.pictures import (
     error_picture,
@@ -65,6 +66,11 @@ def explain_json(found: Explanation) -> dict[str, Any]:
              'removed': effect.removed, 'picture_changed': effect.changed}
             for effect in found.effects
         ],
+        'reruns': [
+            {'name': rerun.name, 'words': rerun.words, 'outcome': rerun.outcome,
+             'rho': None if rerun.robustness is None else rerun.robustness.lower}
+            for rerun in found.reruns
+        ],
         'moments': [_moment_json(found, number) for number in range(len(found.insights))],
         'sentences': list(explain_sentences(found)),
     })
@@ -102,6 +108,15 @@ def _sections(found: Explanation) -> Iterator[Section]:
         yield Section(
             name='scenes', heading='The same moments in other scenes',
             sentences=(f'Not available: {found.track.differs}.',),
+        )
+    if found.reruns or found.not_rerun:
+        yield Section(
+            name='reruns', heading='The same run otherwise',
+            sentences=(
+                'The whole run, driven again by this network as recorded, and without what '
+                'failed in it or pushed the aircraft.',
+                *rerun_sentences(found),
+            ),
         )
     yield Section(
         name='attention', heading='What the estimate depends on',

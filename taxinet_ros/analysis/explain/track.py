@@ -20,6 +20,7 @@ from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.rig.camera_model import CameraModel
@@ -112,6 +113,7 @@ class Moment:
         image: the frame, (height, width, 3) uint8 RGB.
         camera: the camera that took it.
         state: the aircraft's true state; None if the run cannot be rerun.
+        shown: its state at the step whose picture the frame is, if the camera is frozen.
         truth, estimate: tracking errors.
         misled_rad: see :attr:`Track.misled_rad`.
     """
@@ -127,6 +129,7 @@ class Moment:
     truth: TrackingError
     estimate: TrackingError
     misled_rad: float
+    shown: AircraftState | None = None
 
 
 def heading_asked_rad(cte_m: Floats, he_rad: Floats, gains: SteeringGains) -> Floats:
@@ -237,16 +240,18 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
     camera = Camera(recording.scenario)
     for seq, row in sorted(wanted.items()):
         state = track.states.get(seq)
+        step = shown_step(recording.scenario, seq, CONTROL_PERIOD_NS)
+        shown = track.states.get(step)
         image = images.get(seq)
         if image is None:
-            if state is None:
+            if shown is None:
                 continue  # a failed run may have a step without a state
-            image = camera.render(state, seq * CONTROL_PERIOD_NS)
+            image = camera.render(shown, step * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
             line=recording.scenario.line, image=image,
             camera=camera.model, state=state, truth=track.truth(row), estimate=track.estimate(row),
-            misled_rad=float(track.misled_rad[row]),
+            misled_rad=float(track.misled_rad[row]), shown=shown,
         )
 
 

@@ -179,6 +179,33 @@ PUSHING_FEATURES = (
     ),
 )
 """Features that affect the motion; the gust seed is not a meaningful feature."""
+_SHARES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_TIMES_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+_ANGLES_DEG = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
+
+
+def _fault(field: ScenarioField, step: float, widths: tuple[float, ...]) -> Feature:
+    name, unit = field.title, field.unit
+    return _feature(field, step=step, widths=widths, words=(
+        f'{name} of {{}} to {{}} {unit}', f'{name} of at most {{}} {unit}',
+        f'{name} of {{}} {unit} or more',
+    ))
+
+
+FAULT_FEATURES = (
+    _fault(fields.CAMERA_DROPOUT, 1.0, _SHARES),
+    _fault(fields.CAMERA_FREEZE, 0.1, _TIMES_S),
+    _fault(fields.LENS_DIRT, 1.0, _SHARES),
+    _fault(fields.LENS_DROPS, 1.0, _SHARES),
+    _fault(fields.GLARE_GHOST, 1.0, _SHARES),
+    _fault(fields.EXPOSURE_JUMP, 0.1, (0.5, 1.0, 2.0, 5.0)),
+    _fault(fields.LOOP_DELAY, 0.1, _TIMES_S),
+    _fault(fields.LOOP_JITTER, 0.1, _TIMES_S),
+    _fault(fields.STEERING_BIAS, 0.1, _ANGLES_DEG),
+    _fault(fields.STEERING_RATE_LIMIT, 0.1, _ANGLES_DEG),
+    _fault(fields.FAULT_ONSET, 0.1, _TIMES_S),
+)
+"""Faults and their onset; their seed is not a meaningful feature."""
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
@@ -190,11 +217,13 @@ PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING
 """The paper's six features, as columns of the table."""
 ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
+    *FAULT_FEATURES,
 )
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
-    field.key: field.to_human(field.absent) for field in (*fields.PUSHING_FIELDS, fields.TRACK)
+    field.key: field.to_human(field.absent)
+    for field in (*fields.PUSHING_FIELDS, fields.TRACK, *fields.FAULT_FIELDS)
 }
 
 

@@ -70,9 +70,9 @@ def _held(
 ) -> Callable[[int], TaxiCommand | None]:
     """Function giving the command in effect from each step to the next; None if unknown."""
     path = recording.path
-    first = rolling_on(run.request.scenario.speed_mps)
+    scenario = run.request.scenario
     if not run.timing.free:
-        late = LateCommands(run.timing, run.request.seed, run.request.index, first)
+        late = LateCommands(run.timing, run.request.seed, run.request.index, scenario)
         return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
     account = free_account(recording.info)
     if account is None:
@@ -81,7 +81,7 @@ def _held(
             'end in order', path=path,
         )
     applied = account.applied
-    known = {**commands, -1: first}
+    known = {**commands, -1: rolling_on(scenario.speed_mps)}
 
     def held(seq: int) -> TaxiCommand | None:
         return known.get(applied[seq]) if seq < len(applied) else None

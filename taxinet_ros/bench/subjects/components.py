@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -62,6 +64,13 @@ SCENES = {
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),
     'taxiway': _scene(x_m=960.0, y_m=50.0, heading_deg=70.0, track='exit_left'),
+    'dirty-lens': _scene(
+        x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day_h=7.2, lens_dirt_percent=20.0,
+    ),
+    'lens-faults': _scene(
+        x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day_h=7.2, lens_dirt_percent=20.0,
+        lens_drops_percent=20.0, glare_ghost_percent=100.0, exposure_jump_ev=1.0,
+    ),
 }  # fmt: skip
 """Scenes by name."""
 
@@ -81,9 +90,16 @@ def camera_subjects() -> list[Subject]:
         *found,
         Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
         Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
+        Subject(name='camera/new, lens faults', run=partial(_new_lens, itertools.count())),
         Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
         Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
     ]
+
+
+def _new_lens(seeds: Iterator[int]) -> None:
+    """A camera whose spots no other one has drawn before."""
+    seed = float(next(seeds))
+    Camera(dataclasses.replace(SCENES['lens-faults'].scenario, fault_seed=seed))
 
 
 def _discard(made: object) -> None:

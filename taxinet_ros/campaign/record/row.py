@@ -43,8 +43,11 @@ class RunRow:
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
             crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, track, camera, duration_s, place: the scenario,
-            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+            runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
+            lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
+            loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
+            fault_onset_s, fault_seed, camera, duration_s, place: the scenario, see
+            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: outcome; the other three explain an unjudged run.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
             exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
@@ -98,6 +101,18 @@ class RunRow:
     slope_percent: float | None = None
     speed_mps: float | None = None
     track: str = ''
+    camera_dropout_percent: float | None = None
+    camera_freeze_s: float | None = None
+    lens_dirt_percent: float | None = None
+    lens_drops_percent: float | None = None
+    glare_ghost_percent: float | None = None
+    exposure_jump_ev: float | None = None
+    loop_delay_s: float | None = None
+    loop_jitter_s: float | None = None
+    steering_bias_deg: float | None = None
+    steering_rate_limit_degps: float | None = None
+    fault_onset_s: float | None = None
+    fault_seed: float | None = None
     camera: str = ''
     duration_s: float | None = None
     place: str = ''

@@ -15,9 +15,14 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
+    DURATION,
+    FAULT_ONSET,
+    FAULT_SEED,
+    FAULTS,
     GUST,
     GUST_SEED,
     HEADING,
+    LENS_DIRT,
     PLACE,
     RAIN,
     RAIN_CLOUDS,
@@ -38,9 +43,14 @@ WEATHER = (SKY.key, RAIN.key)
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
     (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
+    (*(field.key for field in FAULTS), FAULT_ONSET.key, DURATION.key),
+    (*(field.key for field in FAULTS), FAULT_SEED.key),
 )
 """Groups of interdependent keys."""
-_ALLOWING = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01}
+_ALLOWING = {
+    SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
+    DURATION.key: DURATION.high,
+}
 """Values that are compatible with every value of the other keys."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58

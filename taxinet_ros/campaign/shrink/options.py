@@ -25,7 +25,20 @@ from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import BY_KEY, PUSHING_FIELDS, RAIN_CLOUDS, by_key
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    DRAWN_FAULTS,
+    FAULT_ONSET,
+    FAULT_SEED,
+    FAULTS,
+    GUST,
+    GUST_SEED,
+    PUSHING_FIELDS,
+    RAIN_CLOUDS,
+    WIND_DIRECTION,
+    WIND_SPEED,
+    by_key,
+)
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -36,17 +49,23 @@ NOMINAL_HOUR = 10.0
 STEPS = {
     'cross_track_m': 0.1, 'distance_m': 10.0, 'heading_deg': 0.5, 'rain_percent': 1.0,
     'time_of_day_h': 0.05, 'wind_speed_mps': 0.5, 'gust_mps': 0.5, 'slope_percent': 0.1,
-    'speed_mps': 0.5,
+    'speed_mps': 0.5, 'camera_dropout_percent': 1.0, 'camera_freeze_s': 0.1,
+    'lens_dirt_percent': 1.0, 'lens_drops_percent': 1.0, 'glare_ghost_percent': 5.0,
+    'exposure_jump_ev': 0.1, 'loop_delay_s': 0.1, 'loop_jitter_s': 0.1, 'steering_bias_deg': 0.1,
 }
-"""Step of each numeric parameter; 0.05 h are 3 min."""
+"""Step of each numeric parameter; 0.05 h are 3 min. A limit of the steering rate has none, as the
+least severe one is as far from no limit as any."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
-    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps', 'shadows',
-    'crossing', 'date', 'aircraft',
+    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps',
+    *(field.key for field in FAULTS), 'shadows', 'crossing', 'date', 'aircraft',
 )
 """Parameters to move to nominal; the last four keep the run's values unless given."""
-_FOLLOWERS = {'wind_speed_mps': 'wind_direction_deg', 'gust_mps': 'gust_seed'}
-"""Parameters without effect when the key is 0; they are set to 0 with it."""
+_FOLLOWERS = {
+    WIND_DIRECTION: (WIND_SPEED,), GUST_SEED: (GUST,), FAULT_ONSET: FAULTS,
+    FAULT_SEED: DRAWN_FAULTS,
+}
+"""Parameters without effect when all of the others are 0; they are set to 0 with them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,8 +116,9 @@ class ShrinkSpace:
             one.key: one.values[steps[one.key]]
             for one in self.moving if steps[one.key] < one.axis.steps
         }
-        changed |= _followers(changed)
-        built = scenario_from_human({**self.original.to_human(), **changed})
+        drawn = self.original.to_human()
+        changed |= _followers({**drawn, **changed})
+        built = scenario_from_human({**drawn, **changed})
         names = [BY_KEY[key].attribute for key in changed]
         return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
 
@@ -139,11 +159,11 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'time_of_day_h': NOMINAL_HOUR,
         'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
-    pushed = {field.key: field.to_human(field.absent) for field in PUSHING_FIELDS}
+    pushed = {field.key: field.to_human(field.absent) for field in (*PUSHING_FIELDS, *FAULTS)}
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:
-        asked = {**usual, **chosen}
-        nominal = scenario_from_human({**drawn, **asked, **_followers(asked)})
+        asked = {**drawn, **usual, **chosen}
+        nominal = scenario_from_human({**asked, **_followers(asked)})
         if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
             scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
     except UsageError as error:
@@ -172,9 +192,10 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
 
 
 def _followers(values: Mapping[str, Any]) -> dict[str, float]:
-    """Parameters that follow some of the values to 0."""
+    """Parameters that follow others of a scene's values to 0."""
     return {
-        follower: 0.0 for key, follower in _FOLLOWERS.items() if float(values.get(key, 1.0)) == 0
+        follower.key: 0.0 for follower, leaders in _FOLLOWERS.items()
+        if not any(leader.from_human(values[leader.key]) for leader in leaders)
     }
 
 

@@ -21,7 +21,7 @@ from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import along_words, clock_words, pushing_words
+from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.registry import KMWH
@@ -148,7 +148,7 @@ def scene_words(scene: Mapping[str, Any]) -> str:
         f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}{camera}, '
-        f'{scene["duration_s"]:g} s{pushing_words(scene)}'
+        f'{scene["duration_s"]:g} s{unusual_words(scene)}'
     )
 
 

@@ -10,8 +10,9 @@ cy = (540 - 330) * 200/730 - 0.5 = 57.03.
 
 A frame is rendered by inverse mapping: each pixel's ray is intersected with the ground, whose
 colour comes from a ripmap at the level of the pixel's footprint. Shade, light, haze, glare, sky,
-rain and the aircraft's own parts follow; distortion then resamples this pinhole image, and the
-sensor's noise is added last. Equal state, stamp and scenario give equal bytes in every process.
+rain and the aircraft's own parts follow; distortion then resamples this pinhole image, the
+sensor's noise is added, and faults of lens and sensor come last. Equal state, stamp and scenario
+give equal bytes in every process.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from taxinet_ros.core.camera.airframe import (
 from taxinet_ros.core.camera.atmosphere import SPARSE_PX, Atmosphere, RainSheet, scramble
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
@@ -49,7 +51,8 @@ Mark = Callable[[str], None]
 """Callback with the name of every finished rendering stage, for benchmarks."""
 
 STAGES = (
-    'ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe', 'lens and sensor',
+    'ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe',
+    'distortion and noise', 'lens',
 )
 """Rendering stages in order."""
 
@@ -181,6 +184,7 @@ class Camera:
             # Integer maps give the same bytes on every processor.
             self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
         self._noise = _Noise(scenario, model)
+        self._faults = LensFaults(scenario, self._light, model.intrinsics, model.shape[:2])
 
     def render(
         self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
@@ -222,7 +226,10 @@ class Camera:
             mark('airframe')
         if self.model.distorts or picture.shape != self.model.shape or self.model.noise_codes:
             picture = self._taken(picture, stamp_ns)
-            mark('lens and sensor')
+            mark('distortion and noise')
+        if self._faults.any:
+            picture = self._faults.apply(picture, to_optical, stamp_ns)
+            mark('lens')
         return picture
 
     def _taken(self, picture: NDArray[np.uint8], stamp_ns: int) -> NDArray[np.uint8]:

@@ -15,6 +15,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.faults import check_free
 from taxinet_ros.core.judge import check_specs
 from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import LateCommands, rolling_on
@@ -123,12 +124,14 @@ class ActiveRun:
         self.world = make_world(scenario)
         self.camera = scenario.camera_model
         self.first = rolling_on(scenario.speed_mps)
-        self.commands = LateCommands(timing, message.seed, message.index, self.first)
+        self.commands = LateCommands(timing, message.seed, message.index, scenario)
         may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(
                 f'stop_on {message.stop_on}: not in a free run, which does not wait for the monitor'
             )
+        if timing.free:
+            check_free(scenario)
         roles: dict[str, Any] = {
             'participants': self.participants, 'chain': interface.CHAIN,
             'followers': interface.FOLLOWERS, 'last_seq': self.world.last_seq,

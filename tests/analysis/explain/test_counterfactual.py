@@ -6,14 +6,24 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.analysis.explain.counterfactual import effect_to_blame, effects, factors
+import taxinet_ros as tx
+from taxinet_ros.analysis.explain.counterfactual import (
+    effect_to_blame,
+    effects,
+    factors,
+    reruns,
+    run_factors,
+)
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad
+from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.camera.camera import WING, Camera
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import SimulatedWorld
 
 GAINS = SteeringGains()
@@ -119,6 +129,12 @@ def test_given_a_change_that_takes_the_answer_away_then_it_takes_no_error_away()
     (Scenario(clouds='stratus', rain_fraction=0.5, time_of_day_s=36000.0, shadows=False),
      ['crossing', 'rain', 'overcast', 'clear', 'easy']),
     (Scenario(time_of_day_s=36000.0, shadows=False, crossing=False), ['overcast']),
+    (Scenario(lens_dirt_fraction=0.1, fault_seed=3.0, steering_bias_rad=0.1, fault_onset_s=1.0),
+     ['lens_dirt_percent', 'shadow', 'crossing', 'overcast', 'ten', 'easy']),
+    (Scenario(lens_dirt_fraction=0.1, exposure_jump_ev=1.0), [
+        'lens_dirt_percent', 'exposure_jump_ev', 'faults', 'shadow', 'crossing', 'overcast', 'ten',
+        'easy',
+    ]),
 ])
 def test_given_a_scene_then_what_is_so_already_is_not_changed(scenario, names):
     found = factors(scenario)
@@ -139,3 +155,73 @@ def test_given_errors_that_cancel_each_other_then_the_aircraft_is_not_misled():
     far = misled_rad(TrackingError(cte_m=40.0, he_rad=0.0), truth, GAINS)
     assert far == pytest.approx(GAINS.max_intercept_rad)
     assert math.isnan(misled_rad(NO_ESTIMATE, truth, GAINS))
+
+
+def test_given_a_network_fooled_only_by_dirt_then_the_dirt_is_blamed():
+    dirty = dataclasses.replace(AFTERNOON, lens_dirt_fraction=0.3, steering_bias_rad=0.05)
+    clean = SimulatedWorld(AFTERNOON).observe().image
+    _, found = effects_on(dirty, lambda image: changed_pixels(image, clean).mean() > 0.2)
+    blamed = effect_to_blame(found)
+    assert blamed is not None
+    assert blamed.factor.name == 'lens_dirt_percent'
+    assert np.array_equal(blamed.outcomes[0].image, clean)
+    assert blamed.factor.scenario.steering_bias_rad == 0.05
+
+
+def test_given_a_frozen_camera_then_only_without_it_a_moment_is_seen_as_it_is():
+    frozen = dataclasses.replace(AFTERNOON, camera_freeze_s=1.0)
+    world = SimulatedWorld(frozen)
+    start = world.observe()
+    for _ in range(6):
+        world.advance(TaxiCommand(steering_rad=0.2, speed_mps=5.0))
+    now = world.observe()
+    assert np.array_equal(now.image, start.image)
+    truth = now.state.tracking_error
+    estimate = dataclasses.replace(truth, cte_m=truth.cte_m + WRONG_M)
+    moment = Moment(
+        row=6, seq=6, t_s=0.6, x_m=now.state.x_m, image=now.image, state=now.state, truth=truth,
+        estimate=estimate, misled_rad=misled_rad(estimate, truth, GAINS), shown=start.state,
+    )
+    found = {
+        effect.factor.name: effect.outcomes[0].image
+        for effect in effects(frozen, [moment], lambda image: estimate, GAINS)
+    }
+    camera = Camera(AFTERNOON)
+    assert np.array_equal(found['camera_freeze_s'], camera.render(now.state, now.stamp_ns))
+    bare = Camera(dataclasses.replace(AFTERNOON, shadows=False))
+    assert np.array_equal(found['shadow'], bare.render(start.state, 0))
+
+
+def recorded(scenario):
+    request = RunRequest(
+        run_id='r', index=2, program='p', seed=4, scenario=scenario,
+        judging=Judging(specs=('phi_eventually',)), participants=(),
+    )
+    return RecordedRun(request=request, perception='truth', fingerprint='', gains={})
+
+
+def test_given_what_fails_and_what_pushes_then_the_run_is_driven_again_without_each_and_all():
+    biased = Scenario(
+        cross_track_m=2.0, duration_s=15.0, steering_bias_rad=math.radians(12), fault_onset_s=2.0,
+    )
+    well = Scenario(cross_track_m=2.0, duration_s=15.0)
+    assert run_factors(well) == ()
+    assert reruns(recorded(well), make_perception('truth')) == ()
+    found = reruns(recorded(biased), make_perception('truth'))
+    assert [rerun.name for rerun in found] == ['recorded', 'steering_bias_deg']
+    assert [rerun.outcome for rerun in found] == ['FAIL', 'PASS']
+    for rerun, scenario in zip(found, (biased, well), strict=True):
+        assert rerun.robustness == tx.run(scenario).rho['phi_eventually']
+    pushed = dataclasses.replace(
+        biased, wind_speed_mps=5.0, gust_mps=1.0, gust_seed=3.0, runway_state='wet',
+        loop_delay_s=0.2,
+    )
+    wanted = run_factors(pushed)
+    assert [factor.words for factor in wanted] == [
+        'without the delay from frame to command', 'without the steering bias',
+        'without any fault', 'without wind', 'on a dry runway', 'without any of this',
+    ]
+    assert wanted[-1].scenario == well
+    assert wanted[3].scenario == dataclasses.replace(
+        biased, runway_state='wet', loop_delay_s=0.2,
+    )

@@ -9,6 +9,7 @@ import pytest
 from taxinet_ros.analysis.runs.features import (
     ALL_FEATURES,
     BY_NAME,
+    FAULT_FEATURES,
     PUSHING_FEATURES,
     feature_columns,
     varied,
@@ -19,6 +20,8 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     DURATION,
+    FAULT_FIELDS,
+    FAULT_SEED,
     GUST_SEED,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
@@ -39,9 +42,19 @@ def runs(*scenes: dict[str, object]) -> pd.DataFrame:
     ])
 
 
-def test_given_the_rows_then_each_is_a_feature_but_length_and_which_gusts():
+FAILING = {
+    'camera_dropout_percent': 10.0, 'camera_freeze_s': 2.0, 'lens_dirt_percent': 20.0,
+    'lens_drops_percent': 10.0, 'glare_ghost_percent': 50.0, 'exposure_jump_ev': -2.0,
+    'loop_delay_s': 0.2, 'loop_jitter_s': 0.3, 'steering_bias_deg': 3.0,
+    'steering_rate_limit_degps': 8.0, 'fault_onset_s': 5.0, 'fault_seed': 3.0,
+}
+
+
+def test_given_the_rows_then_each_is_a_feature_but_length_and_seeds():
     sources = {feature.source for feature in ALL_FEATURES}
-    assert sources == {field.key for field in SCENARIO_FIELDS if field not in (DURATION, GUST_SEED)}
+    assert sources == {
+        field.key for field in SCENARIO_FIELDS if field not in (DURATION, GUST_SEED, FAULT_SEED)
+    }
 
 
 def test_given_runs_that_are_pushed_alike_then_no_feature_says_so():
@@ -57,12 +70,18 @@ def test_given_runs_that_one_thing_pushes_then_it_alone_is_left(feature):
     assert varied(feature_columns(runs(PUSHED, other))) == (feature,)
 
 
-def test_given_a_table_of_before_when_read_then_nothing_pushed():
+@pytest.mark.parametrize('feature', FAULT_FEATURES, ids=lambda feature: feature.name)
+def test_given_runs_in_which_one_thing_fails_otherwise_then_it_alone_is_left(feature):
+    other = FAILING | {feature.name: 1.0}
+    assert varied(feature_columns(runs(FAILING, other))) == (feature,)
+
+
+def test_given_a_table_of_before_when_read_then_nothing_pushed_or_failed():
     whole = runs({}, {})
-    before = whole.drop(columns=[field.key for field in PUSHING_FIELDS])
+    before = whole.drop(columns=[field.key for field in (*PUSHING_FIELDS, *FAULT_FIELDS)])
     frame = feature_columns(before)
     pd.testing.assert_frame_equal(frame, feature_columns(whole))
-    for feature in PUSHING_FEATURES:
+    for feature in (*PUSHING_FEATURES, *FAULT_FEATURES):
         if feature.numeric:
             assert frame[feature.name].dtype == np.float64, feature.name
 
@@ -73,3 +92,6 @@ def test_given_an_interval_then_it_reads_as_people_say_it():
         'slope below −1.0 %, uphill positive'
     )
     assert BY_NAME['gust_mps'].interval_words(2.0, None) == 'gusts above 2.0 m/s'
+    assert BY_NAME['lens_dirt_percent'].interval_words(20.0, None) == (
+        'dirt on the lens of 20 % or more'
+    )

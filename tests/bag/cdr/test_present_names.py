@@ -23,6 +23,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    FAULT_FIELDS,
     PLACE,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
@@ -32,9 +33,10 @@ from taxinet_ros.core.scenario_fields import (
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
+NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS)
 RENAMED = {
     field.attribute: field.short for field in SCENARIO_FIELDS
-    if field.short and field not in PUSHING_FIELDS
+    if field.short and field not in NEW
 }
 
 
@@ -52,8 +54,8 @@ def before_units(topic: TopicInfo) -> TopicInfo:
 
 
 def before_wind(topic: TopicInfo) -> TopicInfo:
-    """The topic without the keys of after the units: what pushes, the track and the place."""
-    new = '|'.join(field.attribute for field in (*PUSHING_FIELDS, TRACK, PLACE))
+    """The topic without later keys: what pushes, what fails, the track and the place."""
+    new = '|'.join(field.attribute for field in (*NEW, PLACE))
     definition = re.sub(rf'^\w+ ({new}) .*\n', '', topic.definition, flags=re.MULTILINE)
     return described(topic, definition)
 
@@ -69,7 +71,7 @@ def test_given_the_renamed_fields_then_they_are_the_numbers_of_a_scenario():
         field.attribute for field in numbers
     ]
     assert list(RENAMED) == [
-        field.attribute for field in numbers if field not in PUSHING_FIELDS
+        field.attribute for field in numbers if field not in NEW
     ]
 
 
@@ -108,7 +110,7 @@ def test_given_a_bag_of_before_there_was_wind_when_read_then_there_is_none():
     message = scenario_message(BEFORE)
     assert not re.search('wind', message.topic.definition)
     scene = scenario_of(decode(message.topic, message.cdr))
-    for field in PUSHING_FIELDS:
+    for field in NEW:
         assert getattr(scene, field.attribute) == field.absent == getattr(
             Scenario(), field.attribute
         ), field.key

@@ -40,6 +40,7 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.errors import UsageError
 
 NAME = 'phi_eventually'
@@ -393,3 +394,24 @@ def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path)
         assert drawn.to_human()[key] == value
     assert drawn.cross_track_m == WET.cross_track_m
     assert drawn.heading_rad == pytest.approx(WET.heading_rad, abs=1e-15)
+
+
+def test_given_a_run_with_faults_then_each_goes_to_none_and_the_last_takes_onset_and_seed_along():
+    failing = dataclasses.replace(
+        WET, duration_s=10.0, lens_dirt_fraction=0.035, steering_rate_limit_radps=0.1,
+        fault_onset_s=2.0, fault_seed=7.0,
+    )
+    space = make_shrink_space(failing)
+    moving = {one.key: one.values for one in space.moving}
+    assert moving['lens_dirt_percent'] == (0.0, 1.0, 2.0, 3.0, 3.5)
+    assert len(moving['steering_rate_limit_degps']) == 2
+    assert not {'fault_onset_s', 'fault_seed', 'lens_drops_percent'} & moving.keys()
+    top = tuple(one.axis.steps for one in space.moving)
+    assert space.scenario(top) == failing
+    assert space.nominal == space.nominal.without_faults(*FAULTS)
+    assert space.scenario((0,) * len(top)) == space.nominal
+    dirt = list(moving).index('lens_dirt_percent')
+    clean = space.scenario((*top[:dirt], 0, *top[dirt + 1:]))
+    assert clean == dataclasses.replace(failing, lens_dirt_fraction=0.0, fault_seed=0.0)
+    with pytest.raises(UsageError, match='--nominal: wind_speed_mps needs a number'):
+        make_shrink_space(dataclasses.replace(WET, wind_speed_mps=3.0), ['wind_speed=strong'])

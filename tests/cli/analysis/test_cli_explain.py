@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.bag.rewrite.frames import restore_frames
 from taxinet_ros.bag.run import facts
@@ -75,6 +76,30 @@ def dataset(tmp_path_factory):
     return folder
 
 
+def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_each(
+    taxinet, tmp_path
+):
+    failing = dataclasses.replace(
+        SCENE, lens_drops_fraction=0.3, camera_freeze_s=0.4, wind_speed_mps=4.0,
+        fault_onset_s=0.5, duration_s=12.0,
+    )
+    run = tx.run(failing, perception='original')
+    run.save_bag(tmp_path / 'failing', images=False)
+    code, out, err = taxinet('explain', tmp_path / 'failing', '--frames', 1, '--out', 'x')
+    assert (code, err) == (0, '')
+    assert 'All estimates are equal to the recorded ones, bit for bit.' in out
+    found = json.loads((tmp_path / 'x' / 'explain.json').read_text())
+    assert [rerun['name'] for rerun in found['reruns']] == [
+        'recorded', 'camera_freeze_s', 'lens_drops_percent', 'faults', 'wind', 'all',
+    ]
+    assert found['reruns'][0]['rho'] == run.rho['phi_eventually'].lower
+    assert [factor['name'] for factor in found['factors']][:3] == [
+        'camera_freeze_s', 'lens_drops_percent', 'faults',
+    ]
+    assert 'Driven again without the drops on the lens, the run ' in out
+    assert 'The same run otherwise' in (tmp_path / 'x' / 'explain.html').read_text()
+
+
 def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_page(
     bags, dataset, taxinet, tmp_path
 ):
@@ -100,6 +125,7 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     assert len(moment['nearest']['by_picture']) == 3
     assert [factor['name'] for factor in found['factors']] == [
         'shadow', 'crossing', 'rain', 'overcast', 'clear', 'ten', 'easy']
+    assert found['reruns'] == []
     # It rains so hard that the network is blind; in fair weather it sees.
     assert found['blamed'] in ('rain', 'overcast', 'clear')
     names = {path.name for path in (tmp_path / 'x').iterdir()}

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, parse_latency, parse_timing
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import UsageError
 
@@ -25,7 +26,7 @@ def commands(count: int) -> list[TaxiCommand]:
 
 def held(latency: str, count: int = 40, seed: int = 1, index: int = 0) -> list[int]:
     """Which frame's command holds from each step on; -1 for none."""
-    late = LateCommands(parse_latency([latency]), seed, index, FIRST)
+    late = LateCommands(parse_latency([latency]), seed, index, Scenario())
     frames = {command: seq for seq, command in enumerate(commands(count))}
     frames[FIRST] = -1
     return [frames[late.at(seq, command)] for seq, command in enumerate(commands(count))]

@@ -36,6 +36,12 @@ SCENES = [
         'track': 'exit_left', 'cross_track': -2.5, 'heading': 10, 'distance': 240,
         'time_of_day': 10, 'duration': 6,
     }),
+    scenario_from_human({
+        'cross_track': -3.0, 'heading': 6, 'time_of_day': 7.2, 'camera_dropout': 20,
+        'camera_freeze': 0.6, 'lens_dirt': 15, 'lens_drops': 15, 'glare_ghost': 80,
+        'exposure_jump': -1, 'loop_delay': 0.1, 'loop_jitter': 0.2, 'steering_bias': 2,
+        'steering_rate_limit': 8, 'fault_onset': 1.5, 'fault_seed': 11, 'duration': 6,
+    }),
 ]
 STEPS = 61
 
@@ -100,7 +106,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
 
 
 def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_in_it(tmp_path):
-    first, *_, second = requests()
+    first, _, second, *_ = requests()
     options = GraphOptions(perception='truth', out=tmp_path / 'both')
     run_graph(composed_graph(options), [first, second])
     options = GraphOptions(perception='truth', out=tmp_path / 'alone')

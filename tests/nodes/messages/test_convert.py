@@ -38,6 +38,10 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         rain_fraction=0.4, time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
         aircraft='c172p', wind_speed_mps=2.0, wind_direction_rad=1.5, gust_mps=0.5, gust_seed=3.0,
         runway_state='icy', slope_fraction=-0.01, speed_mps=4.0, track='rapid_exit',
+        camera_dropout_fraction=0.1,
+        camera_freeze_s=1.0, lens_dirt_fraction=0.2, lens_drops_fraction=0.3,
+        glare_ghost_fraction=0.4, exposure_jump_ev=-1.5, loop_delay_s=0.2, loop_jitter_s=0.3,
+        steering_bias_rad=0.01, steering_rate_limit_radps=0.1, fault_onset_s=2.0, fault_seed=5.0,
         camera='nose', duration_s=12.0, place='bikf_10',
     )
     default = Scenario()

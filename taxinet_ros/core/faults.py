@@ -1,0 +1,105 @@
+"""Faults of sensors, computers and actuators: from when they hold, and what they do to a step.
+
+Each is a pure function of the scenario and simulated time, or of the commands so far, so every
+layout of a run, and a re-simulation, has the same ones. What they do to the light of a picture is
+in :mod:`taxinet_ros.core.camera.lens_faults`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import PICTURE_FAULTS
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.errors import UsageError
+
+
+def unseen_faults(scenario: Scenario) -> list[str]:
+    """A warning if a perception that needs no picture cannot notice some of the faults."""
+    keys = [field.key for field in scenario.faults if field in PICTURE_FAULTS]
+    return [f'{", ".join(keys)}: no effect, as the perception needs no picture'] if keys else []
+
+
+def check_free(scenario: Scenario) -> None:
+    """Refuse what a free run cannot have.
+
+    Raises:
+        UsageError: the scenario delays the loop.
+    """
+    if scenario.loop_delay_s or scenario.loop_jitter_s:
+        raise UsageError(
+            'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'
+        )
+
+
+def begun(scenario: Scenario, stamp_ns: int) -> bool:
+    """Whether the scenario's faults hold at a simulated time."""
+    return stamp_ns >= round(scenario.fault_onset_s * NS_PER_S)
+
+
+def frame_lost(scenario: Scenario, stamp_ns: int) -> bool:
+    """Whether the camera frame of a simulated time is lost."""
+    share = scenario.camera_dropout_fraction
+    return share > 0 and begun(scenario, stamp_ns) and _chance(scenario, 'lost', stamp_ns) < share
+
+
+def shown_step(scenario: Scenario, seq: int, period_ns: int) -> int:
+    """Step whose picture the camera delivers at step ``seq``: that of the onset, while frozen."""
+    onset = -(-round(scenario.fault_onset_s * NS_PER_S) // period_ns)
+    repeats = round(scenario.camera_freeze_s * NS_PER_S) // period_ns
+    return onset if onset < seq <= onset + repeats else seq
+
+
+def loop_delay_ns(scenario: Scenario, stamp_ns: int) -> int:
+    """Additional time [ns] until the answer to the frame of a simulated time takes effect."""
+    delay_s, jitter_s = scenario.loop_delay_s, scenario.loop_jitter_s
+    if not (delay_s or jitter_s) or not begun(scenario, stamp_ns):
+        return 0
+    if jitter_s:
+        delay_s += jitter_s * _chance(scenario, 'jitter', stamp_ns)
+    return round(delay_s * NS_PER_S)
+
+
+def _chance(scenario: Scenario, name: str, stamp_ns: int) -> float:
+    """Uniform draw, 0..1, of a fault at a simulated time."""
+    draws = np.random.default_rng([int(scenario.fault_seed), stamp_ns, *name.encode()])
+    return float(draws.random())
+
+
+class SteeringFaults:
+    """The nose wheel of one run between command and aircraft: biased, or too slow."""
+
+    def __init__(self, scenario: Scenario, max_steering_rad: float, period_ns: int) -> None:
+        """Begin straight ahead.
+
+        Args:
+            scenario: with the faults.
+            max_steering_rad: largest angle of the wheel [rad].
+            period_ns: control period [ns].
+        """
+        self._scenario, self._max_rad = scenario, max_steering_rad
+        self._bias_rad = scenario.steering_bias_rad
+        rate_radps = scenario.steering_rate_limit_radps
+        self._max_step_rad = rate_radps * period_ns / NS_PER_S
+        self._wheel_rad = 0.0
+
+    def apply(self, command: TaxiCommand, stamp_ns: int) -> TaxiCommand:
+        """What the aircraft obeys from ``stamp_ns`` on; call once per step, in order."""
+        if not (self._bias_rad or self._max_step_rad):
+            return command
+        told_rad = _clip(command.steering_rad, self._max_rad)
+        if not begun(self._scenario, stamp_ns):
+            self._wheel_rad = told_rad
+            return command
+        wheel_rad = _clip(told_rad + self._bias_rad, self._max_rad)
+        if self._max_step_rad:
+            wheel_rad = self._wheel_rad + _clip(wheel_rad - self._wheel_rad, self._max_step_rad)
+        self._wheel_rad = wheel_rad
+        return dataclasses.replace(command, steering_rad=wheel_rad)
+
+
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)
