@@ -179,8 +179,9 @@ def test_given_a_frozen_camera_then_only_without_it_a_moment_is_seen_as_it_is():
     truth = now.state.tracking_error
     estimate = dataclasses.replace(truth, cte_m=truth.cte_m + WRONG_M)
     moment = Moment(
-        row=6, seq=6, t_s=0.6, x_m=now.state.x_m, image=now.image, state=now.state, truth=truth,
-        estimate=estimate, misled_rad=misled_rad(estimate, truth, GAINS), shown=start.state,
+        camera=WING, row=6, seq=6, t_s=0.6, x_m=now.state.x_m, line=frozen.line,
+        image=now.image, state=now.state, truth=truth, estimate=estimate,
+        misled_rad=misled_rad(estimate, truth, GAINS), shown=start.state,
     )
     found = {
         effect.factor.name: effect.outcomes[0].image
