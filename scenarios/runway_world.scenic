@@ -8,7 +8,8 @@ taxinet_ros has cross-track error positive to the LEFT, so `cross_track_m` is mi
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
 A program may set these parameters: time_of_day_h [h, by the clocks there], clouds (a word),
-rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word),
+rain_percent [%], date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft and camera
+(shipped ones by name, such as 'c172p' and 'nose', or the path of a YAML file),
 wind_speed_mps [m/s], wind_direction_deg [°, true, from which it blows], gust_mps [m/s],
 gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope_percent [%, uphill
 positive], speed_mps [m/s], track (the line to follow: 'runway', or the name of a taxiway's

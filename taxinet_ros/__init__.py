@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.mtl.specs import Spec
     from taxinet_ros.core.outcome import Outcome
     from taxinet_ros.core.place.catalogue import load_place
+    from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.traffic.traffic_file import load_traffic
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
@@ -49,6 +50,8 @@ __all__ = [
     'UsageError',
     'UserCodeError',
     'falsify',
+    'load_aircraft',
+    'load_camera',
     'load_perception',
     'load_place',
     'load_traffic',
@@ -71,6 +74,7 @@ _MODULES = {
     'taxinet_ros.core.mtl.specs': ('Spec',),
     'taxinet_ros.core.outcome': ('Outcome',),
     'taxinet_ros.core.place.catalogue': ('load_place',),
+    'taxinet_ros.core.rig.catalogue': ('load_aircraft', 'load_camera'),
     'taxinet_ros.core.scenario': ('Scenario',),
     'taxinet_ros.core.traffic.traffic_file': ('load_traffic',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),

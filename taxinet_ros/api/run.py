@@ -187,7 +187,7 @@ class Run:
     @cached_property
     def _trace(self) -> pd.DataFrame:
         names = [spec.name for spec in self.specs]
-        others = bool(self.scenario.traffic)
+        others = bool(self.scenario.others.objects)
         return trace_table(columns_of_steps(self.steps, names, others=others))
 
     @takes(seq=WHOLE)

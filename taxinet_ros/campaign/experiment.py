@@ -43,7 +43,7 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS, by_key, with_references
+from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
@@ -192,7 +192,10 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
     texts = {key: _setting(settings, key) for key in settings}
     overrides = {key: text for key, text in texts.items() if not key.startswith(_GAIN)}
     given.check('set', lambda: check_overrides(overrides))
-    overrides = with_references(overrides)
+    overrides = {
+        key: BY_KEY[key].settled(text) if key in BY_KEY else text
+        for key, text in overrides.items()
+    }
     gains: dict[str, float] = {}
     for key in texts.keys() - overrides.keys():
         name = key.removeprefix(_GAIN)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
+from taxinet_ros.core.aircraft import checked_aircraft
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.judge import SpecCheck, check_others, check_specs, reads_others
@@ -38,8 +39,9 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
+from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import TRAFFIC, by_key, with_references
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -400,17 +402,26 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
         raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
 
 
+def _check_taxiing(reference: str) -> None:
+    aircraft = AIRCRAFT.typed(reference)
+    if not aircraft.shipped:
+        checked_aircraft(aircraft)
+
+
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
     """Split ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, a key is given twice, or a place or traffic is invalid.
+        UsageError: one is neither, a key is given twice, or a document is invalid.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
     for key, value in read_settings(settings).items():
         if not key.startswith(_GAIN_PREFIX):
-            overrides[key] = value
+            # A file may change: the campaign's identity includes its digest.
+            overrides[key] = BY_KEY[key].settled(value) if key in BY_KEY else value
+            if key == AIRCRAFT_MODEL.key:
+                _check_taxiing(overrides[key])
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
@@ -420,5 +431,4 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    # What the campaign is, and whether it goes on, has the digests of files.
-    return with_references(overrides), gains
+    return overrides, gains

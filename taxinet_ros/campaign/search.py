@@ -47,7 +47,7 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import TRAFFIC
+from taxinet_ros.core.scenario_fields import CAMERA, TRAFFIC
 from taxinet_ros.errors import UsageError
 
 PATIENCE = 3
@@ -317,8 +317,9 @@ class Search:
 
 def _digest(scenario: Scenario) -> str:
     values = scenario.to_human()
-    if not scenario.traffic:  # as in searches from before there were others on the ground
-        del values[TRAFFIC.key]
+    for field in (TRAFFIC, CAMERA):  # as in searches from before there was such a key
+        if getattr(scenario, field.attribute) == field.absent:
+            del values[field.key]
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 

@@ -37,6 +37,7 @@ from taxinet_ros.cli.analysis.commands import (
 from taxinet_ros.cli.bag.commands import bag_app
 from taxinet_ros.cli.options import asks_for_study, given_options
 from taxinet_ros.cli.run.commands import (
+    aircraft_app,
     check_node,
     demo,
     experiment,
@@ -139,6 +140,7 @@ for command in (
     app.command()(command)
 app.add_typer(camera_app, name='camera')
 app.add_typer(place_app, name='place')
+app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
 
 

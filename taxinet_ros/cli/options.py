@@ -28,20 +28,22 @@ _APT_DAT = (
 )
 
 
-def with_airport(
-    settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None
+def scene_settings(
+    settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None,
+    aircraft: str | None, camera: str | None,
 ) -> list[str]:
-    """Values of ``--set``, with the place selected by ``--airport`` and its options.
+    """Values of ``--set``, with those that the options for place, aircraft and camera select.
 
     Raises:
-        UsageError: one of them is missing, there is a place already, or no apt.dat is found.
+        UsageError: a part of the place is missing, or no apt.dat is found.
     """
     given = list(settings or ())
-    if airport is None:
-        if runway is not None or apt_dat is not None:
-            raise UsageError('--runway and --apt-dat: only with --airport')
-        return given
-    return [*given, f'place={airport_place(airport, runway, apt_dat)}']
+    if airport is not None:
+        given.append(f'place={airport_place(airport, runway, apt_dat)}')
+    elif runway is not None or apt_dat is not None:
+        raise UsageError('--runway and --apt-dat: only with --airport')
+    told = {'aircraft': aircraft, 'camera': camera}
+    return [*given, *(f'{key}={word}' for key, word in told.items() if word is not None)]
 
 
 def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
@@ -122,6 +124,10 @@ RunOption = Annotated[
 ]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
+PictureOption = Annotated[
+    Path | None,
+    typer.Option(metavar='FILE.png', help='picture to write; must be new (default: below bags/)'),
+]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
 PerceptionOption = Annotated[
     str,
@@ -176,6 +182,16 @@ AptDatOption = Annotated[
     typer.Option(
         metavar='FILE', help='apt.dat or apt.dat.gz of X-Plane or FlightGear (default: '
         'TAXINET_APT_DAT, else where these put it)',
+    ),
+]
+AircraftOption = Annotated[
+    str | None,
+    typer.Option(metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one'),
+]
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='NAME|FILE', help='camera: wing, strut, nose, tail, or a YAML file of one'
     ),
 ]
 SpecOption = Annotated[

@@ -10,17 +10,26 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
+from statistics import fmean
 
 import jsbsim
 
 from taxinet_ros.core.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
+from taxinet_ros.core.rig.aircraft_model import (
+    USUAL_SPEED_MPS,
+    AircraftModel,
+    Attitude,
+    SpeedGains,
+)
+from taxinet_ros.core.rig.model_files import write_model_files
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 
 class CapturedLog(jsbsim.FGLogger):
@@ -64,23 +73,6 @@ def captured_log() -> Iterator[CapturedLog]:
         jsbsim.set_logger(outer)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SpeedGains:
-    """Speed-hold gains of one aircraft model.
-
-    Attributes:
-        lever_per_mps: proportional gain: power lever, 0..1, per m/s of speed error.
-        lever_per_m: integral gain: lever per second and per m/s of speed error.
-        brake_per_lever: brake, 0..1, per unit of lever below its stop.
-        rolling_lever: lever that holds the taxi speed straight ahead; initial integral.
-    """
-
-    lever_per_mps: float
-    lever_per_m: float
-    brake_per_lever: float
-    rolling_lever: float
-
-
 class SpeedHold:
     """PI control of the ground speed; speed 0 closes the lever and applies full brakes."""
 
@@ -112,7 +104,7 @@ class SpeedHold:
 CONTROL_PERIOD_NS = 100_000_000
 """Time between two control steps [ns]: the paper's 10 Hz."""
 PHYSICS_HZ = 120
-TAXI_SPEED_MPS = 5.0
+TAXI_SPEED_MPS = USUAL_SPEED_MPS
 """Default ground speed of a scenario [m/s]."""
 FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 """Tyre friction, lateral and in braking, relative to dry pavement.
@@ -120,7 +112,6 @@ FRICTION = {'dry': 1.0, 'wet': 0.7, 'icy': 0.0625}
 Wet: 14 CFR 25.109(d)(1), a grooved wet runway has 70 percent of the dry braking coefficient. Icy:
 EASA AMC 25.1591 gives 0.05 for ice; the models have 0.8 on dry pavement.
 """
-_OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
 _OUTPUTS = (
     'position/lat-geod-rad',
@@ -132,57 +123,6 @@ _OUTPUTS = (
     'velocities/u-fps',
     'velocities/psidot-rad_sec',
 )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AircraftModel:
-    """A flight-dynamics model and its trimmed attitude in straight taxiing at taxi speed.
-
-    The attitude follows :class:`~taxinet_ros.core.types.AircraftState`; a run that starts with it
-    has no vertical or pitch transient.
-
-    Attributes:
-        name: name of the model's folder and of the file in it.
-        folder: folder of model folders, None for JSBSim's own models.
-        max_steering_rad: largest nose-wheel angle [rad].
-        settled_z_m: centre of gravity above the ground [m].
-        settled_pitch_rad, settled_roll_rad: attitude [rad].
-        speed_gains: gains of the speed hold.
-    """
-
-    name: str
-    folder: Path | None
-    max_steering_rad: float
-    settled_z_m: float
-    settled_pitch_rad: float
-    settled_roll_rad: float
-    speed_gains: SpeedGains
-
-MODELS = {
-    'caravan': AircraftModel(
-        name='caravan',
-        folder=_OWN_MODELS,
-        max_steering_rad=math.radians(15.0),
-        settled_z_m=1.55011,
-        settled_pitch_rad=math.radians(0.1064),
-        settled_roll_rad=0.0,
-        speed_gains=SpeedGains(
-            lever_per_mps=0.8, lever_per_m=0.1, brake_per_lever=0.5, rolling_lever=0.0833
-        ),
-    ),
-    'c172p': AircraftModel(
-        name='c172p',
-        folder=None,
-        max_steering_rad=math.radians(10.0),
-        settled_z_m=1.32824,
-        settled_pitch_rad=math.radians(-2.4815),
-        settled_roll_rad=math.radians(-0.1078),
-        speed_gains=SpeedGains(
-            lever_per_mps=2.5, lever_per_m=0.02, brake_per_lever=1.0, rolling_lever=0.0
-        ),
-    ),
-}
-"""Models by the value of ``Scenario.aircraft``."""
 
 
 def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bool) -> Path:
@@ -215,8 +155,14 @@ def _adapted(models: Path, name: str, scratch: Path, *, windy: bool, sloping: bo
         for part in force:
             for letter in 'xyz':
                 ET.SubElement(part, letter).text = '0'
-    (scratch / name).mkdir()
-    tree.write(scratch / name / f'{name}.xml')
+    folder = scratch / name
+    folder.mkdir(exist_ok=True)
+    for beside in (models / name).iterdir():  # engines and systems of its own, if it has any
+        if not (folder / beside.name).exists():
+            (folder / beside.name).symlink_to(beside)
+    main = folder / f'{name}.xml'
+    main.unlink()
+    tree.write(main)
     return scratch
 
 
@@ -276,6 +222,7 @@ class Aircraft:
     """Aircraft of one run; starts at the scenario's pose and speed.
 
     Attributes:
+        model: its model, including measured values.
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
     """
 
@@ -294,6 +241,7 @@ class Aircraft:
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
             InfraError: JSBSim cannot load or start the model.
+            UsageError: the model is incomplete and cannot be measured.
         """
         self._steps, rest = divmod(period_ns * PHYSICS_HZ, NS_PER_S)
         if self._steps < 1 or rest:
@@ -301,11 +249,17 @@ class Aircraft:
         self._period_s = period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)
-        self._model = model or MODELS[scenario.aircraft]
-        self.max_steering_rad = self._model.max_steering_rad
-        self._hold = SpeedHold(self._model.speed_gains)
+        self.model = model = model or scenario.aircraft_model
+        if model.settled is None or model.speed_gains is None:
+            self.model = model = measured_model(model)
+        assert model.settled is not None
+        assert model.speed_gains is not None
+        self._settled, self._gains = model.settled, model.speed_gains
+        self._hold = SpeedHold(self._gains)
         self._wind = Wind(scenario) if scenario.wind_speed_mps or scenario.gust_mps else None
-        self._fdm = self._load(self._model.name, scenario=scenario)
+        self._fdm = self._load(model.model, scenario=scenario)
+        self._full_steering_rad = full_steering_rad(model)
+        self.max_steering_rad = model.max_steering_rad or self._full_steering_rad
         along_rad = self._place(scenario)
         self._start_rolling(scenario, along_rad)
         self._step = 0
@@ -347,7 +301,9 @@ class Aircraft:
         with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
-            folder = self._model.folder
+            folder = self.model.folder
+            if self.model.files:
+                folder = write_model_files(Path(scratch), name, self.model.files)
             windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
             if windy or sloping:
                 models = folder or Path(fdm.get_aircraft_path())
@@ -364,17 +320,17 @@ class Aircraft:
             scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
         )
         pose = self._frame.to_geodetic(
-            MapPose(x_m=x_m, y_m=y_m, z_m=self._model.settled_z_m, yaw_rad=yaw_rad)
+            MapPose(x_m=x_m, y_m=y_m, z_m=self._settled.z_m, yaw_rad=yaw_rad)
         )
         fdm = self._fdm
         # Order matters: terrain before height above it, attitude before speeds.
         fdm['ic/terrain-elevation-ft'] = self._frame.elevation_m / M_PER_FT
         fdm['ic/lat-geod-rad'] = pose.latitude_rad
         fdm['ic/long-gc-rad'] = pose.longitude_rad
-        fdm['ic/h-agl-ft'] = self._model.settled_z_m / M_PER_FT
+        fdm['ic/h-agl-ft'] = self._settled.z_m / M_PER_FT
         fdm['ic/psi-true-rad'] = pose.heading_rad
-        fdm['ic/theta-rad'] = -self._model.settled_pitch_rad
-        fdm['ic/phi-rad'] = self._model.settled_roll_rad
+        fdm['ic/theta-rad'] = -self._settled.pitch_rad
+        fdm['ic/phi-rad'] = self._settled.roll_rad
         # Parallel to the ground, not along the tilted body axis: the aircraft would sink.
         fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
         fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
@@ -382,7 +338,7 @@ class Aircraft:
         return pose.heading_rad + yaw_rad
 
     def _start_rolling(self, scenario: Scenario, along_rad: float) -> None:
-        fdm, lever = self._fdm, self._model.speed_gains.rolling_lever
+        fdm, lever = self._fdm, self._gains.rolling_lever
         self._attempt(fdm.run_ic, 'run_ic')
         # Only now: initialisation would reset wind and slope.
         if self._wind is not None:
@@ -408,7 +364,7 @@ class Aircraft:
         steering_rad = min(max(command.steering_rad, -limit), limit)
         lever, brake = self._hold.update(command.speed_mps, self._state.speed_mps, self._period_s)
         # JSBSim's nose wheel is right positive.
-        self._fdm['fcs/steer-cmd-norm'] = -steering_rad / limit
+        self._fdm['fcs/steer-cmd-norm'] = -steering_rad / self._full_steering_rad
         self._fdm['fcs/throttle-cmd-norm'] = lever
         self._fdm['fcs/left-brake-cmd-norm'] = brake
         self._fdm['fcs/right-brake-cmd-norm'] = brake
@@ -451,3 +407,170 @@ class Aircraft:
 
     def _failure(self, detail: str) -> InfraError:
         return InfraError(InfraKind.SIM, 'simulator', self._step, detail)
+
+
+@lru_cache(maxsize=16)
+def full_steering_rad(model: AircraftModel) -> float:
+    """Full deflection of the nose or tail wheel of a model [rad].
+
+    Raises:
+        UsageError: no wheel steers, or less than the aircraft's limit.
+    """
+    if model.files:
+        root = ET.fromstring(dict(model.files)[f'{model.model}.xml'])
+    else:
+        folder = model.folder or Path(jsbsim.FGFDMExec(None).get_aircraft_path())
+        root = ET.parse(folder / model.model / f'{model.model}.xml').getroot()
+    angles = [
+        abs(float(one.text or 0)) * (1.0 if one.get('unit') == 'RAD' else math.pi / 180)
+        for one in root.iter('max_steer')
+    ]
+    full_rad = max((angle for angle in angles if angle < _CASTORING_RAD), default=0.0)
+    if not full_rad:
+        raise UsageError(f'aircraft {model.name}: no wheel of the model {model.model} steers')
+    limit_rad = model.max_steering_rad or full_rad
+    if limit_rad > full_rad * (1 + 1e-9):
+        raise UsageError(
+            f'aircraft {model.name}: max_steering_deg is {math.degrees(limit_rad):g}, but the '
+            f'wheel of the model turns to {math.degrees(full_rad):g} deg at most'
+        )
+    return full_rad
+
+
+_CASTORING_RAD = math.radians(359.0)
+_GUESSED_GAINS = SpeedGains(
+    lever_per_mps=0.2, lever_per_m=0.02, brake_per_lever=1.0, rolling_lever=0.0
+)
+_SETTLE_S, _RESPONSE_S, _TURN_S = 40, 6, 6
+_TRIAL_LEVER = 0.25
+_SPEED_RATE_RADPS = 0.5
+"""Bandwidth of the speed hold of measured models, below that of propellers and turbines."""
+_BRAKING_MPS2 = 3.5
+"""Typical deceleration with full brakes on dry pavement."""
+_LOOSEST_MPS = 0.5
+_LEAST_TURN_RAD = math.radians(0.5)
+
+
+def checked_aircraft(model: AircraftModel) -> AircraftModel:
+    """Load and test a model; return it with measured values for what its document leaves out.
+
+    Raises:
+        UsageError: JSBSim cannot load it, it cannot taxi, or its runs are not reproducible.
+    """
+    try:
+        complete = Aircraft(Scenario(), model=model).model
+        _check_turn(complete)
+        return complete
+    except InfraError as error:
+        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+
+
+@lru_cache(maxsize=16)
+def measured_model(model: AircraftModel) -> AircraftModel:
+    """Measure the attitude and the speed hold that a model's document leaves out.
+
+    JSBSim simulates straight taxiing until it has settled, in about a second. Reproducible.
+
+    Raises:
+        UsageError: the model does not load, hold the taxi speed or turn.
+    """
+    try:
+        settled = model.settled or _rough_attitude(model)
+        trial = replace(model, settled=settled, speed_gains=_GUESSED_GAINS)
+        if model.settled is None:
+            trial = replace(trial, settled=_driven(trial, _SETTLE_S)[0])
+        gains = model.speed_gains or _response(trial)
+        settled, lever, speeds = _driven(replace(trial, speed_gains=gains), _SETTLE_S)
+        loose_mps = max(abs(speed - TAXI_SPEED_MPS) for speed in speeds)
+        if loose_mps > _LOOSEST_MPS:
+            raise UsageError(
+                f'aircraft {model.name}: does not hold {TAXI_SPEED_MPS:g} m/s, it rolls at '
+                f'{min(speeds):.1f} to {max(speeds):.1f} m/s; set speed_hold'
+            )
+        if model.speed_gains is None:
+            gains = replace(gains, rolling_lever=round(lever, 4))
+        found = replace(model, settled=model.settled or settled, speed_gains=gains)
+        _check_turn(found)
+    except InfraError as error:
+        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+    return found
+
+
+def _rough_attitude(model: AircraftModel) -> Attitude:
+    """The height at which the wheels touch the ground, by bisection."""
+    low_m, high_m = 0.0, 30.0
+    while high_m - low_m > 0.01:
+        z_m = (low_m + high_m) / 2
+        at = Attitude(z_m=z_m, pitch_rad=0.0, roll_rad=0.0)
+        trial = replace(model, settled=at, speed_gains=_GUESSED_GAINS)
+        aircraft = Aircraft(Scenario(), model=trial)
+        if aircraft._fdm['gear/wow']:
+            low_m = z_m
+        else:
+            high_m = z_m
+    return Attitude(z_m=high_m, pitch_rad=0.0, roll_rad=0.0)
+
+
+def _driven(model: AircraftModel, duration_s: int) -> tuple[Attitude, float, list[float]]:
+    """Simulate straight taxiing.
+
+    Returns:
+        Mean attitude and mean lever of the last quarter, and the speeds in it [m/s].
+    """
+    aircraft = Aircraft(Scenario(), model=model)
+    steps = duration_s * NS_PER_S // CONTROL_PERIOD_NS
+    states, levers = [], []
+    for _ in range(steps):
+        now = aircraft.state
+        steering_rad = -(0.8 * now.yaw_rad + 0.05 * now.y_m)
+        states.append(
+            aircraft.advance(TaxiCommand(steering_rad=steering_rad, speed_mps=TAXI_SPEED_MPS))
+        )
+        levers.append(aircraft._fdm['fcs/throttle-cmd-norm'])
+    last = states[-(steps // 4):]
+    mean = Attitude(
+        z_m=round(fmean(state.z_m for state in last), 5),
+        pitch_rad=fmean(state.pitch_rad for state in last),
+        roll_rad=fmean(state.roll_rad for state in last),
+    )
+    return mean, fmean(levers[-len(last):]), [state.speed_mps for state in last]
+
+
+def _response(model: AircraftModel) -> SpeedGains:
+    """Derive gains from the acceleration at a constant lever position."""
+    def speed_after(lever: float) -> float:
+        constant = replace(_GUESSED_GAINS, lever_per_mps=0.0, lever_per_m=0.0, rolling_lever=lever)
+        return _driven(replace(model, speed_gains=constant), _RESPONSE_S)[2][-1]
+
+    per_lever = (speed_after(_TRIAL_LEVER) - speed_after(0.0)) / (_RESPONSE_S * _TRIAL_LEVER)
+    if per_lever < 0.05:
+        raise UsageError(
+            f'aircraft {model.name}: its engine does not move it, or does not run at idle'
+        )
+    gain = round(_SPEED_RATE_RADPS / per_lever, 4)
+    return SpeedGains(
+        lever_per_mps=gain, lever_per_m=round(gain / 10, 4),
+        brake_per_lever=round(min(per_lever / _BRAKING_MPS2, 2.0), 4), rolling_lever=0.0,
+    )
+
+
+def _check_turn(model: AircraftModel) -> None:
+    """Refuse a model that its wheel does not steer, or whose runs are not reproducible."""
+    aircraft, again = (Aircraft(Scenario(), model=model) for _ in range(2))
+    command = TaxiCommand(
+        steering_rad=min(aircraft.max_steering_rad / 2, math.radians(10.0)),
+        speed_mps=TAXI_SPEED_MPS,
+    )
+    for _ in range(_TURN_S * NS_PER_S // CONTROL_PERIOD_NS):
+        if aircraft.advance(command) != again.advance(command):
+            raise UsageError(
+                f'aircraft {model.name}: JSBSim gives other numbers every time with the model '
+                f'{model.model}; runs could not be repeated'
+            )
+    turned_rad = aircraft.state.yaw_rad
+    if turned_rad < _LEAST_TURN_RAD:
+        raise UsageError(
+            f'aircraft {model.name}: with the wheel {math.degrees(command.steering_rad):.0f} deg '
+            f'left it turned {math.degrees(turned_rad):+.1f} deg in {_TURN_S} s; its wheel does '
+            'not steer it'
+        )

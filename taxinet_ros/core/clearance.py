@@ -1,8 +1,8 @@
 """How far the aircraft is from others on the ground: the signals ``clearance`` and ``collision``.
 
 Distances are in plan, between parts of the aircraft and of an object at the same height above
-ground: a wing passes over a cone, but not over a fin. Roll and pitch on the wheels
-are neglected. The position is that of the odometry, so that loop, graph and bags give the same
+ground: a wing passes over a cone, but not over a fin. Roll and pitch on the wheels are neglected.
+The position is that of the odometry, so that loop, graph and bags give the same
 bits. There are no physics of an impact: the run goes on.
 """
 
@@ -12,13 +12,14 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.camera.airframe import OUTLINE
+from taxinet_ros.core.aircraft import measured_model
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.shapes import Outline, Points, hull, outlines
 from taxinet_ros.core.traffic.traffic import GroundObject, Pose
@@ -27,9 +28,6 @@ from taxinet_ros.core.types import AircraftState, quaternion
 Vectors = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 
-_ABOVE_GROUND = np.array([0.0, 0.0, 1.55])
-"""The reference point above ground, as the outline of the aircraft has it."""
-
 
 class Clearance:
     """Distances from the aircraft to others on the ground in one scenario."""
@@ -37,6 +35,9 @@ class Clearance:
     def __init__(self, scenario: Scenario) -> None:
         """Take the objects that can be hit."""
         self._objects = scenario.others.solids
+        self._aircraft = scenario.aircraft
+        if self._objects:  # ahead of the first step, as it may take a second
+            _above_ground_m(scenario.aircraft)
 
     @property
     def anybody(self) -> bool:
@@ -54,7 +55,7 @@ class Clearance:
         """Least distance in plan to anything that can be hit [m], 0 where one is touched.
 
         At most :data:`~taxinet_ros.core.mtl.specs.MOST_CLEARANCE_M`, also where nobody is; NaN
-        where the position is not finite.
+        where the position is not finite, or the aircraft has no outline.
 
         Args:
             stamp_ns: simulated time [ns].
@@ -64,7 +65,8 @@ class Clearance:
         """
         if not self._objects:
             return MOST_CLEARANCE_M
-        if not all(map(math.isfinite, (x_m, y_m, *attitude))):
+        own_reach_m = _own_reach_m(self._aircraft)
+        if not all(map(math.isfinite, (x_m, y_m, own_reach_m, *attitude))):
             return math.nan
         x, y, z, w = attitude
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
@@ -74,14 +76,14 @@ class Clearance:
         for one in self._objects:
             pose = one.pose_at(stamp_ns)
             centre_m = math.hypot(pose.x_m - x_m, pose.y_m - y_m)
-            bounds.append((centre_m - _reach_m(one) - _own_reach_m(), len(bounds), one, pose))
+            bounds.append((centre_m - _reach_m(one) - own_reach_m, len(bounds), one, pose))
         least_m = MOST_CLEARANCE_M
         for bound_m, _, one, pose in sorted(bounds, key=lambda found: found[:2]):
             if bound_m >= least_m:
                 break
             turned = _seen_from(pose, x_m, y_m, cos, sin)
             for outline in outlines(one.kind, one.size):
-                own = _own_edges(outline.low_m, outline.high_m)
+                own = _own_edges(self._aircraft, outline.low_m, outline.high_m)
                 if own is not None:
                     least_m = min(least_m, _gap_m(own, _placed(outline, turned)))
         return least_m
@@ -158,11 +160,12 @@ def _placed(outline: Outline, pose: Pose) -> _Edges:
 
 
 @lru_cache(maxsize=256)
-def _own_edges(low_m: float, high_m: float) -> _Edges | None:
+def _own_edges(aircraft: str, low_m: float, high_m: float) -> _Edges | None:
     """Plan of what the aircraft has between two heights above ground; None if it has nothing."""
+    raised = 0.0, 0.0, _above_ground_m(aircraft)
     hulls = [
-        hull(points) for part in OUTLINE
-        if len(points := _between(part + _ABOVE_GROUND, low_m, high_m)) > 2
+        hull(points) for part in _own_parts(aircraft)
+        if len(points := _between(part + raised, low_m, high_m)) > 2
     ]
     return _Edges.of([one for one in hulls if len(one) > 2]) if hulls else None
 
@@ -178,9 +181,26 @@ def _between(part: Vectors, low_m: float, high_m: float) -> list[tuple[float, fl
     return found
 
 
-@cache
-def _own_reach_m() -> float:
-    return max(float(np.hypot(part[:, 0], part[:, 1]).max()) for part in OUTLINE)
+@lru_cache(maxsize=64)
+def _above_ground_m(aircraft: str) -> float:
+    """Height of the aircraft's reference point on its wheels [m], to a centimetre."""
+    model = find_aircraft(aircraft)
+    settled = model.settled or measured_model(model).settled
+    assert settled is not None
+    return round(settled.z_m, 2)
+
+
+@lru_cache(maxsize=64)
+def _own_parts(aircraft: str) -> tuple[Vectors, ...]:
+    """Convex parts of the aircraft that can touch something, those that cast shadows."""
+    return tuple(part.points for part in find_aircraft(aircraft).outline if part.shades)
+
+
+@lru_cache(maxsize=64)
+def _own_reach_m(aircraft: str) -> float:
+    """Farthest point from the reference point [m]; NaN without an outline."""
+    parts = _own_parts(aircraft)
+    return max((float(np.hypot(*part[:, :2].T).max()) for part in parts), default=math.nan)
 
 
 @lru_cache(maxsize=256)

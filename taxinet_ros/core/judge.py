@@ -86,15 +86,24 @@ def check_others(specs: Sequence[Spec], scenario: Scenario) -> None:
     """Refuse formulas about others on the ground where nobody is: nothing could violate them.
 
     Raises:
-        UsageError: there is such a formula, and nothing that can be hit.
+        UsageError: there is such a formula, and nothing that can be hit, or the aircraft has no
+            outline.
     """
-    for spec in () if scenario.others.solids else specs:
-        for name in signal_names(spec.formula):
-            if name in OF_OTHERS:
-                raise UsageError(
-                    f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
-                    'objects that can be hit (docs/world.md), or leave the formula out'
-                )
+    read = [(spec, name) for spec in specs for name in signal_names(spec.formula)]
+    for spec, name in read:
+        if name not in OF_OTHERS:
+            continue
+        if not scenario.others.solids:
+            raise UsageError(
+                f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
+                'objects that can be hit (docs/world.md), or leave the formula out'
+            )
+        if not any(part.shades for part in scenario.aircraft_model.outline):
+            raise UsageError(
+                f'{spec.name}: reads {name}, and the outline of aircraft '
+                f'{scenario.aircraft_model.name} is unknown; give it one (docs/world.md), or leave '
+                'the formula out'
+            )
 
 
 def describe_specs(

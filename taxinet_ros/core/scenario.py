@@ -12,9 +12,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
+from taxinet_ros.core.rig.aircraft_model import AircraftModel
+from taxinet_ros.core.rig.camera_model import LEAST_HEIGHT_M, CameraModel, rotation
+from taxinet_ros.core.rig.catalogue import (
+    DEFAULT_AIRCRAFT,
+    DEFAULT_CAMERA,
+    find_aircraft,
+    find_camera,
+)
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CROSS_TRACK,
@@ -33,14 +43,10 @@ from taxinet_ros.core.scenario_fields import (
     along_words,
     by_key,
 )
-from taxinet_ros.core.traffic.traffic import Traffic
+from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
-
-C172P_WIND_MPS = 5.0
-"""Maximum wind for the c172p [m/s]. Above it JSBSim's model leaves the ground: its tables are made
-for flight and treat air from behind as their maximum angle of attack."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,7 +66,8 @@ class Scenario:
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
         crossing: whether the crossing runway exists (KMWH: near 1,450 m); without it pavement and
             paint are continuous. Always False at a place without a crossing.
-        aircraft: flight-dynamics model, one of ``scenario_fields.AIRCRAFT``.
+        aircraft: a shipped name, or the whole aircraft as JSON, see
+            :mod:`taxinet_ros.core.rig.aircraft_model`.
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
         gust_mps: standard deviation of the turbulence in each horizontal direction [m/s], see
@@ -83,8 +90,10 @@ class Scenario:
         steering_rate_limit_radps: greatest rate of the nose wheel [rad/s]; 0 for no limit.
         fault_onset_s: simulated time from which the faults of this run hold [s].
         fault_seed: random seed of the faults; a whole number.
-        traffic: others on the ground as JSON, '' where nobody is; see
+        traffic: others on the ground: ``nobody``, or a list as JSON, see
             :mod:`taxinet_ros.core.traffic`.
+        camera: a shipped name, or the whole camera as JSON, see
+            :mod:`taxinet_ros.core.rig.camera_model`.
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -102,7 +111,7 @@ class Scenario:
     date: str = '2020-03-20'
     shadows: bool = True
     crossing: bool = True
-    aircraft: str = 'caravan'
+    aircraft: str = DEFAULT_AIRCRAFT
     wind_speed_mps: float = 0.0
     wind_direction_rad: float = 0.0
     gust_mps: float = 0.0
@@ -123,7 +132,8 @@ class Scenario:
     steering_rate_limit_radps: float = 0.0
     fault_onset_s: float = 0.0
     fault_seed: float = 0.0
-    traffic: str = ''
+    traffic: str = NOBODY
+    camera: str = DEFAULT_CAMERA
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -147,12 +157,7 @@ class Scenario:
             raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
         if self.gust_seed and not self.gust_mps:
             raise UsageError('scenario: gust_seed has no effect without gust_mps')
-        strongest_mps = self.wind_speed_mps + 3 * self.gust_mps
-        if self.aircraft == 'c172p' and strongest_mps > C172P_WIND_MPS:
-            raise UsageError(
-                f'scenario: aircraft c172p: wind_speed_mps + 3 gust_mps is {strongest_mps:g}, more '
-                f'than {C172P_WIND_MPS:g}: the wind would lift the model'
-            )
+        self._check_aircraft()
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         self._check_faults()
@@ -175,6 +180,30 @@ class Scenario:
             )
         if self.fault_seed % 1:
             raise UsageError(f'scenario: fault_seed is {self.fault_seed:g}, not a whole number')
+
+    def _check_aircraft(self) -> None:
+        strongest_mps, model = self.wind_speed_mps + 3 * self.gust_mps, self.aircraft_model
+        if strongest_mps > model.most_wind_mps:
+            raise UsageError(
+                f'scenario: aircraft {model.name}: wind_speed_mps + 3 gust_mps is '
+                f'{strongest_mps:g}, more than {model.most_wind_mps:g}: the wind would lift the '
+                'model'
+            )
+        low_mps, high_mps = model.taxi_speed_mps
+        if not low_mps <= self.speed_mps <= high_mps:
+            raise UsageError(
+                f'scenario: aircraft {model.name}: speed_mps is {self.speed_mps:g}, it taxis at '
+                f'{low_mps:g} to {high_mps:g}'
+            )
+        camera, settled = self.camera_model, model.settled
+        if settled is not None:
+            turn = rotation(settled.roll_rad, settled.pitch_rad, 0.0)
+            height_m = settled.z_m + float(turn[2] @ np.array(camera.offset_m))
+            if height_m < LEAST_HEIGHT_M:
+                raise UsageError(
+                    f'scenario: camera {camera.name} on aircraft {model.name} is {height_m:.2f} m '
+                    f'above the ground, expected {LEAST_HEIGHT_M:g} or more'
+                )
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         if field is DISTANCE and not self.line.is_runway:
@@ -202,6 +231,16 @@ class Scenario:
     def others(self) -> Traffic:
         """Others on the ground."""
         return find_traffic(self.traffic)
+
+    @property
+    def aircraft_model(self) -> AircraftModel:
+        """Its aircraft."""
+        return find_aircraft(self.aircraft)
+
+    @property
+    def camera_model(self) -> CameraModel:
+        """Its camera."""
+        return find_camera(self.camera)
 
     @property
     def duration_ns(self) -> int:

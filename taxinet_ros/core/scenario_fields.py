@@ -23,10 +23,12 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from taxinet_ros.arguments import is_number, told
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, load_place
+from taxinet_ros.core.documents import Catalogue
+from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.core.place.track import RUNWAY_TRACK
-from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
+from taxinet_ros.core.traffic.traffic_file import OTHERS
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -35,7 +37,6 @@ CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """Cloud kinds that allow rain."""
 
-AIRCRAFT = ('caravan', 'c172p')
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
 
@@ -55,24 +56,23 @@ class Kind(Enum):
     WORD = 'word'
     DATE = 'date'
     SWITCH = 'switch'
-    PLACE = 'place'
-    TRAFFIC = 'traffic'
+    DOCUMENT = 'document'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (float, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
-    Kind.PLACE: (str, 'a place'), Kind.TRAFFIC: (str, 'traffic'),
+    Kind.DOCUMENT: (str, 'a name or JSON'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
-    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
+    Kind.DOCUMENT: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'string', Kind.TRAFFIC: 'string',
+    Kind.DOCUMENT: 'string',
 }
 
 
@@ -96,6 +96,7 @@ class ScenarioField:
         counted: from where and in which direction, as it follows either unit.
         form: format of displayed numbers.
         words: all allowed words, in order.
+        catalogue: lookup of the documents of a key whose values are documents.
         plane: whether a Scenic program says it by the place of its aircraft, which has a property
             of this name; else a parameter of the program does.
         absent: its value in recordings older than the key, in SI units; None if the key has always
@@ -116,6 +117,7 @@ class ScenarioField:
     counted: str = ''
     form: str = '{:g}'
     words: tuple[str, ...] = ()
+    catalogue: Catalogue[Any] | None = None
     plane: bool = False
     absent: Any = None
 
@@ -143,8 +145,8 @@ class ScenarioField:
         """Convert a user's value to SI units.
 
         Raises:
-            UsageError: it is no number within the range, no switch, no place or no traffic, where
-                there should be one.
+            UsageError: it is no number within the range, no switch or no document, where there
+                should be one.
         """
         if self.kind is Kind.NUMBER:
             number = self._number(value)
@@ -153,23 +155,22 @@ class ScenarioField:
                 unit = f'{self.unit_mark}{self.counted}'
                 raise _outside(self.key, number, low / self.si, high / self.si, unit)
             return number * self.si
-        if self.kind is Kind.PLACE:
-            return load_place(value)
-        if self.kind is Kind.TRAFFIC:
-            return typed_traffic(str(value)).text
+        if self.catalogue is not None:
+            return self.catalogue.typed(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
-    @property
-    def referred(self) -> bool:
-        """Whether tables and records have a short reference in place of the whole value."""
-        return self.kind in (Kind.PLACE, Kind.TRAFFIC)
+    def settled(self, typed: str) -> str:
+        """Convert a user's text for storage: a document to its reference, since files may change.
+
+        Raises:
+            UsageError: unknown document, or an invalid file.
+        """
+        return typed if self.catalogue is None else self.catalogue.typed(typed).reference
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
-        if self.kind is Kind.PLACE:
-            return find_place(value).reference
-        if self.kind is Kind.TRAFFIC:
-            return find_traffic(value).reference
+        if self.catalogue is not None:
+            return self.catalogue.find(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
     def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
@@ -193,10 +194,8 @@ class ScenarioField:
         low, high = limits or (self.low, self.high)
         if self.kind is Kind.NUMBER and not _within(value, low, high):
             raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
-        if self.kind is Kind.PLACE and find_place(value).text != value:
-            raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
-        if self.kind is Kind.TRAFFIC:
-            return find_traffic(value).text
+        if self.catalogue is not None:
+            return self.catalogue.find(value).text
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
@@ -309,7 +308,7 @@ CROSSING = ScenarioField(
     key='crossing', attribute='crossing', title='crossing runway', kind=Kind.SWITCH, absent=True,
 )
 AIRCRAFT_MODEL = ScenarioField(
-    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.WORD, words=AIRCRAFT,
+    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.DOCUMENT, catalogue=AIRCRAFT,
 )
 WIND_SPEED = ScenarioField(
     key='wind_speed_mps', short='wind_speed', attribute='wind_speed_mps', title='wind', unit='m/s',
@@ -405,14 +404,20 @@ FAULT_SEED = ScenarioField(
     form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
 )
 TRAFFIC = ScenarioField(
-    key='traffic', attribute='traffic', title='others on the ground', kind=Kind.TRAFFIC, absent='',
+    key='traffic', attribute='traffic', title='others on the ground', kind=Kind.DOCUMENT,
+    catalogue=OTHERS, absent=OTHERS.default,
+)
+CAMERA = ScenarioField(
+    key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
+    absent=CAMERAS.default,
 )
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
 PLACE = ScenarioField(
-    key='place', attribute='place', title='place', kind=Kind.PLACE, absent=DEFAULT_PLACE,
+    key='place', attribute='place', title='place', kind=Kind.DOCUMENT, catalogue=PLACES,
+    absent=PLACES.default,
 )
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
@@ -430,14 +435,18 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
-    TRAFFIC,
-    DURATION, PLACE,
+    TRAFFIC, CAMERA, DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """User-facing scenario keys."""
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
 """Key by its short form, which input accepts and older files use."""
+
+CATALOGUES = {
+    field.key: field.catalogue for field in SCENARIO_FIELDS if field.catalogue is not None
+}
+"""Lookup of documents by scenario key; each such attribute has the name of its key."""
 
 BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
 """Keys whose valid values depend on the track."""
@@ -462,22 +471,6 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
         if short in values and key in values:
             raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
     return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
-
-
-def with_references(overrides: Mapping[str, str]) -> dict[str, str]:
-    """The overrides with references in place of files: a file may change.
-
-    Args:
-        overrides: by key.
-
-    Raises:
-        UsageError: a file is not as it should be.
-    """
-    return {
-        key: field.to_human(field.from_human(value))
-        if (field := BY_KEY.get(key)) and field.referred else value
-        for key, value in overrides.items()
-    }
 
 
 def other_form(name: str) -> str:

@@ -16,8 +16,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, MODELS, Aircraft
-from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera, intrinsics, pose
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
+from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
 from taxinet_ros.core.faults import SteeringFaults, shown_step
@@ -44,7 +44,8 @@ class Observation:
         seq: control step, from 0.
         stamp_ns: simulated time since the start of the run [ns].
         state: true state of the aircraft.
-        image: camera frame, (200, 360, 3) uint8 RGB; None if not requested.
+        image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
+            (200, 360, 3); None if not requested.
         track: that is followed; None for the runway's centreline.
     """
 
@@ -229,16 +230,18 @@ class _PluginWorld(World):
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
     ) -> None:
         self._extension, self._seq = extension, -1
-        if scenario.traffic and not getattr(make, SHOWS_TRAFFIC, False):
+        if scenario.others.objects and not getattr(make, SHOWS_TRAFFIC, False):
             raise UsageError(
                 f'{extension.words}: the world does not show traffic (no attribute '
                 f'{SHOWS_TRAFFIC}); leave it out, or take the world {KMWH}'
             )
+        self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
         self._scenario, self._pictures = scenario, pictures
         self._shown: NDArray[np.uint8] | None = None
+        model = scenario.aircraft_model
         self._steering = SteeringFaults(
-            scenario, MODELS[scenario.aircraft].max_steering_rad, CONTROL_PERIOD_NS
+            scenario, model.max_steering_rad or full_steering_rad(model), CONTROL_PERIOD_NS
         )
         well = scenario.without_faults(*FAULTS)
         self._world = self._call(lambda: make(well, pictures=pictures))
@@ -265,7 +268,7 @@ class _PluginWorld(World):
         if shown == self._seq:
             self._shown = self._picture(now.image)
             if self._shown is not None and self._lens.any:
-                _, to_optical, _ = pose(now.state)
+                _, to_optical, _ = pose(now.state, self._scenario.camera_model)
                 self._shown = self._lens.apply(self._shown, to_optical, stamp_ns)
         seen = Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=now.state,
@@ -289,11 +292,12 @@ class _PluginWorld(World):
 
     @cached_property
     def _lens(self) -> LensFaults:
-        size = IMAGE_HEIGHT, IMAGE_WIDTH
-        return LensFaults(self._scenario, scenario_light(self._scenario), intrinsics(), size)
+        camera = self._scenario.camera_model
+        light = scenario_light(self._scenario)
+        return LensFaults(self._scenario, light, camera.intrinsics, camera.shape[:2])
 
     def _picture(self, image: Any) -> NDArray[np.uint8] | None:
-        frame = IMAGE_HEIGHT, IMAGE_WIDTH, 3
+        frame = self._frame
         if image is None:
             return None
         if not isinstance(image, np.ndarray):

@@ -136,7 +136,7 @@ class FoxgloveServer(Observer):
             self._now_ns = stamp_ns
             self._server.broadcast_time(stamp_ns)
         if topic is interface.SCENARIO:
-            self._change_place(cdr)
+            self._change_scene(cdr)
             # A new run: time jumps back, and the app drops its earlier messages.
             for still in (interface.SCENE_RUNWAY, interface.TF_STATIC):
                 self.repeat(self._channels[still.name].topic())
@@ -145,8 +145,9 @@ class FoxgloveServer(Observer):
             markers = self._aircraft.markers(deserialize_message(cdr, Odometry))
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
-    def _change_place(self, cdr: bytes) -> None:
+    def _change_scene(self, cdr: bytes) -> None:
         scene = scenario_of(deserialize_message(cdr, Scenario))
+        self._aircraft.change(scene.aircraft_model)
         ground = scene.runway, scene.line
         if ground != self._ground:
             self._ground = ground

@@ -478,7 +478,8 @@ class Recorder(Participant):
                 if not (told.implementation or told.detail):
                     continue  # Default timing in the shipped world: nothing to record.
             self._write(interface.NODE_STATUS, cdr, 0)
-        self._write(interface.TF_STATIC, camera_transform(), 0)
+        camera = scenario_of(self._scenario_message).camera_model
+        self._write(interface.TF_STATIC, camera_transform(camera), 0)
 
     def _write_steps(self) -> None:
         """Write complete steps, once the head of the bag is on disk."""

@@ -7,7 +7,7 @@ same markers.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -19,10 +19,11 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.core.camera.airframe import OUTLINE
 from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.place.track import Track, painted_line
+from taxinet_ros.core.rig.aircraft_model import AircraftModel
+from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
@@ -90,11 +91,15 @@ class AircraftMarkers:
     """The aircraft and its path in the current run."""
 
     def __init__(self) -> None:
-        """Start without a path."""
-        self._body = _triangles('aircraft', _aircraft_triangles(), _AIRFRAME)
+        """Start without a path, with the usual aircraft."""
+        self.change(find_aircraft(DEFAULT_AIRCRAFT))
         self._path = _marker('path', Marker.LINE_STRIP, _PATH)
         self._path.scale.x = _PATH_WIDTH_M
         self._last_ns = -1
+
+    def change(self, aircraft: AircraftModel) -> None:
+        """Draw another aircraft from now on."""
+        self._body = _triangles('aircraft', _aircraft_triangles(aircraft), _AIRFRAME)
 
     def markers(self, odometry: Odometry) -> MarkerArray:
         """Markers at an odometry message, in its frame; a jump back in time starts a new path."""
@@ -135,13 +140,13 @@ def _paint_triangles(runway: Runway) -> list[Triangle]:
     ]
 
 
-@cache
-def _aircraft_triangles() -> tuple[Triangle, ...]:
+@lru_cache(maxsize=8)
+def _aircraft_triangles(aircraft: AircraftModel) -> tuple[Triangle, ...]:
     """Convex hulls of the parts that also cast its shadow, relative to the reference point."""
     found = []
-    for part in OUTLINE:
+    for points in (part.points for part in aircraft.outline if part.shades):
         # A flat part has no hull; with QJ, qhull perturbs its corners slightly and finds one.
-        faces = part[ConvexHull(part, qhull_options='QJ').simplices]
+        faces = points[ConvexHull(points, qhull_options='QJ').simplices]
         found += [tuple(map(tuple, face)) for face in np.round(faces, 3).tolist()]
     return tuple(found)
 
@@ -174,10 +179,11 @@ class SceneMarkers(Observer):
         self._ground = Scenario().runway, Scenario().line
         self._say(interface.SCENE_RUNWAY, runway_markers(*self._ground))
         self.watch(interface.ODOMETRY, self._draw)
-        self.watch(interface.SCENARIO, self._change_place)
+        self.watch(interface.SCENARIO, self._change_scene)
 
-    def _change_place(self, scenario: Any) -> None:
-        scene = scenario_of(scenario)
+    def _change_scene(self, message: Any) -> None:
+        scene = scenario_of(message)
+        self._aircraft.change(scene.aircraft_model)
         ground = scene.runway, scene.line
         if ground != self._ground:
             self._ground = ground

@@ -253,6 +253,7 @@ class Simulator(Node):
             goal.abort()
             return result
         self._run = run
+        self._transforms.mount(run.camera)
         self._say(interface.SCENARIO, scenario)
         self._say(interface.NODE_STATUS, self._own_status(run))
         self._say(interface.RUN_STATUS, run.status(RunStatus.PREPARING))
@@ -434,7 +435,7 @@ class Simulator(Node):
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq, time.monotonic())
-        for topic, message in observation_messages(now, run.run_id):
+        for topic, message in observation_messages(now, run.run_id, run.camera):
             self._say(topic, message)
             if topic is topics.ODOMETRY:
                 self._transforms.follow(message)

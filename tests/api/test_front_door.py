@@ -21,6 +21,7 @@ EXAMPLES = {
     'controller_function.py': 'own: PASS',
     'random_search.py': 'worst: Scenario(',
     'wind_table.py': '| dry | 100 % ',
+    'camera_table.py': '| wing | caravan | 100 % ',
     'place_table.py': '| kmwh_04 | 100 % ',
     'fault_table.py': '| dirt on the lens 20 % | 100% ',
     'fault_sheet.py': 'sheet: ',

@@ -33,6 +33,8 @@ CALLS = {
     'render': (tx.render, {'scenario': SHORT}),
     'robustness': (tx.robustness, {'spec': 'phi_always', 'trace': RUN.trace}),
     'load_perception': (tx.load_perception, {}),
+    'load_aircraft': (tx.load_aircraft, {}),
+    'load_camera': (tx.load_camera, {}),
     'load_place': (tx.load_place, {}),
     'load_traffic': (tx.load_traffic, {}),
     'open_recording': (tx.open_recording, {}),

@@ -13,16 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core import aircraft as aircraft_module
 from taxinet_ros.core.aircraft import (
     CONTROL_PERIOD_NS,
-    MODELS,
     TAXI_SPEED_MPS,
     Aircraft,
-    SpeedGains,
     SpeedHold,
 )
 from taxinet_ros.core.controller import STOP, SteeringGains, steer
+from taxinet_ros.core.rig.aircraft_model import SpeedGains
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError
@@ -30,7 +29,7 @@ from taxinet_ros.errors import InfraError
 GAINS = SteeringGains()
 STRAIGHT = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
 CORNERS = tuple(itertools.product((-8, -4, 0, 4, 8), (-30, -15, 0, 15, 30)))
-KINDS = tuple(MODELS)
+KINDS = AIRCRAFT.shipped
 ROOT = Path(__file__).parents[2]
 
 
@@ -68,7 +67,7 @@ def test_given_a_scenario_when_constructed_then_it_rolls_from_there(
 
     assert (state.x_m, state.y_m) == pytest.approx((x_m, cte_m), abs=1e-6)
     assert state.yaw_rad == pytest.approx(math.radians(he_deg), abs=1e-9)
-    assert state.z_m == pytest.approx(MODELS[kind].settled_z_m, abs=1e-6)
+    assert state.z_m == pytest.approx(find_aircraft(kind).settled.z_m, abs=1e-6)
     assert state.speed_mps == pytest.approx(TAXI_SPEED_MPS, abs=0.01)
     assert state.yaw_rate_radps == pytest.approx(0.0, abs=1e-9)
 
@@ -132,9 +131,9 @@ def test_given_a_long_roll_when_settled_then_the_model_table_agrees(kind: str) -
     for _ in range(150):
         state = aircraft.advance(STRAIGHT)
 
-    assert state.z_m == pytest.approx(MODELS[kind].settled_z_m, abs=1e-4)
-    assert state.pitch_rad == pytest.approx(MODELS[kind].settled_pitch_rad, abs=1e-4)
-    assert state.roll_rad == pytest.approx(MODELS[kind].settled_roll_rad, abs=1e-4)
+    assert state.z_m == pytest.approx(find_aircraft(kind).settled.z_m, abs=1e-4)
+    assert state.pitch_rad == pytest.approx(find_aircraft(kind).settled.pitch_rad, abs=1e-4)
+    assert state.roll_rad == pytest.approx(find_aircraft(kind).settled.roll_rad, abs=1e-4)
     assert state.speed_mps == pytest.approx(TAXI_SPEED_MPS, abs=0.01)
 
 
@@ -219,7 +218,7 @@ def test_given_steering_to_the_left_when_advanced_then_the_nose_goes_left_and_th
     assert state.yaw_rate_radps > 0.05
     assert state.y_m > 0.1
     # The body leans out of the turn: right wing down.
-    assert state.roll_rad > MODELS[kind].settled_roll_rad + 0.001
+    assert state.roll_rad > find_aircraft(kind).settled.roll_rad + 0.001
 
 
 def test_given_the_brakes_when_stopping_then_the_nose_goes_down() -> None:
@@ -293,17 +292,15 @@ def test_given_a_broken_state_when_advanced_then_it_is_an_infrastructure_error()
 def test_given_a_model_that_does_not_load_when_constructed_then_the_reason_is_told(
     text: str | None,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    broken = dataclasses.replace(MODELS['caravan'], folder=tmp_path)
-    monkeypatch.setitem(aircraft_module.MODELS, 'caravan', broken)
+    broken = dataclasses.replace(find_aircraft('caravan'), folder=tmp_path)
     if text is not None:
         (tmp_path / 'caravan').mkdir()
         (tmp_path / 'caravan' / 'caravan.xml').write_text(text)
 
     with pytest.raises(InfraError, match=r'JSBSim, loading caravan: \S') as caught:
-        Aircraft(start())
+        Aircraft(start(), model=broken)
     assert (caught.value.kind, caught.value.step) == ('sim', -1)
     assert capfd.readouterr() == ('', '')
 

@@ -8,15 +8,17 @@ import math
 
 import pytest
 
-from taxinet_ros.core.aircraft import FRICTION, M_PER_FT, MODELS, Aircraft, SpeedGains
+from taxinet_ros.core.aircraft import FRICTION, M_PER_FT, Aircraft
 from taxinet_ros.core.controller import SteeringGains, SteeringLaw
 from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.rig.aircraft_model import SpeedGains
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 
 AHEAD = math.degrees(default_runway().bearing_rad)
 LEFT, RIGHT, BEHIND = AHEAD - 90 + 360, AHEAD + 90, AHEAD + 180
-KINDS = tuple(MODELS)
+KINDS = AIRCRAFT.shipped
 GRAVITY = 9.807
 NO_HANDS = SpeedGains(lever_per_mps=0, lever_per_m=0, brake_per_lever=0, rolling_lever=0)
 
@@ -38,7 +40,7 @@ def rolls(
     scenario: Scenario, steps: int = 50, steering_rad: float = 0.0
 ) -> tuple[Aircraft, list[AircraftState]]:
     """It rolls on: no lever, no brakes, the nose wheel held."""
-    model = dataclasses.replace(MODELS[scenario.aircraft], speed_gains=NO_HANDS)
+    model = dataclasses.replace(scenario.aircraft_model, speed_gains=NO_HANDS)
     aircraft = Aircraft(scenario, model=model)
     command = TaxiCommand(steering_rad=steering_rad, speed_mps=scenario.speed_mps)
     return aircraft, [aircraft.state] + [aircraft.advance(command) for _ in range(steps)]
@@ -242,7 +244,7 @@ def test_given_interleaved_aircraft_in_gusts_then_each_has_its_own():
     scenario = scene(gust=4, gust_seed=1)
     alone = rolls(scenario, 20)[1]
     command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
-    model = dataclasses.replace(MODELS['caravan'], speed_gains=NO_HANDS)
+    model = dataclasses.replace(find_aircraft('caravan'), speed_gains=NO_HANDS)
     one, other = Aircraft(scenario, model=model), Aircraft(scene(gust=4, gust_seed=9))
     states = [one.state]
     for _ in range(20):

@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 
 import taxinet_ros as tx
-from taxinet_ros.core.camera.airframe import OUTLINE
 from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.judge import check_others, check_specs
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, SHIPPED, parse_spec
+from taxinet_ros.core.rig.catalogue import find_aircraft, load_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import quaternion
 
+OUTLINE = [part.points for part in find_aircraft('caravan').outline if part.shades]
 X_M, Y_M = 400.0, 0.0
 LEVEL = quaternion(0.0, 0.0, 0.0)
 
 
-def near(*objects, y_m=Y_M, heading_deg=0.0, stamp_ns=0):
-    clearance = Clearance(Scenario(traffic=load_traffic(objects)))
+def near(*objects, y_m=Y_M, heading_deg=0.0, stamp_ns=0, aircraft='caravan'):
+    clearance = Clearance(Scenario(aircraft=aircraft, traffic=load_traffic(objects)))
     return clearance.at(stamp_ns, X_M, y_m, quaternion(0.0, 0.0, math.radians(heading_deg)))
 
 
@@ -42,6 +43,22 @@ def test_given_a_cone_under_the_wing_then_the_wing_passes_over_it_and_a_tall_thi
     assert near(there('cone', 0, 5)) == pytest.approx(5 - 0.2 - 1.9, abs=0.02), 'to the wheel'
     assert near(there('person', 0, 5)) > 2.5
     assert near(there('vehicle', 0, 5, height_m=3.5)) == 0.0
+
+
+def test_given_another_aircraft_then_it_is_its_outline_that_counts(tmp_path):
+    tip_m = max(part.points[:, 1].max() for part in find_aircraft('c172p').outline)
+    beside = there('vehicle', 0, 12, height_m=4)
+    found = near(beside, aircraft='c172p')
+    assert found == pytest.approx(12 - 2.1 / 2 - tip_m, abs=0.1)
+    assert found > near(beside) + 2, 'the wing of the Caravan is longer'
+
+    (tmp_path / 'bare.yaml').write_text('{name: bare, model: c172p, taxi_speed_mps: [2, 8]}')
+    bare = Scenario(
+        aircraft=load_aircraft(str(tmp_path / 'bare.yaml')), traffic=load_traffic([beside])
+    )
+    assert math.isnan(Clearance(bare).at(0, X_M, 0.0, LEVEL))
+    with pytest.raises(tx.UsageError, match='the outline of aircraft bare is unknown'):
+        check_others([SHIPPED['no_collision']], bare)
 
 
 def test_given_an_object_within_or_around_the_aircraft_then_it_is_hit():

@@ -228,10 +228,10 @@ def test_given_a_perception_that_needs_no_picture_then_faults_of_the_camera_are_
         program='nominal', runs=1, seed=0, perception='truth', settings=(), specs=(), out=None,
         processes=False,
     )
-    assert options.check(failing).warnings[-1] == words
-    assert options.check(scene(steering_bias=2, duration=30)).warnings == ()
+    assert options.check(failing, set).warnings[-1] == words
+    assert options.check(scene(steering_bias=2, duration=30), set).warnings == ()
     seeing = dataclasses.replace(options, perception='taxinet')
-    assert not any('no picture' in line for line in seeing.check(failing).warnings)
+    assert not any('no picture' in line for line in seeing.check(failing, set).warnings)
 
 
 def test_given_a_free_run_then_a_delay_of_the_loop_is_refused_by_name():
@@ -243,4 +243,4 @@ def test_given_a_free_run_then_a_delay_of_the_loop_is_refused_by_name():
         processes=False, free=True,
     )
     with pytest.raises(UsageError, match='no effect in a free run'):
-        options.check(scene(loop_delay=0.1))
+        options.check(scene(loop_delay=0.1), set)

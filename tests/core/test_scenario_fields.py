@@ -8,9 +8,9 @@ import pytest
 
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
+from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
-    AIRCRAFT,
     BY_KEY,
     CLOUDS,
     HUMAN_KEYS,
@@ -34,7 +34,7 @@ MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
 WORLD = ROOT / 'scenarios/runway_world.scenic'
 TYPES = {
     Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool',
-    Kind.PLACE: 'str', Kind.TRAFFIC: 'str',
+    Kind.DOCUMENT: 'str',
 }
 UNITS = {
     'm': 'm', 'rad': '°', 'rad/s': '°/s', 's': 'h', '0..1': '%', 'm/m': '%', '1': '',
@@ -80,7 +80,7 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
     columns = {one.name: str(one.type) for one in dataclasses.fields(RunRow)}
-    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.PLACE: 'str', Kind.TRAFFIC: 'str'}
+    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.DOCUMENT: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
         assert columns[field.key] == wanted, field.key
@@ -173,7 +173,7 @@ def test_given_hours_when_said_as_a_clock_then_rounded_to_the_minute():
 
 
 def test_given_words_then_they_are_those_that_a_scenario_takes():
-    for word in AIRCRAFT:
+    for word in AIRCRAFT.shipped:
         assert Scenario(aircraft=word).aircraft == word
     for word in CLOUDS:
         assert Scenario(clouds=word).clouds == word

@@ -9,12 +9,13 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.core.aircraft import MODELS, Aircraft
-from taxinet_ros.core.camera.camera import WING_MOUNT, Camera, pose
+from taxinet_ros.core.aircraft import Aircraft
+from taxinet_ros.core.camera.camera import WING, Camera, pose
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, find_world
@@ -55,7 +56,7 @@ def test_given_a_world_of_ones_own_when_handed_into_the_loop_then_the_run_takes_
         asked.append((scenario, pictures))
         return SimulatedWorld(
             scenario, pictures=pictures,
-            aircraft=lambda scene: Aircraft(scene, model=MODELS['c172p']),
+            aircraft=lambda scene: Aircraft(scene, model=find_aircraft('c172p')),
         )
 
     runs = {}
@@ -82,8 +83,8 @@ def driven(scene: Scenario) -> list:
 def test_given_the_usual_values_when_handed_in_then_states_and_bytes_are_as_without() -> None:
     named = SimulatedWorld(
         SCENE,
-        aircraft=functools.partial(Aircraft, model=MODELS['caravan'], runway=KMWH_04),
-        camera=functools.partial(Camera, mount=WING_MOUNT, runway=KMWH_04),
+        aircraft=functools.partial(Aircraft, model=find_aircraft('caravan'), runway=KMWH_04),
+        camera=functools.partial(Camera, model=WING, runway=KMWH_04),
     )
     usual = SimulatedWorld(SCENE)
     assert named.observe().image.tobytes() == usual.observe().image.tobytes()
@@ -108,9 +109,9 @@ def test_given_another_runway_when_photographed_then_its_sun_shines() -> None:
 
 def test_given_another_mount_when_photographed_then_it_looks_from_there() -> None:
     state = Aircraft(SCENE).state
-    nose = dataclasses.replace(WING_MOUNT, offset_m=(2.0, 0.0, 0.5), yaw_rad=0.0)
+    nose = dataclasses.replace(WING, offset_m=(2.0, 0.0, 0.5), yaw_rad=0.0)
     (_, _, wing_m), (_, _, nose_m) = pose(state), pose(state, nose)
     assert math.hypot(*(nose_m - wing_m)) == pytest.approx(math.hypot(2.0 - 0.085, 2.17), abs=1e-9)
     assert not np.array_equal(
-        Camera(SCENE).render(state, 0), Camera(SCENE, mount=nose).render(state, 0)
+        Camera(SCENE).render(state, 0), Camera(SCENE, model=nose).render(state, 0)
     )

@@ -29,6 +29,7 @@ from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS, PICTURE_FAULTS, ScenarioField
+from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.core.types import TrackingError
 
 SHADOW, CROSSING, RAIN, OTHERS = 'shadow', 'crossing', 'rain', 'others'
@@ -42,7 +43,7 @@ _CLOSE = 0.85
 _TEN = 10 * 3600.0
 _EASY: dict[str, Any] = {
     'clouds': 'clear', 'rain_fraction': 0.0, 'time_of_day_s': _TEN, 'shadows': False,
-    'crossing': False, 'traffic': '',
+    'crossing': False, 'traffic': NOBODY,
 }
 
 
@@ -111,7 +112,7 @@ def factors(scenario: Scenario) -> tuple[Factor, ...]:
         *_without_faults(scenario, seen, 'without any fault of the camera'),
         (SHADOW, 'without its shadow', "the aircraft's own shadow", changed(shadows=False)),
         (CROSSING, 'without the crossing', 'the crossing runway', changed(crossing=False)),
-        (OTHERS, 'with nobody else there', 'others on the ground', changed(traffic='')),
+        (OTHERS, 'with nobody else there', 'others on the ground', changed(traffic=NOBODY)),
         (RAIN, 'dry', 'the rain', changed(rain_fraction=0.0)),
         ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky',
          changed(clouds='overcast')),

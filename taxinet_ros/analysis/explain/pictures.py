@@ -298,5 +298,8 @@ def _centreline(moment: Moment, error: TrackingError) -> Floats:
     ahead = np.geomspace(0.5, 600, 400)
     along = moment.x_m + np.concatenate([-ahead[:200][::-1], ahead])
     points = np.array([(*moment.line.pose(at)[:2], 0.0) for at in along.tolist()])
-    pixels, depths = project(state, points)
-    return np.asarray(pixels[depths > 0.3], np.float64)
+    camera = moment.camera
+    pixels, depths = project(state, points, camera)
+    # Frames of every size are shown in that of the usual ones.
+    scale = np.array([IMAGE_WIDTH / camera.width_px, IMAGE_HEIGHT / camera.height_px])
+    return np.asarray((pixels[depths > 0.3] + 0.5) * scale - 0.5, np.float64)

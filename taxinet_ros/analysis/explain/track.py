@@ -23,6 +23,7 @@ from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -109,7 +110,8 @@ class Moment:
         t_s: simulated time [s].
         x_m: distance along the track of the run [m].
         line: that the run follows.
-        image: the frame, (200, 360, 3) uint8 RGB.
+        image: the frame, (height, width, 3) uint8 RGB.
+        camera: the camera that took it.
         state: the aircraft's true state; None if the run cannot be rerun.
         shown: its state at the step whose picture the frame is, if the camera is frozen.
         truth, estimate: tracking errors.
@@ -122,6 +124,7 @@ class Moment:
     x_m: float
     line: Line
     image: Frame
+    camera: CameraModel
     state: AircraftState | None
     truth: TrackingError
     estimate: TrackingError
@@ -246,8 +249,8 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
             image = camera.render(shown, step * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
-            line=recording.scenario.line, image=image, state=state,
-            truth=track.truth(row), estimate=track.estimate(row),
+            line=recording.scenario.line, image=image,
+            camera=camera.model, state=state, truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]), shown=shown,
         )
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, SHIPPED_TRACKS
-from taxinet_ros.core.scenario_fields import ScenarioField, clock_words
+from taxinet_ros.core.place.catalogue import SHIPPED_TRACKS
+from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -89,10 +89,14 @@ class Feature:
         return both.format(self.value_words(low), self.value_words(high))
 
 
-_KINDS = {
-    fields.SHADOWS.key: ('off', 'on'), fields.CROSSING.key: ('off', 'on'),
-    fields.PLACE.key: SHIPPED_PLACES, fields.TRACK.key: SHIPPED_TRACKS,
-}
+
+
+def _kinds(field: ScenarioField) -> tuple[str, ...]:
+    if field.catalogue is not None:
+        return field.catalogue.shipped
+    if field is fields.TRACK:
+        return SHIPPED_TRACKS
+    return ('off', 'on') if field.kind is Kind.SWITCH else field.words
 
 
 def _feature(
@@ -103,7 +107,7 @@ def _feature(
     return Feature(
         name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
         form=form, step=step, words=words, source=field.key, widths=widths,
-        kinds=_KINDS.get(field.key, field.words),
+        kinds=_kinds(field),
     )
 
 
@@ -205,7 +209,9 @@ FAULT_FEATURES = (
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
-    for one in (fields.AIRCRAFT_MODEL, fields.DATE, fields.PLACE, fields.TRACK)
+    for one in (
+        fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE, fields.TRACK,
+    )
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six features, as columns of the table."""

@@ -21,8 +21,9 @@ from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.bag.topics import describe_topic
 from taxinet_ros.core import topics
-from taxinet_ros.core.camera import camera
+from taxinet_ros.core.camera.camera import WING
 from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
 from taxinet_ros.core.world import Observation
@@ -82,9 +83,9 @@ def clock_cdr(stamp_ns: int) -> bytes:
     return _clock().filled(*divmod(stamp_ns, NS_PER_S))
 
 
-def camera_info_cdr(stamp_ns: int) -> bytes:
-    """Serialise the wing camera's intrinsics, with a stamp [ns]."""
-    return _camera_info().filled(*divmod(stamp_ns, NS_PER_S))
+def camera_info_cdr(stamp_ns: int, camera: CameraModel = WING) -> bytes:
+    """Serialise a camera's intrinsics, with a stamp [ns]."""
+    return _camera_info(camera).filled(*divmod(stamp_ns, NS_PER_S))
 
 
 def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
@@ -136,18 +137,21 @@ def progress_cdr(
     )
 
 
-def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic, bytes]]:
+def observation_messages(
+    now: Observation, run_id: str, camera: CameraModel = WING
+) -> Iterator[tuple[Topic, bytes]]:
     """Serialised messages of a control step, in order of publication.
 
     Args:
         now: the observation.
         run_id: id of the run.
+        camera: the camera that took the picture.
     """
     stamp_ns = now.stamp_ns
     yield topics.CLOCK, clock_cdr(stamp_ns)
     yield topics.ODOMETRY, odometry_cdr(now.state, stamp_ns)
     yield topics.TRUTH, error_cdr(now.truth, run_id, now.seq, stamp_ns)
-    yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns)
+    yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns, camera)
     if now.image is not None:
         yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)
 
@@ -157,15 +161,15 @@ def _clock() -> MessageTemplate:
     return _template(topics.CLOCK, {}, 'clock.sec', 'clock.nanosec')
 
 
-@functools.cache
-def _camera_info() -> MessageTemplate:
-    matrix = camera.intrinsics()
+@functools.lru_cache(_KEPT)
+def _camera_info(camera: CameraModel) -> MessageTemplate:
+    matrix = camera.intrinsics
     return _template(topics.CAMERA_INFO, {
         'header': header_values(0, CAMERA_FRAME),
-        'height': camera.IMAGE_HEIGHT,
-        'width': camera.IMAGE_WIDTH,
+        'height': camera.height_px,
+        'width': camera.width_px,
         'distortion_model': 'plumb_bob',
-        'd': [0.0] * 5,
+        'd': list(camera.distortion),
         'k': matrix.ravel(),
         'r': np.eye(3).ravel(),
         'p': np.hstack([matrix, np.zeros((3, 1))]).ravel(),

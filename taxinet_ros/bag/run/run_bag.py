@@ -48,6 +48,7 @@ from taxinet_ros.core.loop import Step
 from taxinet_ros.core.mtl import Spec
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
@@ -192,11 +193,12 @@ def write_run(
                     name = bag_name(topic)
                     writer.write(name, canonical.message(name, cdr), seq * CONTROL_PERIOD_NS)
 
-            write(0, [(topics.SCENARIO, scenario_cdr), *_ready(request.run_id, nodes)])
+            camera = request.scenario.camera_model
+            write(0, [(topics.SCENARIO, scenario_cdr), *_ready(request.run_id, nodes, camera)])
             specs, transform_of = request.judging.parsed_specs, OdometryTransforms()
             pictures = itertools.repeat(None) if frames is None else frames
             for step, picture in zip(steps, pictures, strict=frames is not None):
-                said = _step(step, picture, request.run_id, specs, transform_of)
+                said = _step(step, picture, request.run_id, specs, transform_of, camera)
                 write(step.observation.seq, said)
                 writer.flush()
             last_seq = steps[-1].observation.seq
@@ -215,23 +217,25 @@ def write_run(
 Said = tuple[Topic, bytes]
 
 
-def _ready(run_id: str, nodes: Sequence[NodeWords]) -> Iterator[Said]:
+def _ready(
+    run_id: str, nodes: Sequence[NodeWords], camera: CameraModel
+) -> Iterator[Said]:
     for one in sorted(nodes, key=lambda one: one.node):
         yield topics.NODE_STATUS, message_cdr(topics.NODE_STATUS, {
             'header': header_values(0, ''), 'run_id': run_id, 'state': NODE_READY,
             **dataclasses.asdict(one),
         })
-    yield topics.TF_STATIC, camera_transform()
+    yield topics.TF_STATIC, camera_transform(camera)
 
 
 def _step(
     step: Step, picture: NDArray[np.uint8] | None, run_id: str, specs: Sequence[Spec],
-    transform_of: OdometryTransforms,
+    transform_of: OdometryTransforms, camera: CameraModel,
 ) -> Iterator[Said]:
     """Messages of a control step, in the recorder's order (that of the topic table)."""
     now = step.observation
     at = run_id, now.seq, now.stamp_ns
-    said = dict(observation_messages(dataclasses.replace(now, image=picture), run_id))
+    said = dict(observation_messages(dataclasses.replace(now, image=picture), run_id, camera))
     said |= {
         topics.ESTIMATE: error_cdr(step.estimate, *at),
         topics.COMMAND: command_cdr(step.command, *at),

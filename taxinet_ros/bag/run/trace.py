@@ -28,6 +28,7 @@ from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
+from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ class _TraceColumns:
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     table.track = track_of(message)
-    if getattr(message, TRAFFIC.attribute, ''):
+    if getattr(message, TRAFFIC.attribute, NOBODY) != NOBODY:
         table.clearance = clearance_in(message)
 
 

@@ -15,7 +15,8 @@ from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core import topics
-from taxinet_ros.core.camera import camera
+from taxinet_ros.core.camera.camera import WING
+from taxinet_ros.core.rig.camera_model import CameraModel
 
 _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
 
@@ -49,14 +50,14 @@ class OdometryTransforms:
         )
 
 
-@functools.cache
-def camera_transform() -> bytes:
+@functools.lru_cache(16)
+def camera_transform(camera: CameraModel = WING) -> bytes:
     """Serialised ``TFMessage`` with the pose of ``camera_optical`` in ``base_link``.
 
     The optical frame follows REP-103: z forward along the optical axis, x right and y down in the
     image.
     """
-    pose = *camera.WING_MOUNT.offset_m, *camera.WING_MOUNT.attitude
+    pose = *camera.offset_m, *camera.attitude
     return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
 
 

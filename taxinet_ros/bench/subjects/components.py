@@ -60,6 +60,7 @@ SCENES = {
     'nose-up': _scene(
         x_m=1600.0, y_m=5.0, heading_deg=-15.0, pitch_deg=-5.0, roll_deg=-2.0, clouds='broken',
     ),
+    'wide-angle': _scene(x_m=1000.0, y_m=1.5, heading_deg=4.0, time_of_day_h=12.0, camera='nose'),
     'slanted': _scene(
         x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
     ),

@@ -40,8 +40,8 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
@@ -154,8 +154,7 @@ class CampaignBook:
         self._attempts: Counter[int] = Counter()
         self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
-        self._places: set[str] = set()
-        self._traffic: set[str] = set()
+        self._documents: set[tuple[str, str]] = set()
 
     def check_folder(self) -> None:
         """Check that the folder is new or contains a campaign to resume; nothing is changed.
@@ -219,8 +218,7 @@ class CampaignBook:
         self.facts = {**facts, STACKS: stacks}
         self.rows.update({row.index: row for row in before.rows})
         self._attempts.update(before.attempts)
-        self._places.update(before.places)
-        self._traffic.update(before.traffic)
+        self._documents.update(before.documents)
         if before.rows:
             self.warning = stack_difference(before.campaign, str(self._out))
         self._facts_due = True
@@ -250,7 +248,7 @@ class CampaignBook:
         )
         rename_broken(self._out / request.run_id)
         with self._watched():
-            self._write_references(scenario)
+            self._write_documents(scenario)
             self._ledger.intent(index, request.run_id, scenario_sha256)
         return request
 
@@ -299,16 +297,13 @@ class CampaignBook:
         finally:
             self._on_row(row)
 
-    def _write_references(self, scenario: Scenario) -> None:
-        """Record in full, once, what rows refer to: a place that is not shipped, and traffic."""
-        place = find_place(scenario.place)
-        if not place.shipped and place.reference not in self._places:
-            self._ledger.place(place.document)
-            self._places.add(place.reference)
-        others = scenario.others
-        if others.objects and others.reference not in self._traffic:
-            self._ledger.traffic(others.text)
-            self._traffic.add(others.reference)
+    def _write_documents(self, scenario: Scenario) -> None:
+        """Record each document of a scenario that is not shipped in full, once."""
+        for key, catalogue in CATALOGUES.items():
+            found = catalogue.find(getattr(scenario, key))
+            if not found.shipped and (key, found.reference) not in self._documents:
+                self._ledger.document(key, found.document)
+                self._documents.add((key, found.reference))
 
     def _write_due_facts(self) -> None:
         if not self._facts_due:

@@ -19,8 +19,7 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_prese
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.catalogue import find_place
-from taxinet_ros.core.traffic.traffic_file import find_traffic
+from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
@@ -42,7 +41,7 @@ class LedgerContent:
         finished: whether the campaign ended normally after the last line.
         lost: one line per removal of damaged lines (:mod:`.doctor`).
         incomplete: those of ``lost`` after which data is still missing.
-        places, traffic: references of the places and the traffic whose definitions it contains.
+        documents: scenario key and reference of each document that it has in full.
     """
 
     campaign: Mapping[str, Any]
@@ -54,8 +53,7 @@ class LedgerContent:
     finished: bool = False
     lost: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
-    places: frozenset[str] = frozenset()
-    traffic: frozenset[str] = frozenset()
+    documents: frozenset[tuple[str, str]] = frozenset()
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
@@ -92,13 +90,9 @@ class Ledger(JournalOwner):
         """Record the facts of the campaign: program, digest, seed, overrides, perception."""
         self._append({'event': 'campaign', 'campaign': dict(values)})
 
-    def place(self, document: str) -> None:
-        """Record the full definition of a place; rows contain only its reference."""
-        self._append({'event': 'place', 'place': document})
-
-    def traffic(self, text: str) -> None:
-        """Record others on the ground in full; rows contain only their reference."""
-        self._append({'event': 'traffic', 'traffic': text})
+    def document(self, key: str, document: str) -> None:
+        """Record a whole document of a scenario; rows have its reference only."""
+        self._append({'event': key, key: document})
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Record that run ``index`` is about to start."""
@@ -185,7 +179,7 @@ def ledger_content(
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
         added=found.added,
-        places=frozenset(found.places), traffic=frozenset(found.traffic),
+        documents=frozenset(found.documents),
         never_begun=tuple(
             index for index in sorted(set(rows) - set(begun))
             if rows[index].outcome is not Outcome.REJECTED
@@ -260,8 +254,7 @@ class _Events:
         self.rows: dict[int, RunRow] = {}
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
-        self.places: set[str] = set()
-        self.traffic: set[str] = set()
+        self.documents: set[tuple[str, str]] = set()
         self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
@@ -270,11 +263,9 @@ class _Events:
         match event['event']:
             case 'campaign':
                 self._campaign(event['campaign'])
-            case 'place':
-                # This registers the place, so that references in rows can be resolved.
-                self.places.add(find_place(event['place']).reference)
-            case 'traffic':
-                self.traffic.add(find_traffic(event['traffic']).reference)
+            case key if key in CATALOGUES:
+                # Finding it makes it known, so that references in rows can be resolved.
+                self.documents.add((key, CATALOGUES[key].find(event[key]).reference))
             case 'intent':
                 self._intent(event)
             case 'result':

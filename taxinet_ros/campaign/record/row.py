@@ -14,9 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.place.catalogue import is_reference
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
-from taxinet_ros.core.traffic import traffic_file
+from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -48,7 +46,7 @@ class RunRow:
             runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
             lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, duration_s, place: the scenario, see
+            fault_onset_s, fault_seed, traffic, camera, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: outcome; the other three explain an unjudged run.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
@@ -116,6 +114,7 @@ class RunRow:
     fault_onset_s: float | None = None
     fault_seed: float | None = None
     traffic: str = ''
+    camera: str = ''
     duration_s: float | None = None
     place: str = ''
     kind: str = ''
@@ -180,10 +179,10 @@ class RunRow:
                 raise ValueError(
                     f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
                 )
-        if self.place and not is_reference(self.place):
-            raise ValueError(f'place is {self.place!r:.80}, no reference of one')
-        if self.traffic and not traffic_file.is_reference(self.traffic):
-            raise ValueError(f'traffic is {self.traffic!r:.80}, no reference of it')
+        for key, catalogue in CATALOGUES.items():
+            value = getattr(self, key)
+            if value and not catalogue.is_reference(value):
+                raise ValueError(f'{key} is {value!r:.80}, no reference of one')
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: at least one is not."""

@@ -27,6 +27,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     RAIN_CLOUDS,
     SKY,
+    SPEED,
     TIME_OF_DAY,
     TRACK,
     WIND_DIRECTION,
@@ -41,13 +42,13 @@ WEATHER = (SKY.key, RAIN.key)
 
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
-    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key),
+    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
     (*(field.key for field in FAULTS), FAULT_ONSET.key, DURATION.key),
     (*(field.key for field in FAULTS), FAULT_SEED.key),
 )
 """Groups of interdependent keys."""
 _ALLOWING = {
-    SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0, LENS_DIRT.key: 1.0,
+    SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
     DURATION.key: DURATION.high,
 }
 """Values that are compatible with every value of the other keys."""

@@ -12,14 +12,7 @@ from typing import Any
 
 import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import (
-    PARAMETERS,
-    PLACE,
-    PLANE_KEYS,
-    SCENARIO_FIELDS,
-    TRAFFIC,
-)
-from taxinet_ros.core.traffic.traffic import NOBODY
+from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'runway_world'
@@ -151,11 +144,9 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         about: header comment: purpose and origin of the program.
         remarks: comments by key of the scenario.
     """
-    # The full place and traffic: a reference is meaningful only within its campaign.
-    values = {
-        **scenario.to_human(), **_exact(scenario), PLACE.key: scenario.place,
-        TRAFFIC.key: scenario.traffic or NOBODY,
-    }
+    # Whole documents: a reference is meaningful only within its campaign.
+    documents = {key: getattr(scenario, key) for key in CATALOGUES}
+    values = {**scenario.to_human(), **_exact(scenario), **documents}
     lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
     lines += [
         f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in PARAMETERS

@@ -40,8 +40,8 @@ from taxinet_ros.core.scenario_fields import (
     WIND_SPEED,
     by_key,
 )
-from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
-from taxinet_ros.core.traffic.traffic_file import find_traffic, typed_traffic
+from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
+from taxinet_ros.core.traffic.traffic_file import typed_traffic
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -222,7 +222,7 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
 def _fewer(nominal: str, original: str) -> tuple[str, ...]:
     """References to the first objects of a scene, from the nominal ones to all of them."""
     objects = typed_traffic(original).objects
-    parts = (find_traffic(Traffic(objects[:k]).text) for k in range(1, len(objects) + 1))
+    parts = (typed_traffic(traffic_of(objects[:k]).text) for k in range(1, len(objects) + 1))
     return nominal, *(part.reference for part in parts if part.reference != nominal)
 
 

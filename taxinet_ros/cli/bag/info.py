@@ -20,6 +20,7 @@ from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
+from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
 from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
@@ -138,6 +139,7 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 def scene_words(scene: Mapping[str, Any]) -> str:
     """One-line description of a scenario in display units."""
     rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
+    camera = '' if scene['camera'] == DEFAULT_CAMERA else f', camera {scene["camera"]}'
     place = '' if scene['place'] == DEFAULT_PLACE else f'{scene["place"]}, '
     return (
         f'{place}CTE {scene["cross_track_m"]:+.2f} m (left positive), '
@@ -145,7 +147,7 @@ def scene_words(scene: Mapping[str, Any]) -> str:
         f'{scene["distance_m"]:.0f} m {along_words(scene["track"])}, {scene["date"]} '
         f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
-        f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
+        f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}{camera}, '
         f'{scene["duration_s"]:g} s{unusual_words(scene)}'
     )
 

@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from taxinet_ros.cli.options import (
+    AircraftOption,
     AirportOption,
     AptDatOption,
     BoundOption,
     BudgetOption,
+    CameraOption,
     ControllerCommandOption,
     ControllerOption,
     FactorOption,
@@ -32,6 +34,7 @@ from taxinet_ros.cli.options import (
     OwnSpecOption,
     PerceptionCommandOption,
     PerceptionOption,
+    PictureOption,
     ProcessesOption,
     QuietOption,
     RateOption,
@@ -52,7 +55,7 @@ from taxinet_ros.cli.options import (
     WorldOption,
     airport_place,
     given_options,
-    with_airport,
+    scene_settings,
     word_of,
 )
 
@@ -73,6 +76,8 @@ def run(
     airport: AirportOption = None,
     runway: RunwayOption = None,
     apt_dat: AptDatOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
@@ -106,10 +111,10 @@ def run(
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=with_airport(settings, airport, runway, apt_dat), specs=spec or (), out=out,
-        processes=processes, images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'), latency=latency or (), free=free,
-        real_time_factor=real_time_factor, world=world,
+        settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+        specs=spec or (), out=out, processes=processes, images=images, stop_on=stop_on,
+        bounds=bound or (), rates=rate or (), controller=word_of(context, 'controller'),
+        latency=latency or (), free=free, real_time_factor=real_time_factor, world=world,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -151,6 +156,8 @@ def falsify(
     airport: AirportOption = None,
     runway: RunwayOption = None,
     apt_dat: AptDatOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
@@ -183,9 +190,9 @@ def falsify(
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-            settings=with_airport(settings, airport, runway, apt_dat), specs=spec or (), out=out,
-            processes=False, images=images, resume=resume, stop_on=stop_on, bounds=bound or (),
-            rates=rate or (),
+            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=word_of(context, 'controller'), latency=latency or (), world=world,
         )
         options = make_search_options(
@@ -270,12 +277,7 @@ def show_place(
     ],
     runway: RunwayOption = None,
     apt_dat: AptDatOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar='FILE.png', help='picture to write; must be new (default: below bags/)'
-        ),
-    ] = None,
+    out: PictureOption = None,
 ) -> None:
     """Describe a place, and draw it from above: runway, markings, pavements, taxi routes."""
     from taxinet_ros.cli.run.place import show_place
@@ -283,6 +285,36 @@ def show_place(
     if runway is not None or apt_dat is not None:
         place = airport_place(place, runway, apt_dat)
     show_place(place, out)
+
+
+aircraft_app = typer.Typer(rich_markup_mode=None, help='Aircraft that taxi.')
+
+
+@aircraft_app.callback(invoke_without_command=True)
+def _aircraft(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@aircraft_app.command('list')
+def list_aircraft() -> None:
+    """List the shipped aircraft."""
+    from taxinet_ros.cli.training.rig import print_aircraft
+
+    print_aircraft()
+
+
+@aircraft_app.command('show')
+def show_aircraft(
+    aircraft: Annotated[
+        str, typer.Argument(metavar='AIRCRAFT', help='shipped name, or YAML file of one')
+    ],
+    out: PictureOption = None,
+) -> None:
+    """Load an aircraft, measure what its file leaves out, say what is wrong, and draw it."""
+    from taxinet_ros.cli.training.rig import show_aircraft
+
+    show_aircraft(aircraft, out)
 
 
 def demo(

@@ -8,15 +8,18 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.options import (
+    AircraftOption,
     AirportOption,
     AptDatOption,
+    CameraOption,
     PerceptionOption,
+    PictureOption,
     PicturesArgument,
     RunwayOption,
     ScenarioArgument,
     SeedOption,
     VariedOption,
-    with_airport,
+    scene_settings,
 )
 
 
@@ -158,19 +161,32 @@ SetOption = Annotated[
         'repeatable',
     ),
 ]
-OutOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar='FILE.png',
-        help='picture to write; must be new (default: below bags/)',
-    ),
-]
-
-
 @camera_app.callback(invoke_without_command=True)
 def _camera(context: typer.Context) -> None:
     if context.invoked_subcommand is None:
         print(context.get_help())
+
+
+@camera_app.command('list')
+def list_cameras() -> None:
+    """List the shipped cameras."""
+    from taxinet_ros.cli.training.rig import print_cameras
+
+    print_cameras()
+
+
+@camera_app.command('show')
+def show_camera(
+    camera: Annotated[
+        str, typer.Argument(metavar='CAMERA', help='shipped name, or YAML file of one')
+    ],
+    aircraft: AircraftOption = None,
+    out: PictureOption = None,
+) -> None:
+    """Describe a camera, and draw what it sees on an aircraft and where it looks."""
+    from taxinet_ros.cli.training.rig import show_camera
+
+    show_camera(camera, aircraft, out)
 
 
 @camera_app.command()
@@ -179,12 +195,14 @@ def frame(
     airport: AirportOption = None,
     runway: RunwayOption = None,
     apt_dat: AptDatOption = None,
-    out: OutOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
+    out: PictureOption = None,
 ) -> None:
-    """Render the first camera frame of a run of one scene, 360x200 pixels."""
+    """Render the first camera frame of a run of one scene, as large as its camera makes it."""
     from taxinet_ros.cli.training.camera import save_frame
 
-    save_frame(with_airport(settings, airport, runway, apt_dat), out)
+    save_frame(scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out)
 
 
 @camera_app.command()
@@ -199,14 +217,16 @@ def sheet(
     airport: AirportOption = None,
     runway: RunwayOption = None,
     apt_dat: AptDatOption = None,
-    out: OutOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
+    out: PictureOption = None,
 ) -> None:
     """Render one pose at many hours and skies on one contact sheet."""
     from taxinet_ros.cli.training.camera import save_sheet
 
     save_sheet(
         hours=hours, clouds=clouds, rain=rain,
-        settings=with_airport(settings, airport, runway, apt_dat), out=out,
+        settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out=out,
     )
 
 
@@ -254,7 +274,7 @@ def compare(
         ),
     ] = 0.0,
     settings: SetOption = None,
-    out: OutOption = None,
+    out: PictureOption = None,
     json: Annotated[
         bool, typer.Option('--json', help='print one JSON object with all frames')
     ] = False,

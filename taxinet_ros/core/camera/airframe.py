@@ -1,8 +1,14 @@
-"""Visible parts of the own aircraft: its shadow, and cowling, gear leg and wheel at the left."""
+"""Visible parts of the own aircraft: its shadow, and what the camera sees of it.
+
+The Caravan's parts in the wing camera (cowling, gear leg and wheel at the left) are drawn by hand
+after the published images; any other combination is rendered from the outline
+(:mod:`taxinet_ros.core.camera.solids`).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 
 import cv2
@@ -11,83 +17,44 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.light import GAMMA, Light, display_code
+from taxinet_ros.core.camera.solids import SolidDrawing, solid_drawing
+from taxinet_ros.core.rig.aircraft_model import AircraftModel
+from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, DEFAULT_CAMERA, find_camera
+from taxinet_ros.core.rig.outline import Part
 
 Vectors = NDArray[np.float64]
 Mask = tuple[slice, slice, NDArray[np.uint8]]
-"""Slices of rows and columns of the image, and the shade there (255: full) with soft edges."""
+"""Slices of rows and columns of the image, and the shade there (255: full), soft at the edge."""
 LOWEST_SUN_RAD = math.radians(1.0)
-"""Minimum sun elevation: below it the shadow is longer than the runway's width and too faint."""
+"""Below this the shadow is longer than the runway is wide and fainter than the sky's light."""
 _NEAREST_M = 0.2
 _THROW = 0.5
-"""Typical distance from aircraft to shadow along the beam, relative to that from the camera."""
+"""Typical length of the shadow's fall, as a share of its distance from the camera."""
 _FARTHEST_PX = 4000.0
 _SHIFT = 4
-"""Fractional bits of OpenCV's drawing coordinates: sixteenths of a pixel."""
-
-
-def _prism(
-    rear: tuple[float, float, float, float, float], front: tuple[float, float, float, float, float]
-) -> Vectors:
-    """Eight corners between two rectangles (x, y_low, y_high, z_low, z_high)."""
-    return np.array([
-        (x, y, z) for x, y0, y1, z0, z1 in (rear, front) for y in (y0, y1) for z in (z0, z1)
-    ])  # fmt: skip
-
-
-def _wing(side: int) -> Vectors:
-    return np.array([
-        (x, side * y, z)
-        for y, chord, lift in ((0.0, 1.98, 0.0), (7.95, 1.20, 0.42))
-        for x in (0.55, 0.55 - chord)
-        for z in (1.22 + lift, 1.42 + lift)
-    ])  # fmt: skip
-
-
-def _wheel(x: float, y: float, radius: float) -> Vectors:
-    angles = np.linspace(0, 2 * math.pi, 8, endpoint=False)
-    centre = radius - 1.55
-    return np.array([
-        (x + radius * math.cos(a), y + w, centre + radius * math.sin(a))
-        for a in angles
-        for w in (-0.12, 0.12)
-    ])  # fmt: skip
-
-OUTLINE: tuple[Vectors, ...] = (
-    _prism((-1.2, -0.8, 0.8, -0.85, 1.25), (2.2, -0.8, 0.8, -0.85, 1.25)),
-    _prism((-6.6, -0.15, 0.15, 0.35, 0.75), (-1.2, -0.8, 0.8, -0.85, 1.15)),
-    _prism((2.2, -0.75, 0.75, -0.85, 0.95), (4.4, -0.4, 0.4, -0.55, 0.45)),
-    _prism((-6.9, -0.06, 0.06, 0.6, 2.95), (-5.6, -0.06, 0.06, 0.6, 2.6)),
-    np.array([(x, y, z) for x in (-6.7, -5.6) for y in (-3.1, 3.1) for z in (0.75, 0.85)]),
-    _wing(1),
-    _wing(-1),
-    _wheel(-0.45, 1.78, 0.38),
-    _wheel(-0.45, -1.78, 0.38),
-    _wheel(3.6, 0.0, 0.32),
-    np.array([(-0.3, 0.7, -0.8), (-0.6, 0.7, -0.8), (-0.35, 1.8, -1.2), (-0.55, 1.8, -1.2)]),
-    np.array([(-0.3, -0.7, -0.8), (-0.6, -0.7, -0.8), (-0.35, -1.8, -1.2), (-0.55, -1.8, -1.2)]),
-    np.array([(0.3, -3.6, 1.3), (0.2, -0.8, -0.5), (0.1, -0.8, -0.5), (0.2, -3.6, 1.3)]),
-    np.array([(0.3, 3.6, 1.3), (0.2, 0.8, -0.5), (0.1, 0.8, -0.5), (0.2, 3.6, 1.3)]),
-)
-
-_POINTS = np.concatenate(OUTLINE)
-_STARTS = np.cumsum([0, *(len(part) for part in OUTLINE[:-1])]).tolist()
+"""OpenCV draws with integer coordinates: sixteenths of a pixel."""
 
 
 class OwnShadow:
     """Shadow of the aircraft in images, for one position of the sun."""
 
     def __init__(
-        self, sun: Vectors, sun_width_rad: float, intrinsics: Vectors, height: int, width: int
+        self, outline: Sequence[Part], sun: Vectors, sun_width_rad: float, intrinsics: Vectors,
+        height: int, width: int,
     ) -> None:
         """Prepare for images of ``height`` by ``width`` pixels.
 
         Args:
+            outline: parts of the aircraft, one at least.
             sun: unit vector towards the sun in ``map``; its z is positive.
             sun_width_rad: angular width of the sun, which sets the width of the penumbra [rad].
             intrinsics: camera matrix (3, 3).
-            height: height of the images [px].
-            width: width of the images [px].
+            height: of the pictures [px].
+            width: of the pictures [px].
         """
+        self._points = np.concatenate([part.points for part in outline])
+        self._starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
         self._intrinsics = intrinsics
@@ -97,18 +64,18 @@ class OwnShadow:
     def mask(
         self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
     ) -> Mask | None:
-        """Shadow in the image; None if not in view.
+        """The shadow in the image; None if not in view.
 
         Args:
             body: rotation from the body frame to ``map`` (3, 3).
             place: the aircraft's reference point in ``map`` (3,).
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
-            camera: camera position in ``map`` (3,).
+            camera: the camera's place in ``map`` (3,).
         """
         turn = to_optical @ self._flatten
-        optical = _POINTS @ (turn @ body).T + (turn @ place - to_optical @ camera)
+        optical = self._points @ (turn @ body).T + (turn @ place - to_optical @ camera)
         corners = pixels.outlines(
-            optical, _STARTS, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
+            optical, self._starts, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
         )
         polygons = [np.asarray(cv2.convexHull(part), np.int32) for part in corners]
         if not polygons:
@@ -233,7 +200,7 @@ def _rivets(colour: NDArray[np.uint8]) -> None:
 
 
 def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Darken towards the rim and the underside, like a round body."""
+    """Darken towards the rim and the underside, as round bodies do."""
     y = (np.arange(colour.shape[0]) / _FINE)[:, None]
     x = (np.arange(colour.shape[1]) / _FINE)[None, :]
     under = np.clip((y - 62 + 0.5 * x) / 90, 0, 1)
@@ -245,30 +212,15 @@ def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
     return shaded
 
 
-class AirframeView:
-    """Draws the aircraft's parts over images in one scenario's light."""
+class _WingDrawing:
+    """The Caravan in the wing camera; same interface as :class:`.SolidDrawing`."""
 
-    def __init__(self, light: Light) -> None:
-        """Store the light; the parts are lit on first use of a heading."""
-        self._light = light
-        _, self._opacity = _drawing()
-        self._lit: dict[int, NDArray[np.uint8]] = {}
+    rows, columns = slice(0, HEIGHT), slice(0, WIDTH)
 
-    def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
-        """Draw the parts over ``picture`` (200, 360, 3), in place.
+    def __init__(self) -> None:
+        self.behind, self.hidden = _behind(), hidden_columns()
 
-        Args:
-            picture: image of ground and sky.
-            yaw_rad: heading of the aircraft in ``map`` [rad]; sets the lighting, in steps.
-        """
-        step = round(yaw_rad / _YAW_STEP_RAD)
-        if step not in self._lit:
-            self._lit[step] = self._lighten(step * _YAW_STEP_RAD)
-        pixels.lay_over(picture[:HEIGHT, :WIDTH], _behind(), self._lit[step])
-
-    def _lighten(self, yaw_rad: float) -> NDArray[np.uint8]:
-        """Lit drawing times its opacity."""
-        light = self._light
+    def lit(self, light: Light, yaw_rad: float) -> NDArray[np.uint8]:
         beam = np.zeros(3)
         if light.sun[2] > 0:
             cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -276,5 +228,44 @@ class AirframeView:
             facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
             beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
         shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        lit = display_code(_albedo() * shine)
-        return np.rint(lit * self._opacity).astype(np.uint8)
+        _, opacity = _drawing()
+        return np.rint(display_code(_albedo() * shine) * opacity).astype(np.uint8)
+
+
+Drawing = _WingDrawing | SolidDrawing
+
+
+def drawing(
+    aircraft: AircraftModel, camera: CameraModel, size: tuple[int, int]
+) -> Drawing | None:
+    """Drawing of the aircraft in a camera's pinhole image; None if it is not visible.
+
+    Args:
+        aircraft: the aircraft, with its outline.
+        camera: the camera.
+        size: height and width of the pinhole image [px].
+    """
+    if aircraft.name == DEFAULT_AIRCRAFT and camera.view == find_camera(DEFAULT_CAMERA).view:
+        return _WingDrawing()
+    return solid_drawing(aircraft, camera, size)
+
+
+class AirframeView:
+    """The aircraft's parts in one scenario's light, to be drawn over images."""
+
+    def __init__(self, light: Light, parts: Drawing) -> None:
+        """Store the light; the parts are lit on first use of a heading."""
+        self._light, self._parts = light, parts
+        self._lit: dict[int, NDArray[np.uint8]] = {}
+
+    def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
+        """Draw the parts over a picture (height, width, 3), in place.
+
+        Args:
+            picture: image of ground and sky.
+            yaw_rad: heading of the aircraft in ``map``; it turns the parts in the sun, in steps.
+        """
+        parts, step = self._parts, round(yaw_rad / _YAW_STEP_RAD)
+        if step not in self._lit:
+            self._lit[step] = parts.lit(self._light, step * _YAW_STEP_RAD)
+        pixels.lay_over(picture[parts.rows, parts.columns], parts.behind, self._lit[step])

@@ -39,15 +39,18 @@ class RainSheet:
         table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
         streaks = _streaks(round(light.rain * _LEVELS))
         self._sheet = np.asarray(cv2.LUT(cv2.merge([streaks] * 3), table), np.uint8)
+        # At most half of the sheet is shown, to vary its offset; larger images enlarge the drops.
+        self._larger = max(1.0, 2 * height / _SHEET_HEIGHT, 2 * width / _SHEET_WIDTH)
         self._size = (height, width)
 
     def at(self, stamp_ns: int) -> NDArray[np.uint8]:
         """Light to add at a stamp, (height, width, 3); a view, not to be modified."""
-        height, width = self._size
+        height, width = (math.ceil(side / self._larger) for side in self._size)
         bits = scramble(stamp_ns)
         top = bits % (_SHEET_HEIGHT - height + 1)
         left = (bits >> 20) % (_SHEET_WIDTH - width + 1)
-        return self._sheet[top : top + height, left : left + width]
+        part = self._sheet[top : top + height, left : left + width]
+        return part if self._larger == 1 else np.asarray(cv2.resize(part, self._size[::-1]))
 
 
 @lru_cache(maxsize=_LEVELS + 1)
@@ -76,9 +79,11 @@ _SPRAY_SHARE = 0.16
 """Opacity of the uniform veil in full rain: spray in the air and drops on the lens."""
 _MIRRORED = 0.92
 """Share of the sky's light that spray sends on, as in ``native/air.cpp``."""
-_SPARSE_PX = 15
-"""Spacing of the columns for which directions are computed; the interpolation error between them
-is below a tenth of a panorama column. It divides the image width."""
+SPARSE_PX, _LESS_SPARSE_PX = 15, 5
+"""Spacing of the columns for which directions are computed, for usual and for wide lenses; the
+interpolation error between them is below a tenth of a panorama column. The larger divides the
+image width."""
+_WIDE_FOCAL_PX = 200.0
 _GLARE_STRENGTH = 120.0
 _LEAST_GLARE = 1.0
 _GLARE_HALF_WIDTH_RAD = math.radians(16.0)
@@ -88,8 +93,15 @@ _GLARE_TINT = (1.0, 0.84, 0.58)
 class Atmosphere:
     """Renders the ground in a scenario's light, haze, water and sky."""
 
-    def __init__(self, light: Light, height: int, width: int) -> None:
-        """Prepare for images of ``height`` by ``width`` pixels in one scenario's light."""
+    def __init__(self, light: Light, height: int, width: int, focal_px: float) -> None:
+        """Prepare for images in one scenario's light.
+
+        Args:
+            light: the light.
+            height: of the images [px].
+            width: of the images [px], a multiple of :data:`SPARSE_PX`.
+            focal_px: focal length along a row [px].
+        """
         self._size = height, width
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
@@ -112,7 +124,7 @@ class Atmosphere:
             lowest_rad=sky.LOWEST_RAD,
             step_rad=sky.STEP_RAD,
             end_tan=sky.GROUND_END_TAN,
-            spacing_px=_SPARSE_PX,
+            spacing_px=SPARSE_PX if focal_px >= _WIDE_FOCAL_PX else _LESS_SPARSE_PX,
         )
 
     def veil_at(self, distance_m: float) -> tuple[float, NDArray[np.float64]]:

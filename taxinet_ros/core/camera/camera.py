@@ -1,22 +1,26 @@
-"""The wing camera: mounting, projection and rendering.
+"""A scenario's camera: projection and rendering.
 
-Calibrated on the published X-Plane images: a 1920x1080 screen with a focal length of 1,125 px and
-the principal point at its centre, cropped to the 1720x960 region at (100, 100), without its top 230
-rows, resized (changing the aspect ratio) to 360x200. Screen coordinates are continuous and pixel
-centres are integers, as in ROS, so image column u is at 100 + (u + 0.5) * 1720/360 on the screen;
-hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and cy = (540 - 330) * 200/730 - 0.5 = 57.03.
+The usual one, the paper's wing camera, was calibrated on the published X-Plane pictures: a
+1920x1080 screen with a focal length of 1,125 px and the principal point in its middle, cut to the
+1720x960 region at (100, 100), without its top 230 rows, resized (not keeping the aspect) to
+360x200. Screen and picture edges are continuous coordinates, so picture pixel u, whose centre is
+the whole number u as ROS has it, lies at 100 + (u + 0.5) * 1720/360 on the screen; hence
+fx = 1125 * 360/1720, fy = 1125 * 200/730, cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and
+cy = (540 - 330) * 200/730 - 0.5 = 57.03.
 
 A frame is rendered by inverse mapping: each pixel's ray is intersected with the ground, whose
 colour comes from a ripmap at the level of the pixel's footprint. Shade, light, haze, glare, sky,
-rain, the aircraft's own parts and faults of lens and sensor follow. Equal state, stamp and scenario
+rain and the aircraft's own parts follow; distortion then resamples this pinhole image, the
+sensor's noise is added, and faults of lens and sensor come last. Equal state, stamp and scenario
 give equal bytes in every process.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
+import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -29,9 +33,9 @@ from taxinet_ros.core.camera.airframe import (
     AirframeView,
     Mask,
     OwnShadow,
-    hidden_columns,
+    drawing,
 )
-from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
+from taxinet_ros.core.camera.atmosphere import SPARSE_PX, Atmosphere, RainSheet, scramble
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.lens_faults import LensFaults
@@ -39,85 +43,34 @@ from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_lig
 from taxinet_ros.core.camera.objects import ObjectsView
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.rig.camera_model import CameraModel, rotation
+from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA, find_camera
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import AircraftState, quaternion, quaternion_product
+from taxinet_ros.core.types import AircraftState
 
 Mark = Callable[[str], None]
 """Callback with the name of every finished rendering stage, for benchmarks."""
 
-IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
-
 STAGES = (
     'ground', 'marks', 'cloud shade', 'own shadow', 'shadows of others', 'atmosphere', 'others',
-    'rain', 'airframe', 'lens',
+    'rain', 'airframe', 'distortion and noise', 'lens',
 )
 """Rendering stages in order; a scene has those that it needs."""
 
-_SCREEN_FOCAL_PX = 1125.0
-_COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
+WING = find_camera(DEFAULT_CAMERA)
+"""The paper's camera, the default."""
+IMAGE_HEIGHT, IMAGE_WIDTH, _ = WING.shape
+"""Its image size [px]."""
 
-_OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
-
-def intrinsics() -> NDArray[np.float64]:
-    """Camera matrix K (3, 3); pixel centres are integers; no distortion."""
-    return np.array([
-        [_SCREEN_FOCAL_PX / _COLUMN_PX, 0.0, (960 - 100) / _COLUMN_PX - 0.5],
-        [0.0, _SCREEN_FOCAL_PX / _ROW_PX, (540 - 100 - 230) / _ROW_PX - 0.5],
-        [0.0, 0.0, 1.0],
-    ])  # fmt: skip
+Vectors = NDArray[np.float64]
 
 
-def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of REP-103 fixed-axis angles, from the rotated to the base frame."""
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+def intrinsics() -> Vectors:
+    """Camera matrix K (3, 3) of the wing camera; pixel centres are whole numbers."""
+    return WING.intrinsics.copy()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mount:
-    """Position and attitude of a camera on the aircraft.
-
-    Attributes:
-        offset_m: camera in the body frame (x forward, y left, z up) from the reference point [m].
-        roll_rad, pitch_rad, yaw_rad: attitude (REP-103: pitch positive nose down, yaw positive
-            left) [rad].
-    """
-
-    offset_m: tuple[float, float, float]
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
-
-    @property
-    def attitude(self) -> tuple[float, float, float, float]:
-        """Quaternion (x, y, z, w) of ``camera_optical`` (z forward, x right) in ``base_link``."""
-        turned = quaternion(self.roll_rad, self.pitch_rad, self.yaw_rad)
-        return quaternion_product(turned, (-0.5, 0.5, -0.5, 0.5))
-
-    @cached_property
-    def body_to_optical(self) -> NDArray[np.float64]:
-        """Rotation matrix (3, 3) from the body frame to the optical one."""
-        to_body = rotation(self.roll_rad, self.pitch_rad, self.yaw_rad) @ _OPTICAL_TO_LINK
-        return np.asarray(to_body.T)
-
-
-WING_MOUNT = Mount(
-    offset_m=(0.085, -2.17, 0.50), roll_rad=0.0, pitch_rad=math.radians(10.42),
-    yaw_rad=math.radians(-4.15),
-)
-"""The settled Caravan adds 0.11 degrees nose down: 10.53 degrees in all, as calibrated."""
-
-
-def pose(
-    state: AircraftState, mount: Mount = WING_MOUNT
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def pose(state: AircraftState, camera: CameraModel = WING) -> tuple[Vectors, Vectors, Vectors]:
     """Rotation body to ``map`` (3, 3), rotation ``map`` to optical (3, 3), camera in ``map`` (3,).
 
     Raises:
@@ -127,41 +80,39 @@ def pose(
     if not all(map(math.isfinite, numbers)):
         raise ValueError(f'camera: the pose is not finite: {state}')
     body = rotation(state.roll_rad, state.pitch_rad, state.yaw_rad)
-    camera = np.array(numbers[:3]) + body @ np.array(mount.offset_m)
-    if camera[2] < 0.05:
+    place = np.array(numbers[:3]) + body @ np.array(camera.offset_m)
+    if place[2] < 0.05:
         raise ValueError(
-            f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
+            f'camera: {place[2]:.3f} m above ground, the aircraft is not on its wheels'
         )
-    return body, mount.body_to_optical @ body.T, camera
+    return body, camera.body_to_optical @ body.T, place
 
 
 def project(
-    state: AircraftState, points_map: NDArray[np.floating], mount: Mount = WING_MOUNT
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Project points in ``map``, (N, 3) [m], into the image.
+    state: AircraftState, points_map: NDArray[np.floating], camera: CameraModel = WING
+) -> tuple[Vectors, Vectors]:
+    """Project points in ``map`` into the image.
 
-    Returns:
-        Pixels (u, v), (N, 2), and depths along the optical axis (N,) [m]; pixels are valid only for
-        positive depth.
+    Takes (N, 3) points [m]; gives (N, 2) pixels (u, v) and (N,) depths along the optical axis [m].
+
+    Pixels are valid only for positive depth.
     """
-    _, to_optical, camera = pose(state, mount)
-    points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
-    with np.errstate(divide='ignore', invalid='ignore'):
-        pixels = (points @ intrinsics().T)[:, :2] / points[:, 2:]
-    return pixels, points[:, 2]
+    _, to_optical, place = pose(state, camera)
+    points = (np.asarray(points_map, np.float64) - place) @ to_optical.T
+    return camera.pixels(points), points[:, 2]
 
 
 def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Split the light table of three channels into a common curve and a gain per channel.
+    """Split the light table of three channels into one common curve and a gain before it.
 
-    The display code of every channel is the same function of albedo times irradiance, and albedo is
-    a power of the ground code; so the tables differ only in the scale of their argument.
+    Every channel's display code is the same function of albedo times irradiance, and albedo is a
+    power of the ground's code; so the channels' tables differ by the scale of their argument only.
 
     Args:
         table: display code by ground code and channel, (1, 256, 3).
 
     Returns:
-        Table of the brightest channel (256,), and factors on red, green and blue codes, 0..1.
+        The brightest channel's table (256,), and factors on red, green and blue codes, 0..1.
     """
     codes = table[0].astype(np.float64)
     brightest = int(codes.sum(axis=0).argmax())
@@ -180,61 +131,67 @@ def prepare() -> None:
 
 
 class Camera:
-    """The wing camera in one scenario's light and weather. Not thread-safe."""
+    """The camera in one scenario's light and weather. Not to be shared between threads."""
 
     def __init__(
         self, scenario: Scenario, ground: NDArray[np.uint8] | None = None, *,
-        mount: Mount = WING_MOUNT, runway: Runway | None = None,
+        model: CameraModel | None = None, runway: Runway | None = None,
     ) -> None:
         """Precompute everything fixed by the scenario; textures are made once per process.
 
         Args:
             scenario: scenario with light and weather.
-            ground: atlas of another ground style
-                (:mod:`taxinet_ros.core.camera.ground.atlas`); it then also determines whether there
-                is a crossing.
-            mount: mounting; the aircraft parts in the image, and the ground they hide, are always
-                those of the wing mount.
-            runway: replaces the scenario's runway (sun, surface and paint).
+            ground: atlas of another look of the ground
+                (:mod:`taxinet_ros.core.camera.ground.atlas`), which then also decides whether
+                there is a crossing.
+            model: replaces the scenario's camera.
+            runway: replaces the scenario's: its sun, surface and paint.
         """
-        self._mount = mount
+        self.model = model = model or scenario.camera_model
         runway = runway or scenario.runway
         track = None if scenario.line.is_runway else scenario.line
-        self._light = scenario_light(scenario, runway)
-        self._intrinsics = intrinsics()
+        self._light = scenario_light(scenario, runway, model)
+        self._intrinsics, (height, width), *taken_from = model.inner_view
+        # The renderer needs a multiple of columns; the excess is cropped.
+        width += -width % SPARSE_PX
+        self._size = height, width
         self._to_ray = np.linalg.inv(self._intrinsics)
+        aircraft = scenario.aircraft_model
+        parts = drawing(aircraft, model, self._size)
+        self._airframe = AirframeView(self._light, parts) if parts else None
+        hidden = parts.hidden if parts else np.zeros(height, np.int32)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
             ground = ground_atlas(runway, track, crossing=scenario.crossing)
         self._ground = GroundView(
-            ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH,
-            ground_layout(runway, track),
+            ground, grain_atlas(), gain, hidden, width, ground_layout(runway, track)
         )
-        self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
-        self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
-        self._airframe = AirframeView(self._light)
-        self._rain = (
-            RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if self._light.rain > 0 else None
-        )
+        self._clouds = CloudShade(self._light, height, width)
+        self._atmosphere = Atmosphere(self._light, height, width, float(self._intrinsics[0, 0]))
+        self._rain = RainSheet(self._light, height, width) if self._light.rain > 0 else None
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
-        casts_any = sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
-        casts = scenario.shadows and casts_any
+        casts = sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        shading = [part for part in aircraft.outline if part.shades]
         self._shadow = (
             OwnShadow(
-                self._light.sun, self._light.sun_width_rad, self._intrinsics, IMAGE_HEIGHT,
-                IMAGE_WIDTH,
+                shading, self._light.sun, self._light.sun_width_rad, self._intrinsics,
+                height, width,
             )
-            if casts
+            if casts and scenario.shadows and shading
             else None
         )
-        size = IMAGE_HEIGHT, IMAGE_WIDTH
-        self._faults = LensFaults(scenario, self._light, self._intrinsics, size)
         self._objects = (
             ObjectsView(
                 scenario.others, self._light, self._clouds, self._atmosphere, gain,
-                self._intrinsics, size, casts=casts_any,
-            ) if scenario.traffic else None
+                self._intrinsics, self._size, casts=casts,
+            ) if scenario.others.objects else None
         )
+        if model.distorts:
+            across, down = (table.astype(np.float32) for table in taken_from)
+            # Integer maps give the same bytes on every processor.
+            self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
+        self._noise = _Noise(scenario, model)
+        self._faults = LensFaults(scenario, self._light, model.intrinsics, model.shape[:2])
 
     def render(
         self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
@@ -243,16 +200,18 @@ class Camera:
 
         Args:
             state: the aircraft's true state.
-            stamp_ns: simulated time since the start of the run [ns]; seeds the rain pattern.
-            mark: called with the name of each of :data:`STAGES` when it is finished.
+            stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern
+                and the noise.
+            mark: called with the name of each of :data:`STAGES` when it ends.
 
         Returns:
-            (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
+            RGB uint8 of the camera's shape, usually (200, 360, 3), C-contiguous, owned by the
+            caller.
 
         Raises:
             ValueError: the pose is not finite or the camera would be below the ground.
         """
-        body, to_optical, camera = pose(state, self._mount)
+        body, to_optical, camera = pose(state, self.model)
         rays = to_optical.T @ self._to_ray
         colour = self._ground.render(rays, camera)
         mark('ground')
@@ -262,19 +221,8 @@ class Camera:
         if self._clouds.casts:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
-        shadow = None
-        if self._shadow is not None:
-            place = np.array([state.x_m, state.y_m, state.z_m])
-            shadow = self._shadow.mask(body, place, to_optical, camera)
-            self._shade(colour, shadow, state)
-            mark('own shadow')
-        if self._objects is not None:
-            shaded = np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH), np.uint8)
-            if shadow is not None:
-                shaded[shadow[:2]] = shadow[2]
-            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded)
-            mark('shadows of others')
-        picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
+        self._shade(colour, (body, to_optical, camera), state, stamp_ns, mark)
+        picture = np.empty((*self._size, 3), np.uint8)
         self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
         if self._objects is not None:
@@ -283,17 +231,73 @@ class Camera:
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
             mark('rain')
-        self._airframe.lay_over(picture, state.yaw_rad)
-        mark('airframe')
+        if self._airframe is not None:
+            self._airframe.lay_over(picture, state.yaw_rad)
+            mark('airframe')
+        if self.model.distorts or picture.shape != self.model.shape or self.model.noise_codes:
+            picture = self._taken(picture, stamp_ns)
+            mark('distortion and noise')
         if self._faults.any:
             picture = self._faults.apply(picture, to_optical, stamp_ns)
             mark('lens')
         return picture
 
-    def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
-        """Darken the ground in the aircraft's shadow."""
-        if shadow is None:
-            return
-        rows, columns, mask = shadow
-        depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
-        pixels.tint_masked(colour[rows, columns], mask, depth)
+    def _taken(self, picture: NDArray[np.uint8], stamp_ns: int) -> NDArray[np.uint8]:
+        """Apply distortion, crop and noise."""
+        if self.model.distorts:
+            across, down = self._maps
+            picture = np.asarray(cv2.remap(picture, across, down, cv2.INTER_LINEAR), np.uint8)
+        picture = np.ascontiguousarray(picture[:, :self.model.width_px])
+        if self.model.noise_codes:
+            picture = np.asarray(cv2.add(picture, self._noise.at(stamp_ns), dtype=cv2.CV_8U))
+        return picture
+
+    def _shade(
+        self, colour: NDArray[np.uint8], at: tuple[Vectors, Vectors, Vectors],
+        state: AircraftState, stamp_ns: int, mark: Mark,
+    ) -> None:
+        """Darken the ground in the shadows of the aircraft and of others, nowhere twice."""
+        body, to_optical, camera = at
+        shadow: Mask | None = None
+        if self._shadow is not None:
+            place = np.array([state.x_m, state.y_m, state.z_m])
+            shadow = self._shadow.mask(body, place, to_optical, camera)
+            if shadow is not None:
+                rows, columns, mask = shadow
+                depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
+                pixels.tint_masked(colour[rows, columns], mask, depth)
+            mark('own shadow')
+        if self._objects is not None:
+            shaded = np.zeros(self._size, np.uint8)
+            if shadow is not None:
+                shaded[shadow[:2]] = shadow[2]
+            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded)
+            mark('shadows of others')
+
+
+class _Noise:
+    """Gaussian noise of a sensor: one field per run, with another offset for each image."""
+
+    _SPARE_PX = 128
+
+    def __init__(self, scenario: Scenario, model: CameraModel) -> None:
+        # From start and time only: independent of the number of scenario keys.
+        self._seed = struct.pack(
+            '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
+            scenario.time_of_day_s,
+        )
+        self._model = model
+
+    @cached_property
+    def _field(self) -> NDArray[np.int16]:
+        height, width, channels = self._model.shape
+        rng = np.random.default_rng(list(hashlib.sha256(self._seed).digest()))
+        size = height + self._SPARE_PX, width + self._SPARE_PX, channels
+        noise = rng.standard_normal(size, np.float32) * np.float32(self._model.noise_codes)
+        return np.asarray(np.rint(noise), np.int16)
+
+    def at(self, stamp_ns: int) -> NDArray[np.int16]:
+        """Noise of the image at a stamp, (height, width, 3); a view."""
+        bits = scramble(stamp_ns)
+        top, left = bits % self._SPARE_PX, (bits >> 20) % self._SPARE_PX
+        return self._field[top:top + self._model.height_px, left:left + self._model.width_px]

@@ -22,6 +22,7 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.texture import Floats, smooth_noise
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 
@@ -162,14 +163,23 @@ def air_mass(elevation_rad: float) -> float:
     return float(1 / (sine + 0.50572 * (degrees + 6.07995) ** -1.6364))
 
 
-def scenario_light(scenario: Scenario, runway: Runway | None = None) -> Light:
-    """Light of a scenario: its date, time, clouds and rain at its runway (or another one)."""
-    runway = runway or scenario.runway
+def scenario_light(
+    scenario: Scenario, runway: Runway | None = None, camera: CameraModel | None = None
+) -> Light:
+    """The light of a scenario's place, date, hour, clouds and rain, as its camera is exposed.
+
+    Args:
+        scenario: the scenario.
+        runway: replaces the scenario's.
+        camera: replaces the scenario's.
+    """
+    runway, camera = runway or scenario.runway, camera or scenario.camera_model
     azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s, runway)
     direct, diffuse = _weathered(scenario, elevation)
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))
     level = float(LUMINANCE @ ((direct + diffuse) / reference))
     gain = min(level**-_EXPOSURE_COMPENSATION, _EXPOSURE_LIMIT) / reference
+    gain = gain * 2.0**camera.exposure_ev
     cloud, rain = _CLOUDS[scenario.clouds], scenario.rain_fraction
     low, high = _sky(cloud, diffuse * gain, direct * gain, elevation)
     return Light(

@@ -15,12 +15,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH
+from taxinet_ros.core.perception.network import usual_frame
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -54,11 +53,7 @@ class LabelledFrame:
         Raises:
             UsageError: the file is not an image with 8 bits per channel, is damaged or too large.
         """
-        found = _decode(self.path)
-        if found.shape[:2] == (IMAGE_HEIGHT, IMAGE_WIDTH):
-            return found
-        size = (IMAGE_WIDTH, IMAGE_HEIGHT)
-        return np.asarray(cv2.resize(found, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return usual_frame(_decode(self.path))
 
 
 def read_labelled_frames(folder: Path) -> tuple[LabelledFrame, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.rig.camera_model import LEAST_SIDE_PX, MOST_SIDE_PX
 
 FATAL = 4
 """Highest log severity level of onnxruntime; errors are raised as exceptions."""
@@ -47,7 +48,7 @@ def open_session(data: bytes) -> Any:
 
 
 IMAGE_SHAPE = (200, 360, 3)
-"""Height, width and channels of a camera frame (RGB, uint8)."""
+"""Height, width and channels of the frames that networks take (RGB, uint8)."""
 INPUT_SHAPE = (64, 192)
 """Height and width of the network's grey image."""
 _FAR_ROWS = 40
@@ -104,19 +105,33 @@ DEFAULT_ARCHITECTURE = 'cnn5-64x192'
 
 
 def is_frame(image: object) -> bool:
-    """Whether ``image`` is a camera frame: an array (200, 360, 3) of uint8."""
-    if not isinstance(image, np.ndarray):
+    """Whether ``image`` is a camera's frame: an array (height, width, 3) of uint8."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
         return False
-    return bool(image.shape == IMAGE_SHAPE and image.dtype == np.uint8)
+    height, width, channels = image.shape
+    return channels == 3 and all(LEAST_SIDE_PX <= side <= MOST_SIDE_PX for side in (height, width))
+
+
+def usual_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Resize a frame (height, width, 3) of any camera for networks, to (200, 360, 3).
+
+    Pixels are averaged over areas; the aspect ratio is not kept.
+    """
+    if image.shape == IMAGE_SHAPE:
+        return image
+    import cv2
+
+    size = IMAGE_SHAPE[1], IMAGE_SHAPE[0]
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reduce a camera frame, (200, 360, 3) uint8 RGB, to the grey image (64, 192) uint8.
+    """Reduce a camera frame, (height, width, 3) uint8 RGB, to the grey image (64, 192) uint8.
 
     A metre covers one or two pixels far ahead and hundreds near the wheels. So the top rows of the
     frame are kept, and the others are averaged into the remaining rows.
     """
-    return _REDUCTION.reduce(np.ascontiguousarray(image))
+    return _REDUCTION.reduce(np.ascontiguousarray(usual_frame(image)))
 
 
 def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:

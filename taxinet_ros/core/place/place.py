@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import groupby, pairwise
 
+from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.place.markings import Polygon
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import LEAST_RADIUS_M, Track, check_room, make_track, runway_track
 from taxinet_ros.errors import UsageError
 
-_DIGEST_SIGNS = 12
 ROUTE_WIDTH_M, ROUTE_RADIUS_M = 15.0, 30.0
 """Of a track along taxi routes, whose nodes have neither: pavement, and arcs where they fit."""
 _ROUTE_DETAIL_M = 0.5
@@ -71,45 +69,22 @@ class TaxiRoute:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Place(NamedDocument):
     """Location of runs.
 
     Attributes:
-        name: lower-case identifier, used on the command line and in tables.
-        title: display name.
         icao: ICAO code of the airport, or ''.
         runway: runway for taxiing.
         pavements, lines, routes: optional ground data of the airport.
         tracks: lines to follow other than the runway's centreline and the routes.
-        document: the whole place as canonical JSON, from which it can be recreated.
-        shipped: whether it is shipped with the package and identified by its name.
     """
 
-    name: str
-    title: str
     icao: str
     runway: Runway
     pavements: tuple[Pavement, ...] = ()
     lines: tuple[PaintedLine, ...] = ()
     routes: tuple[TaxiRoute, ...] = ()
     tracks: tuple[Track, ...] = ()
-    document: str
-    shipped: bool = False
-
-    @property
-    def text(self) -> str:
-        """Self-contained text for scenarios: a shipped name, or the document."""
-        return self.name if self.shipped else self.document
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the document."""
-        return hashlib.sha256(self.document.encode()).hexdigest()
-
-    @property
-    def reference(self) -> str:
-        """Short text for tables: a shipped name, or ``NAME@DIGEST`` with 12 hex digits."""
-        return self.name if self.shipped else f'{self.name}@{self.digest[:_DIGEST_SIGNS]}'
 
     @property
     def track_names(self) -> tuple[str, ...]:

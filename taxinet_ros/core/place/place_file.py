@@ -6,14 +6,13 @@ key.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
+from taxinet_ros.core.documents import canonical, document_name
 from taxinet_ros.core.place.markings import Polygon
 from taxinet_ros.core.place.place import PaintedLine, Pavement, Place, TaxiRoute
 from taxinet_ros.core.place.runway import (
@@ -31,12 +30,10 @@ from taxinet_ros.core.place.track import (
     check_room,
     make_track,
 )
-from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import (
     Section,
     expected,
     is_number,
-    load_json,
     read_yaml,
 )
 
@@ -60,32 +57,17 @@ _CLEAR_M, _FILLET_M = 37.5, 85.0
 STEEPEST_DEG = 20.0
 _FARTHEST_M = 50_000.0
 
-_NAME = re.compile(r'[a-z][a-z0-9_]{0,39}')
 _ICAO = re.compile(r'[A-Z0-9]{2,7}')
 _DESIGNATION = re.compile(r'(0[1-9]|[12][0-9]|3[0-6])[LCR]?')
-_FROM_SCENARIO = Path('place')
 
 
-def read_place(path: Path, *, shipped: bool = False) -> Place:
+def read_place(path: Path, shipped: bool = False) -> Place:
     """Read the place of a YAML file.
 
     Raises:
         UsageError: an unreadable file, or an invalid value.
     """
     return make_place(read_yaml(path, option='place'), path, shipped=shipped)
-
-
-def place_from_document(document: str) -> Place:
-    """Parse the JSON place of a scenario.
-
-    Raises:
-        UsageError: invalid JSON or an invalid value.
-    """
-    try:
-        values = load_json(document)
-    except ValueError as error:
-        raise UsageError(f'place: neither a name nor JSON of a place: {error}') from None
-    return make_place(values, _FROM_SCENARIO)
 
 
 def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
@@ -100,7 +82,7 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
         UsageError: an invalid value.
     """
     top = Section(path, values, _KEYS)
-    name = _matching(top, 'name', _NAME, 'a lower-case word, such as kmwh_04')
+    name = document_name(top, 'kmwh_04')
     icao = _matching(top, 'icao', _ICAO, 'an ICAO code in capitals') if 'icao' in top else ''
     zone = top.text('time_zone', kind='a time zone, such as Pacific/Auckland or UTC-08:00')
     try:
@@ -120,11 +102,6 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
         document=canonical(values),
         shipped=shipped,
     )
-
-
-def canonical(values: Mapping[str, Any]) -> str:
-    """Canonical JSON of plain values: independent of the order of keys."""
-    return json.dumps(values, sort_keys=True, separators=(',', ':'), ensure_ascii=False)
 
 
 def _matching(section: Section, key: str, pattern: re.Pattern[str], kind: str) -> str:
@@ -296,7 +273,7 @@ def _route(section: Section) -> TaxiRoute:
 def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
     found: dict[str, Track] = {}
     for section in _entries(top, 'tracks', _TRACK_KEYS):
-        name = _matching(section, 'name', _NAME, 'a lower-case word, such as exit_left')
+        name = document_name(section, 'exit_left')
         if name in found or name == RUNWAY_TRACK:
             raise section.wrong(f'there is a track {name} already', 'name')
         found[name] = _track(section, name, checked=checked)

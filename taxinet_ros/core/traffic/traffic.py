@@ -6,16 +6,18 @@ every re-simulation have the same objects at the same places, to the bit.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from taxinet_ros.core.documents import NamedDocument, canonical
+
 COLOURS = ('white', 'yellow', 'orange', 'red', 'blue', 'green', 'grey', 'black')
-_DIGEST_SIGNS = 12
+NOBODY = 'nobody'
+"""The word for no objects."""
 
 
 class Size(NamedTuple):
@@ -182,30 +184,15 @@ class GroundObject:
         return x0 + part * (x1 - x0), y0 + part * (y1 - y0)
 
 
-@dataclass(frozen=True)
-class Traffic:
-    """All objects on the ground of a scenario."""
+@dataclass(frozen=True, kw_only=True)
+class Traffic(NamedDocument):
+    """All objects on the ground of a scenario; see :func:`traffic_of`.
+
+    Its name is their number, so that tables have ``3_objects@0123456789ab``; ``nobody`` where
+    there are none.
+    """
 
     objects: tuple[GroundObject, ...] = ()
-
-    @cached_property
-    def text(self) -> str:
-        """What a scenario has of them: canonical JSON, or '' where there are none."""
-        if not self.objects:
-            return ''
-        documents = {'objects': [one.document for one in self.objects]}
-        return json.dumps(documents, sort_keys=True, separators=(',', ':'))
-
-    @cached_property
-    def reference(self) -> str:
-        """What tables have of them: their number and a digest, such as ``3_objects@0123456789ab``.
-
-        ``nobody`` where there are none.
-        """
-        if not self.objects:
-            return NOBODY
-        digest = hashlib.sha256(self.text.encode()).hexdigest()
-        return f'{len(self.objects)}_objects@{digest[:_DIGEST_SIGNS]}'
 
     @cached_property
     def solids(self) -> tuple[GroundObject, ...]:
@@ -218,5 +205,12 @@ class Traffic:
         return tuple(one for one in self.objects if not one.solid)
 
 
-NOBODY = 'nobody'
-"""The word for no objects."""
+def traffic_of(objects: Sequence[GroundObject]) -> Traffic:
+    """Collect the objects of a scenario."""
+    return Traffic(
+        name=f'{len(objects)}_objects' if objects else NOBODY,
+        title='others on the ground',
+        document=canonical({'objects': [one.document for one in objects]}),
+        shipped=not objects,
+        objects=tuple(objects),
+    )

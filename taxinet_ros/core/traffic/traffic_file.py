@@ -1,19 +1,16 @@
-"""Traffic by text: from a user's YAML file, from the JSON in scenarios, and by its reference.
+"""Others on the ground from a user's YAML file, or from the JSON in scenarios (docs/world.md).
 
-File and JSON are one mapping with the same keys (docs/world.md). Every bad value is one line that
-names the file and the key. Tables have a short reference; what it stands for is in the campaign's
-ledger, once, and known here to whoever has read that.
+Their lookup is that of all :mod:`documents <taxinet_ros.core.documents>`.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.traffic.traffic import (
     COLOURS,
     KINDS,
@@ -22,9 +19,9 @@ from taxinet_ros.core.traffic.traffic import (
     Leg,
     Size,
     Traffic,
+    traffic_of,
 )
-from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import Section, load_json, read_yaml
+from taxinet_ros.files.plain_values import Section, read_yaml
 
 MOST_OBJECTS = 32
 _MOST_LEGS = 50
@@ -39,81 +36,7 @@ _KEYS = (
     'path',
 )
 _LEG_KEYS = ('x_m', 'y_m', 'speed_mps', 'wait_s')
-_REFERENCE = re.compile(r'[0-9]+_objects@[0-9a-f]{12}')
 _FROM_SCENARIO = Path('traffic')
-_known: dict[str, str] = {}
-"""Text by reference. What a reference stands for never changes, so it does not matter who told."""
-
-
-@lru_cache(maxsize=64)
-def find_traffic(text: str) -> Traffic:
-    """The objects of a scenario.
-
-    Args:
-        text: the JSON that it carries; '' for nobody.
-
-    Raises:
-        UsageError: the JSON is not as it should be.
-    """
-    if not text:
-        return Traffic()
-    try:
-        values = load_json(text)
-    except ValueError as error:
-        raise UsageError(f'traffic: no JSON of objects (Python: load_traffic): {error}') from None
-    traffic = make_traffic(values, _FROM_SCENARIO)
-    _known[traffic.reference] = traffic.text
-    return traffic
-
-
-def typed_traffic(text: str) -> Traffic:
-    """Find the objects given by a user.
-
-    Args:
-        text: a YAML file, ``nobody``, a reference out of a table, or JSON.
-
-    Raises:
-        UsageError: it is none of these, or the file is not as it should be.
-    """
-    if text.lower().endswith(('.yaml', '.yml')):
-        return find_traffic(make_traffic(read_yaml(Path(text), option='traffic'), Path(text)).text)
-    if text in ('', NOBODY):
-        return Traffic()
-    if text.startswith('{'):
-        return find_traffic(text)
-    if not _REFERENCE.fullmatch(text):
-        raise UsageError(
-            f'scenario: traffic is {text!r:.60}, neither a YAML file of objects nor {NOBODY}'
-        )
-    if text not in _known:
-        raise UsageError(
-            f'scenario: traffic {text} is known by its digest only; the whole of it is in the '
-            'ledger of its campaign, and in the bags of its runs'
-        )
-    return find_traffic(_known[text])
-
-
-def load_traffic(source: str | Path | Sequence[Mapping[str, Any]]) -> str:
-    """Others on the ground as a scenario has them.
-
-    ``Scenario(traffic=load_traffic([{'kind': 'vehicle', 'x_m': 450, 'y_m': 8}]))``
-
-    Args:
-        source: a YAML file, or the objects themselves with the keys of such a file
-            (docs/world.md).
-
-    Raises:
-        UsageError: it is neither, or a value is not as it should be.
-    """
-    if isinstance(source, str | Path):
-        return typed_traffic(str(source)).text
-    objects = list(source) if isinstance(source, tuple) else source
-    return make_traffic({'objects': objects}, _FROM_SCENARIO).text
-
-
-def is_reference(text: str) -> bool:
-    """Whether a text is what tables have of traffic."""
-    return text == NOBODY or _REFERENCE.fullmatch(text) is not None
 
 
 def make_traffic(values: object, path: Path) -> Traffic:
@@ -130,7 +53,7 @@ def make_traffic(values: object, path: Path) -> Traffic:
     found = top.sections('objects', _KEYS)
     if len(found) > MOST_OBJECTS:
         raise top.wrong(f'{len(found)} of them, more than {MOST_OBJECTS}', 'objects')
-    return Traffic(tuple(_object(one) for one in found))
+    return traffic_of([_object(one) for one in found])
 
 
 def _object(section: Section) -> GroundObject:
@@ -174,3 +97,36 @@ def _legs(section: Section, x_m: float, y_m: float) -> Iterable[Leg]:
 
 def _place(section: Section) -> tuple[float, float]:
     return section.number('x_m', *_X_M), section.number('y_m', *_Y_M)
+
+
+def _read(path: Path, shipped: bool) -> Traffic:
+    if shipped:
+        return traffic_of(())
+    return make_traffic(read_yaml(path, option='traffic'), path)
+
+
+OTHERS: Catalogue[Traffic] = Catalogue(
+    'traffic', shipped=(NOBODY,), read=_read, make=make_traffic, folder=Path(),
+    one='others on the ground',
+)
+"""Nobody, and the user's."""
+find_traffic = OTHERS.find
+typed_traffic = OTHERS.typed
+
+
+def load_traffic(source: str | Path | Sequence[Mapping[str, Any]]) -> str:
+    """Load others on the ground for a scenario.
+
+    ``Scenario(traffic=load_traffic([{'kind': 'vehicle', 'x_m': 450, 'y_m': 8}]))``
+
+    Args:
+        source: a YAML file, or the objects themselves with the keys of such a file
+            (docs/world.md).
+
+    Raises:
+        UsageError: it is neither, or a value is not as it should be.
+    """
+    if isinstance(source, str | Path):
+        return typed_traffic(str(source)).text
+    objects = list(source) if isinstance(source, tuple) else source
+    return make_traffic({'objects': objects}, _FROM_SCENARIO).text

@@ -122,6 +122,7 @@ class ActiveRun:
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario)
         self.world = make_world(scenario)
+        self.camera = scenario.camera_model
         self.first = rolling_on(scenario.speed_mps)
         self.commands = LateCommands(timing, message.seed, message.index, scenario)
         may_stop = judging.stop_on is not StopOn.NEVER

@@ -8,9 +8,10 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.cdr.image import frame_of_cdr
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import error_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.perception.network import IMAGE_SHAPE, is_frame
+from taxinet_ros.core.camera.camera import WING
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
@@ -27,6 +28,7 @@ class PerceptionNode(Participant, abc.ABC):
         """Choose the perception; a network never gets the truth, nor truth the image."""
         super().__init__(interface.PERCEPTION, **node)
         self._perception = self.choose()
+        self._expected = WING.shape
         refuse_unknown(self)
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
@@ -40,6 +42,7 @@ class PerceptionNode(Participant, abc.ABC):
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
         self._perception.begin()
+        self._expected = scenario_of(scenario).camera_model.shape
 
     @abc.abstractmethod
     def choose(self) -> Perception:
@@ -47,8 +50,8 @@ class PerceptionNode(Participant, abc.ABC):
 
     def _see(self, cdr: bytes) -> None:
         stamp_ns, pixels = frame_of_cdr(cdr)
-        if not is_frame(pixels):
-            raise ValueError(f'image is {pixels.shape}, expected {IMAGE_SHAPE}')
+        if pixels.shape != self._expected:
+            raise ValueError(f'image is {pixels.shape}, expected {self._expected}')
         self._say(self._perception.estimate(pixels, None), self.run_id, stamp_ns)
 
     def _know(self, truth: StepMessage) -> None:

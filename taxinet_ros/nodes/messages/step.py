@@ -15,6 +15,8 @@ from rclpy.node import Node
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.core.camera.camera import WING
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -118,20 +120,26 @@ class TransformBroadcaster:
     def __init__(
         self, node: Node, *, prefix: str = '', odometry: TopicInfo | None = None
     ) -> None:
-        """Publish the camera transform.
+        """Publish the wing camera's transform.
 
         Args:
             node: publishing node.
             prefix: prefix of the topic names, with slash.
             odometry: as in :class:`.OdometryTransforms`.
         """
-        static, moving = (
+        self._static, self._moving = (
             node.create_publisher(topic.type, prefix + topic.name, topic.qos)
             for topic in interface.TRANSFORMS
         )
-        self._moving = moving
         self._transform_of = OdometryTransforms(odometry)
-        static.publish(camera_transform())
+        self._mounted = WING
+        self._static.publish(camera_transform())
+
+    def mount(self, camera: CameraModel) -> None:
+        """Publish another camera's transform, if it is another."""
+        if camera != self._mounted:
+            self._mounted = camera
+            self._static.publish(camera_transform(camera))
 
     def follow(self, odometry: bytes) -> None:
         """Publish ``base_link`` from serialised odometry, if there are subscribers.

@@ -17,7 +17,7 @@ from taxinet_ros.analysis.explain.counterfactual import (
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad
 from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.camera import WING, Camera
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
@@ -38,8 +38,8 @@ def moment_in(scenario, look):
     truth = now.state.tracking_error
     estimate = look(now.image)
     return Moment(
-        row=0, seq=0, t_s=0.0, x_m=now.state.x_m, line=scenario.line, image=now.image,
-        state=now.state, truth=truth, estimate=estimate,
+        camera=WING, row=0, seq=0, t_s=0.0, x_m=now.state.x_m, line=scenario.line,
+        image=now.image, state=now.state, truth=truth, estimate=estimate,
         misled_rad=misled_rad(estimate, truth, GAINS),
     )
 
@@ -192,8 +192,8 @@ def test_given_a_frozen_camera_then_only_without_it_a_moment_is_seen_as_it_is():
     truth = now.state.tracking_error
     estimate = dataclasses.replace(truth, cte_m=truth.cte_m + WRONG_M)
     moment = Moment(
-        row=6, seq=6, t_s=0.6, x_m=now.state.x_m, line=frozen.line, image=now.image,
-        state=now.state, truth=truth, estimate=estimate,
+        camera=WING, row=6, seq=6, t_s=0.6, x_m=now.state.x_m, line=frozen.line,
+        image=now.image, state=now.state, truth=truth, estimate=estimate,
         misled_rad=misled_rad(estimate, truth, GAINS), shown=start.state,
     )
     found = {

@@ -17,8 +17,8 @@ from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
+from taxinet_ros.core.documents import canonical
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.place_file import canonical
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import RecordError, UsageError
@@ -150,7 +150,7 @@ def test_given_runs_with_others_on_the_ground_then_the_ledger_has_each_once_and_
     assert first != second
     assert list(read_table(tmp_path)['traffic']) == [first, second, 'nobody', first]
     read = _READ.replace('row.place', 'row.traffic').replace(
-        '.runway.width_m', '.traffic == "" or found.scenario(row)[0].others.objects[0].x_m'
+        '.runway.width_m', '.traffic == "nobody" or found.scenario(row)[0].others.objects[0].x_m'
     )
     told = subprocess.run(
         [sys.executable, '-c', read, str(tmp_path)], capture_output=True, text=True, check=True

@@ -64,7 +64,7 @@ def test_given_random_places_then_they_are_dimensions_and_points_set_them(tmp_pa
 def test_given_an_override_then_the_objects_of_the_program_are_not_there_nor_searched(tmp_path):
     path = program(tmp_path, BUSY.replace('(0, 400)', '(Range(-3, 3), 400)'))
     with SceneSource(path, seed=1, overrides={'traffic': 'nobody'}) as source:
-        assert source.scene(0).traffic == ''
+        assert source.scene(0).traffic == 'nobody'
         assert [dimension.name for dimension in source.space()] == ['ego.position.x']
 
 
@@ -99,7 +99,7 @@ def test_given_files_to_choose_from_then_each_scene_has_one_of_them(tmp_path):
     ('new Vehicle at (3, 450), with viewAngle 1', '3: viewAngle has no effect here'),
     ('new Object at (3, 450)', '3: a further Object: it is no ground object'),
     ('param traffic = "nobody"\nnew Cone at (1, 450)', '3: param traffic has no effect here'),
-    ('param traffic = "lorries"', '3: param traffic is .*neither a YAML file'),
+    ('param traffic = "lorries"', '3: param traffic is .*nor a YAML file'),
     ('behavior B():\n    wait\nnew Cone at (1, 450)', '3: behavior has no effect here: other'),
     ('van = new Vehicle at (3, 450)\nvan.width = 3', '4: van.width is set when'),
 ])

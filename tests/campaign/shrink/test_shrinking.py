@@ -438,5 +438,5 @@ def test_given_others_on_the_ground_then_they_are_taken_away_from_the_last_to_th
     assert space.scenario(tuple(top)) == crowded
     top[space.moving.index(others)] = 1
     assert space.scenario(tuple(top)).traffic == load_traffic(cones[:1])
-    assert space.nominal.traffic == ''
+    assert space.nominal.traffic == 'nobody'
     assert 'traffic' not in {one.key for one in make_shrink_space(WET).parameters}

@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from picture_samples import OPEN, at, ground_points, luminance, placed, shot
 from scipy.spatial import ConvexHull
 
-from taxinet_ros.core.camera.airframe import OUTLINE
 from taxinet_ros.core.camera.light import sun_direction, sun_position
+from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 
 Mask = NDArray[np.bool_]
-
-
+OUTLINE = [part.points for part in find_aircraft('caravan').outline if part.shades]
 
 def _planes(part: NDArray[np.float64]) -> NDArray[np.float64]:
     """Faces of a part's hull (N, 4), outward normal and offset; flat parts get a millimetre."""

@@ -165,7 +165,7 @@ def test_given_ten_metres_and_thirty_degrees_when_scaled_then_both_outputs_are_o
         None,
         [[0]],
         np.zeros((200, 360), np.uint8),
-        np.zeros((360, 200, 3), np.uint8),
+        np.zeros((7, 360, 3), np.uint8),
         np.zeros((200, 360, 4), np.uint8),
         np.zeros(IMAGE_SHAPE, np.float32),
         np.zeros(IMAGE_SHAPE, np.int8),

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from network_samples import frame, random_weights, save_sample
@@ -72,13 +73,23 @@ def test_given_the_network_when_the_truth_changes_then_its_estimate_does_not() -
 
 
 @pytest.mark.parametrize(
-    'image', [np.zeros((240, 430, 3), np.uint8), np.zeros((200, 360, 3)), np.zeros(0, np.uint8)]
+    'image', [np.zeros((240, 430, 4), np.uint8), np.zeros((200, 360, 3)), np.zeros(0, np.uint8)]
 )
 def test_given_the_network_when_the_frame_is_of_wrong_shape_or_type_then_invalid(
     image: np.ndarray, tmp_path: Path
 ) -> None:
     network = make_perception(str(save_sample(tmp_path)))
     assert network.estimate(image, TRUTH) == NO_ESTIMATE
+
+
+def test_given_a_frame_of_another_size_when_asked_then_it_is_brought_to_the_usual_one(
+    tmp_path: Path,
+) -> None:
+    network = make_perception(str(save_sample(tmp_path)))
+    large = np.random.default_rng(5).integers(0, 256, (400, 640, 3), np.uint8)
+    usual = np.asarray(cv2.resize(large, (360, 200), interpolation=cv2.INTER_AREA), np.uint8)
+    seen = network.estimate(large, None)
+    assert seen == network.estimate(usual, None) != NO_ESTIMATE
 
 
 @pytest.mark.parametrize('bias', [(3e38, 0.5), (0.5, -3e38)])

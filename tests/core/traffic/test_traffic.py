@@ -111,10 +111,10 @@ def test_given_objects_that_cannot_be_then_one_line_says_which_and_why(objects, 
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    ('trucks', 'neither a YAML file of objects nor nobody'),
+    ('trucks', 'not one of nobody, nor a YAML file of others on the ground'),
     ('2_objects@000000000000', 'known by its digest only'),
     ('missing.yaml', 'traffic missing.yaml: cannot be read'),
-    ('{"objects"', 'traffic: no JSON of objects'),
+    ('{"objects"', 'traffic: neither a name nor JSON of others on the ground'),
 ])
 def test_given_a_word_that_is_no_traffic_then_one_line_says_so(text, words):
     with pytest.raises(UsageError, match=words):

@@ -17,10 +17,11 @@ pytestmark = pytest.mark.ros
 
 CODE = """
 from functools import partial
-from taxinet_ros.core.aircraft import MODELS, Aircraft
+from taxinet_ros.core.aircraft import Aircraft
+from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.world import SimulatedWorld
 
-LIGHT = partial(SimulatedWorld, aircraft=partial(Aircraft, model=MODELS['c172p']))
+LIGHT = partial(SimulatedWorld, aircraft=partial(Aircraft, model=find_aircraft('c172p')))
 """
 
 

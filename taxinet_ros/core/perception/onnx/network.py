@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.perception.network import IMAGE_SHAPE, open_session
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, open_session, usual_frame
 from taxinet_ros.core.perception.onnx.sidecar import (
     MAX_SIDECAR_BYTES,
     Brightest,
@@ -42,7 +42,7 @@ _RESIZES = {
 
 
 def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
-    """Convert a camera frame, (200, 360, 3) uint8 RGB, to the network's input.
+    """Convert a camera frame, (height, width, 3) uint8 RGB, to the network's input.
 
     Returns:
         Array of the shape ``sidecar.picture.shape``.
@@ -55,7 +55,7 @@ def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
 
 def _cut_out(image: NDArray[np.uint8], wanted: Picture) -> NDArray[np.float32]:
     """Colour, crop, resize in whole grey levels, reduce; (height, width, channels)."""
-    picture = np.ascontiguousarray(image)
+    picture = np.ascontiguousarray(usual_frame(image))
     if wanted.colour in _COLOURS:
         picture = np.asarray(cv2.cvtColor(picture, _COLOURS[wanted.colour]), np.uint8)
     left, top, right, bottom = wanted.crop

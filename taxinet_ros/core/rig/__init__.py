@@ -1,0 +1,1 @@
+"""What is simulated, as data: the aircraft and the camera on it, from YAML files and scenarios."""
