@@ -21,7 +21,7 @@ DULL = {'clouds': 'overcast', 'shadows': False}
 
 
 def picture(*objects, stamp_ns=0, state=STATE, **light):
-    traffic = load_traffic(objects) if objects else ''
+    traffic = load_traffic(objects) if objects else 'nobody'
     camera = Camera(Scenario(traffic=traffic, **{**NOON, **light}))
     return camera.render(state, stamp_ns).astype(float)
 

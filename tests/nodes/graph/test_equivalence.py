@@ -56,7 +56,7 @@ STEPS = 61
 
 
 def specs_of(scene: tx.Scenario) -> tuple[str, ...]:
-    return (*SPECS, 'no_collision', 'keep_clear') if scene.traffic else SPECS
+    return (*SPECS, 'no_collision', 'keep_clear') if scene.others.solids else SPECS
 
 
 def requests() -> list[RunRequest]:
