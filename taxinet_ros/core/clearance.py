@@ -29,6 +29,7 @@ from taxinet_ros.core.types import AircraftState, quaternion
 
 Vectors = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+_THIN_M = 5e-4
 
 
 class Clearance:
@@ -165,10 +166,21 @@ def _placed(outline: Outline, pose: Pose) -> _Edges:
 def _own_edges(aircraft: str, low_m: float, high_m: float) -> _Edges | None:
     """Plan of what the aircraft has between two heights above ground; None if it has nothing."""
     hulls = [
-        hull(points) for part in _own_parts(aircraft)
-        if len(points := _between(part, low_m, high_m)) > 2
+        _plan(points) for part in _own_parts(aircraft)
+        if (points := _between(part, low_m, high_m))
     ]
-    return _Edges.of([one for one in hulls if len(one) > 2]) if hulls else None
+    return _Edges.of(hulls) if hulls else None
+
+
+def _plan(points: Sequence[tuple[float, float]]) -> Points:
+    """The hull; what is upright and has no thickness gets one, as it can be hit too."""
+    plan = hull(points)
+    if len(plan) > 2:
+        return plan
+    return hull([
+        (x + dx, y + dy) for x, y in points for dx in (-_THIN_M, _THIN_M)
+        for dy in (-_THIN_M, _THIN_M)
+    ])
 
 
 def _between(part: Vectors, low_m: float, high_m: float) -> list[tuple[float, float]]:
