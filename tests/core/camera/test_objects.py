@@ -145,3 +145,20 @@ def test_given_equal_scenes_then_equal_bytes_whatever_was_rendered_before():
     one.render(STATE, 7 * 10**9)
     np.testing.assert_array_equal(one.render(STATE, 0), first)
     np.testing.assert_array_equal(Camera(scene).render(STATE, 0), first)
+
+
+def test_given_a_van_then_what_is_on_its_other_side_is_not_seen_through_it():
+    def counts(heading_deg):
+        near_van = changed(there('vehicle', 14, 0, heading_deg=heading_deg), **DULL)[:2]
+        red, green, blue = picture(
+            there('vehicle', 14, 0, heading_deg=heading_deg), **DULL
+        )[near_van].T
+        tail_lights = (red > 2 * green) & (red > 60) & (green < blue + 15)
+        headlights = (blue > 150) & (red < 1.15 * blue)
+        return tail_lights.sum(), headlights.sum()
+
+    (rear_red, rear_white), (front_red, front_white) = counts(0), counts(180)
+    assert rear_red > 10
+    assert rear_white == 0
+    assert front_white > 10
+    assert front_red == 0
