@@ -223,7 +223,7 @@ BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
     field.key: field.to_human(field.absent)
-    for field in (*fields.PUSHING_FIELDS, fields.TRACK, *fields.FAULT_FIELDS)
+    for field in fields.SCENARIO_FIELDS if field.absent is not None
 }
 
 
