@@ -83,7 +83,8 @@ _WHITE_LINES = {
 _BORDERED = {50 + style: stripes for style, stripes in _YELLOW_LINES.items()}
 """The yellow ones with a black border."""
 _BORDER_M = 0.15
-_LINES = {**_YELLOW_LINES, **_BORDERED, **_WHITE_LINES}
+LINES = {**_YELLOW_LINES, **_BORDERED, **_WHITE_LINES}
+"""Stripes by type of line."""
 
 
 def lay_airport(
@@ -91,8 +92,8 @@ def lay_airport(
 ) -> None:
     """Draw the pavements and lines of an airport over the ground.
 
-    Pavement that is neither asphalt nor concrete, and lines of other types than those above, are
-    not drawn; crossing runways are drawn elsewhere.
+    Pavement that is neither asphalt nor concrete, and lines of other types than :data:`LINES`,
+    are not drawn; crossing runways are drawn elsewhere.
 
     Args:
         block: colours of the texels of ``grid``, (rows, columns, 3) uint8 RGB.
@@ -111,14 +112,14 @@ def lay_airport(
         if paved.any():
             _lay_pavement(block, grid, with_surface(style, runway.surface, surface), paved * free)
     lines = [
-        line for line in airport.lines if line.style in _LINES and _in_view(line.points, grid)
+        line for line in airport.lines if line.style in LINES and _in_view(line.points, grid)
     ]
     for styles, colour, border_m in (
         (_BORDERED.keys(), _BLACK, _BORDER_M),
         (_YELLOW_LINES.keys() | _BORDERED.keys(), _YELLOW, 0.0),
         (_WHITE_LINES.keys(), _WHITE, 0.0),
     ):
-        of_colour = [(line.points, _LINES[line.style]) for line in lines if line.style in styles]
+        of_colour = [(line.points, LINES[line.style]) for line in lines if line.style in styles]
         _paint(block, grid, style, of_colour, colour, border_m)
 
 
