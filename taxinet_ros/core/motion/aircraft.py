@@ -17,7 +17,7 @@ from statistics import fmean
 
 import jsbsim
 
-from taxinet_ros.core.gusts import M_PER_FT, Gusts
+from taxinet_ros.core.motion.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.rig.aircraft_model import (
