@@ -179,7 +179,7 @@ def doctor(
     """Check a bag; report each problem, where it is and how to repair it.
 
     Checks checksums, indexes, counts, stamps, type hashes, the completeness of every step, and the
-    verdict against the recorded truth.
+    verdict, with every figure in it, against the recorded truth.
     """
     from taxinet_ros.cli.bag.doctor import run_bag_doctor
 
