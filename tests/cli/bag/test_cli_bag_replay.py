@@ -129,7 +129,7 @@ def _with_other_commands(source: Path, folder: Path) -> None:
     with BagWriter(
         folder, info.topics, metadata={}, attachments={}, min_free_bytes=0
     ) as bag:
-        for topic, stamp_ns, cdr in stored_messages(source):
+        for topic, stamp_ns, cdr, _ in stored_messages(source):
             if topic.name == '/taxi_command' and stamp_ns == 400_000_000:
                 cdr = cdr[:-1] + bytes([cdr[-1] ^ 1])
             bag.write(topic.name, cdr, stamp_ns)
