@@ -40,10 +40,10 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING, controller_options
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.motion.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 MOST_RUNS = 10**7

@@ -19,7 +19,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
-from taxinet_ros.core.controller import STEERING, controller_options
+from taxinet_ros.core.motion.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.scenario import Scenario

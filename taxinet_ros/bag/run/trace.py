@@ -29,8 +29,8 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
@@ -180,7 +180,7 @@ class _TraceColumns:
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     table.track = track_of(message)
-    if (getattr(message, TRAFFIC.attribute, '') or NOBODY) != NOBODY:
+    if getattr(message, TRAFFIC.attribute, '') not in ('', NOBODY):
         table.clearance = clearance_in(message)
 
 

@@ -27,12 +27,12 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
 from taxinet_ros.campaign.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
 from taxinet_ros.campaign.summary import participants_words, scene_words
-from taxinet_ros.core.controller import controller_options
+from taxinet_ros.core.motion.controller import controller_options
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.world import world_options
 
 

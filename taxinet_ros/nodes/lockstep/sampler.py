@@ -15,8 +15,8 @@ from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import Gid
