@@ -31,7 +31,7 @@ from taxinet_ros.analysis.campaign.tables import (
     tree_table,
 )
 from taxinet_ros.analysis.causes.clusters import CLEAR, Clusters
-from taxinet_ros.analysis.causes.program import confirmation_command
+from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.causes.scan import DISCOUNT, SHUFFLES
 from taxinet_ros.analysis.report.parts import Report, Section
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting
@@ -258,6 +258,9 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
         sentences.append(
             'To test a cause on fresh scenes, run its command in this folder:')
         sentences += commands
+    elif findings.causes.found:
+        why = why_no_program(findings.runs)
+        sentences.append(f'There is no program to test the causes on fresh scenes: {why}.')
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),
