@@ -76,6 +76,14 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 f'itself drew it is {rate.words()}{left}; all rates here are of such runs.'
                 f'{_anytime(runs)}'
             )
+        case Weighting.UNDECIDED:
+            low, high = (100 * end for end in runs.bounds)
+            first = (
+                f'{count}: {rate.failures:,} violate {runs.spec}; {runs.undecided:,} more were '
+                'stopped before it was decided. So there is no failure rate of it: at 95 % '
+                f'confidence it is at least {low:.1f} % and at most {high:.1f} %, if all of those '
+                'satisfy or violate it. All shares refer to the decided runs.'
+            )
         case Weighting.UNKNOWN:
             first = (
                 f'{count}, chosen by the sampler {runs.sampler or "(unknown)"}: {rate.failures:,} '
@@ -245,7 +253,10 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
             'rates of the program and have no intervals'
             if findings.causes.searched
             else f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
-            'All intervals of causes hold for all regions at once, so also for those selected'
+            + ('All intervals of causes hold for all regions at once, so also for those selected'
+               if not findings.runs.undecided else
+               'They are of the decided runs alone, which their results selected, so they have no '
+               'intervals')
         )
         sentences[-1] += how + '. Its runs are removed, and the search is repeated.'
     if findings.causes.again:

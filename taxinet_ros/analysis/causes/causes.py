@@ -197,7 +197,7 @@ class FoundRate(NamedTuple):
         runs, failures: numbers in the group, of the runs as made.
         rate: share of failures among these; usually biased upwards for a found region.
         low, high: simultaneous 95 % interval over all compared regions, so valid for the selected
-            one; NaN if outcomes influenced the choice of scenes.
+            one; NaN if outcomes influenced the choice of scenes, or left out undecided runs.
     """
 
     runs: int
@@ -299,6 +299,8 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     failed = frame['failed'].to_numpy(dtype=bool)
     left = np.ones(len(frame), dtype=bool)
     searched = not set(runs.sampler.split(', ')) <= _OUTCOME_BLIND_SAMPLERS
+    # Neither scenes chosen by outcomes nor runs left out by theirs give intervals.
+    free = not searched and not runs.undecided
     why_not = _why_not(failed)
     found: list[Cause] = []
     candidates, slack = 0, 0.0
@@ -315,7 +317,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         inside, beyond = within & left, ~within & left
         if not failed[inside].any() or not beyond.any():
             break
-        deviance = math.nan if searched else scan.deviance(min(inside.sum(), beyond.sum()))
+        deviance = scan.deviance(min(inside.sum(), beyond.sum())) if free else math.nan
         slack += deviance
         found.append(Cause(
             region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
@@ -325,7 +327,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         ))
         left = beyond
     if not found:
-        slack = math.nan if searched else _OF_ALL
+        slack = _OF_ALL if free else math.nan
     return Causes(
         found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
         candidates=candidates, searched=searched, again=again,

@@ -13,7 +13,7 @@ from taxinet_ros.analysis.campaign.findings import Findings, analyse
 from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_text, write_analysis
 from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
-from taxinet_ros.analysis.runs.campaign import Weighting, distinct_labels, read_runs
+from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -37,7 +37,7 @@ def run_analyze(
 
     Returns:
         Exit code: 0, or 3 if the campaign yields no failure rate (its shares refer to the runs
-        made).
+        made, or decided).
 
     Raises:
         UsageError: bad input.
@@ -58,7 +58,7 @@ def run_analyze(
     else:
         _print(console, findings, folder)
         console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
-    return ExitCode.INCOMPLETE if runs.weighting is Weighting.UNKNOWN else ExitCode.OK
+    return ExitCode.OK if runs.weighting.rated else ExitCode.INCOMPLETE
 
 
 def _print(console: Console, findings: Findings, folder: Path) -> None:
