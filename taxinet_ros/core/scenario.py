@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
+from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
@@ -221,6 +222,11 @@ class Scenario:
     def runway(self) -> Runway:
         """Runway of the place."""
         return find_place(self.place).runway
+
+    @property
+    def airport(self) -> AirportGround | None:
+        """Pavements and lines of the place beside the runway, if known."""
+        return find_place(self.place).ground
 
     @property
     def line(self) -> Track:

@@ -223,7 +223,7 @@ BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
     field.key: field.to_human(field.absent)
-    for field in (*fields.PUSHING_FIELDS, fields.TRACK, *fields.FAULT_FIELDS)
+    for field in fields.SCENARIO_FIELDS if field.absent is not None
 }
 
 
@@ -259,6 +259,8 @@ def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
     if feature.source not in table.columns:
         # A table from before this feature existed.
         before = _BEFORE.get(feature.source, '')
+        if before is True:
+            before = 'on'
         return np.full(len(table), before, dtype=np.float64 if feature.numeric else object)
     column = table[feature.source]
     if feature in _SWITCHES:

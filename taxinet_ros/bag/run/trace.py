@@ -174,7 +174,7 @@ class _TraceColumns:
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     table.track = track_of(message)
-    if getattr(message, TRAFFIC.attribute, NOBODY) != NOBODY:
+    if getattr(message, TRAFFIC.attribute, '') not in ('', NOBODY):
         table.clearance = clearance_in(message)
 
 

@@ -25,6 +25,7 @@ from taxinet_ros.core.scenario_fields import (
     GUST_SEED,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
+    TRAFFIC,
 )
 
 PUSHED = {
@@ -50,10 +51,11 @@ FAILING = {
 }
 
 
-def test_given_the_rows_then_each_is_a_feature_but_length_and_seeds():
+def test_given_the_rows_then_each_is_a_feature_but_length_seeds_and_traffic():
     sources = {feature.source for feature in ALL_FEATURES}
     assert sources == {
-        field.key for field in SCENARIO_FIELDS if field not in (DURATION, GUST_SEED, FAULT_SEED)
+        field.key for field in SCENARIO_FIELDS
+        if field not in (DURATION, GUST_SEED, FAULT_SEED, TRAFFIC)
     }
 
 

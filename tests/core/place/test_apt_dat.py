@@ -97,6 +97,28 @@ def test_given_ground_when_read_then_areas_lines_and_routes_are_in_the_runways_f
     assert (route.name, route.one_way, route.on_runway) == ('A', True, False)
 
 
+def test_given_nodes_with_types_when_read_then_each_part_is_a_line_of_its_own(tmp_path):
+    ground = """\
+110 1 0.25 0 taxiway
+111 50.001 8.002 3
+111 50.001 8.004 3 102
+111 50.002 8.004 102
+113 50.002 8.002
+120 line
+111 50.0005 8.002 1
+111 50.0005 8.003 51
+111 50.0005 8.004 51
+115 50.0005 8.005
+120 light
+111 50.0005 8.002 101
+115 50.0005 8.003
+"""
+    place = read_airport_place(written(tmp_path, HEADER + RUNWAYS + ground + AFTER), 'XTST', '09')
+    assert [(line.style, len(line.points)) for line in place.lines] == [(3, 3), (1, 2), (51, 3)]
+    assert place.lines[1].points[-1] == place.lines[2].points[0]
+    assert place.pavements[0].outline[:3] == place.lines[0].points
+
+
 def test_given_a_packed_file_when_read_then_it_is_the_same_place(tmp_path):
     path = written(tmp_path)
     packed = tmp_path / 'apt.dat.gz'
