@@ -442,6 +442,7 @@ def test_given_settings_that_are_not_known_then_there_is_no_command(
     table = planted_table(40, 1, lambda t: 0.5).assign(
         program='s_falsif.scenic', perception=perception)
     runs = planted_runs(table, tmp_path)
+    runs.facts.clear()
     runs.facts.update(facts)
     assert why in why_no_program(runs)
     assert confirmation_command(runs, cause_of(PARTS[1])) is None
