@@ -88,6 +88,7 @@ def _campaign(runs: CampaignRuns) -> dict[str, Any]:
 def _baseline(one: BaselineComparison) -> dict[str, Any]:
     return {
         **_campaign(one.baseline), 'difference': one.difference._asdict(),
+        'paired': one.paired, 'differing': list(one.differing),
         'changed': None if one.changed is None else one.changed._asdict(),
         'in_causes': [_rate(rate) for rate in one.in_causes],
         'outside_causes': _rate(one.off_causes),

@@ -54,6 +54,8 @@ def summary(findings: Findings) -> tuple[str, ...]:
     return (
         *rate_sentences(findings.runs), *cause_sentences(findings),
         *stack_sentences(findings.campaigns),
+        *(f'Warning: {one.baseline.label}: {line}.' for one in findings.comparisons
+          for line in one.baseline.warnings),
         *(one.sentence(findings.runs.label, findings.runs.rate())
           for one in findings.comparisons),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES, Floats, Mask, feature_columns
+from taxinet_ros.analysis.runs.features import (
+    PAPER_FEATURES,
+    Floats,
+    Mask,
+    feature_columns,
+    scene_columns,
+)
 from taxinet_ros.campaign.rates import (
     count_kinds,
     count_words,
@@ -153,6 +159,7 @@ class CampaignRuns:
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
             ``rho`` (NaN if its size is unknown), ``rho_exact`` (False if the run was stopped early
             and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and the features.
+        scenes: scene of each of them, by scenario key.
         others: number of runs without a verdict, by outcome.
         kinds: number of infrastructure errors by kind.
         undecided: number of judged runs stopped before this formula was decided.
@@ -186,6 +193,7 @@ class CampaignRuns:
     anytime: bool = False
     blind: int = 0
     unrecorded: str = ''
+    scenes: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -284,6 +292,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         undecided=int((~decided).sum()), weighting=_weighting(drawn, decided), bounds=bounds,
         uncounted=int((drawn & (judged['index'] >= counted)).sum()), blind=_blind(judged),
         unrecorded=_unrecorded(table, facts),
+        scenes=scene_columns(judged)[decided].reset_index(drop=True),
     )
 
 
