@@ -300,10 +300,10 @@ def _clusters(findings: Findings) -> Section:
     sentences = [cluster_sentence(findings.clusters)]
     if findings.axes:
         first = findings.axes[0]
-        even = 1 / len(findings.axes)
         sentences.append(
             f'The longest principal axis of the failures explains {100 * first.explained:.0f} % of '
-            f'their variance; for unrelated features it would be {100 * even:.0f} %.')
+            f'their variance; the mean of all {len(findings.axes)} axes is '
+            f'{100 / len(findings.axes):.0f} %, and the longest is above it also by chance.')
     return Section(
         name='clusters', heading='Groups of failures', sentences=tuple(sentences),
         pictures=(clusters_picture(findings),) if found else (),

@@ -177,7 +177,8 @@ def _rounded(part: Part, frame: pd.DataFrame) -> Part:
         least if part.low is None else part.low, most if part.high is None else part.high
     )
     if part.low is not None and part.high is not None and part.low > part.high:
-        return replace(part, low=low, high=high)
+        # The gap between its ends may be less than a step: rounded, only the gap would remain.
+        return replace(part, low=low, high=high) if low > high else part
     return replace(part, low=low if low > least else None, high=high if high < most else None)
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from planted_runs import planted_runs, planted_table
 from scipy.stats import hypergeom
 
-from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes
+from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes, round_limits
 from taxinet_ros.analysis.causes.program import (
     cause_program,
     confirmation_command,
@@ -349,6 +349,26 @@ def test_given_values_then_each_lies_in_its_own_cell(values, most):
                for place, value in zip(places, values, strict=True))
     ends = [end for cell in zip(firsts, lasts, strict=True) for end in cell]
     assert ends == sorted(ends), 'cells do not overlap'
+
+
+@pytest.mark.parametrize(('feature', 'low', 'high', 'rounded'), [
+    # Whole steps of 5 min; a gap of less than a step must not become the region.
+    ('time_of_day_h', 23.02, 0.99, (23.0, 1.0)), ('time_of_day_h', 12.03, 12.01, (12.03, 12.01)),
+    ('time_of_day_h', 12.05, 11.95, (12.05, 11.95)),
+    ('time_of_day_h', 12.02, 11.9, (12.0, 11 + 11 / 12)),
+    ('wind_direction_deg', 350.6, 9.2, (350.0, 10.0)),
+    ('wind_direction_deg', 90.7, 90.4, (90.7, 90.4)),
+])
+def test_given_an_interval_over_midnight_when_rounded_then_it_is_not_turned_inside_out(
+    feature, low, high, rounded,
+):
+    values = np.linspace(0.0, 359.0 if feature.startswith('wind') else 24.0, 2000)
+    region = Region(parts=(Interval(feature=feature, low=low, high=high),))
+    frame = pd.DataFrame({feature: values})
+    found = round_limits(region, frame)
+    (part,) = found.parts
+    assert (part.low, part.high) == pytest.approx(rounded)
+    assert (found.mask(frame) >= region.mask(frame)).all(), 'it holds at least what it held'
 
 
 FACTS = {'runs': 40, 'specs': {'phi': 'always((abs(cte) <= 8))'}}
