@@ -112,7 +112,8 @@ class BaselineComparison:
             same = self.changed
             text += (f'. Of {same.scenes:,} scenes that both were run in, {same.worse:,} fail with '
                      f'{label} only and {same.better:,} with {self.baseline.label} only')
-            text += '' if np.isnan(same.p) else f' (p = {same.p:.3g})'
+            p = 'p < 0.001' if same.p < 0.001 else f'p = {same.p:.3f}'
+            text += '' if np.isnan(same.p) else f' ({p})'
         if self.differing:
             text += f'. Not known to be the same: {", ".join(self.differing)}'
         return text + '.'

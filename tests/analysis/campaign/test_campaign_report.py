@@ -123,7 +123,7 @@ def test_given_the_same_scenes_then_the_difference_and_its_significance_are_pair
     words = one.sentence('network', runs.rate())
     assert 'in the same scenes' in words
     assert 'chance' not in words
-    assert '(p = 0.00781)' in words
+    assert '(p = 0.008)' in words
 
 
 def test_given_as_many_changes_to_either_side_then_they_may_be_chance(tmp_path):
