@@ -342,7 +342,7 @@ def junit_xml(
 def rerun_command(
     row: RunRow, folder: Path, facts: Mapping[str, Any], documents: Path = Path()
 ) -> str:
-    """Command to rerun a run, bit-exact if its bag exists.
+    """Command to rerun a run, bit-exact if its bag exists; '' if its graph is not known.
 
     Args:
         row: row of the run.
@@ -352,7 +352,7 @@ def rerun_command(
     """
     if row.bag:
         return shlex.join(['taxinet', 'run', '--from', str(folder / row.bag)])
-    return _settings(row, facts).command('nominal', folder=documents)
+    return _settings(row, facts).command('nominal', folder=documents) if row.perception else ''
 
 
 def rerun_documents(rows: Sequence[RunRow], facts: Mapping[str, Any]) -> dict[str, str]:
@@ -418,7 +418,7 @@ def _add_run(
             case, 'failure', {'message': _text(message), 'type': row.outcome.value}
         )
         command = rerun_command(row, folder, facts, documents)
-        failure.text = _text(f'{message}\nrun it again: {command}')
+        failure.text = _text(f'{message}\nrun it again: {command}' if command else message)
         return
     words = ' '.join(word for word in (row.kind, row.who, row.detail) if word)
     message = f'{row.outcome}: {words}' if words else row.outcome.value

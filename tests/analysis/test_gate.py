@@ -318,6 +318,8 @@ def test_given_any_setting_then_what_to_type_for_a_run_without_a_bag_has_it(tmp_
         ('--set', f'place=docs/place-{mine.reference}.json'),
     ):
         assert pair in pairs
+    graph = row(0, Outcome.FAIL, **{**scene, 'perception': ''})
+    assert rerun_command(graph, Path('c'), {}) == '', 'it was started before the campaign'
     (name, text), = rerun_documents([row(0, Outcome.FAIL, **scene)], {}).items()
     assert (name, text) == (f'place-{mine.reference}.json', mine.document)
     (tmp_path / name).write_text(text)
