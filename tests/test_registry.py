@@ -16,7 +16,7 @@ from taxinet_ros import registry
 from taxinet_ros.campaign.options import read_specs
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.core.controller import check_controller, make_controller
+from taxinet_ros.core.motion.controller import check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.weights import SHIPPED

@@ -41,9 +41,9 @@ from taxinet_ros.campaign.rates import (
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 MOST_RUNS = 10**7

@@ -43,9 +43,11 @@ from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import (
+from taxinet_ros.core.faults import unseen_faults
+from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.motion.controller import (
     STEERING,
     Controller,
     SteeringGains,
@@ -54,15 +56,10 @@ from taxinet_ros.core.controller import (
     make_controller,
     read_command,
 )
-from taxinet_ros.core.faults import unseen_faults
-from taxinet_ros.core.judge import Judgement, check_others, check_specs
-from taxinet_ros.core.judging import Judging, parse_stop_on
-from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
-from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
 from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
@@ -73,12 +70,15 @@ from taxinet_ros.core.perception.perception import (
     make_perception,
     read_estimate,
 )
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION
+from taxinet_ros.core.verdict.judge import Judgement, check_others, check_specs
+from taxinet_ros.core.verdict.judging import Judging, parse_stop_on
+from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH

@@ -14,12 +14,12 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.options import DEFAULT_JUDGING, CampaignOptions
 from taxinet_ros.campaign.record.facts import recorded_world
-from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.documents import NamedDocument
-from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.motion.controller import STEERING, controller_options
 from taxinet_ros.core.mtl import signal_names
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES
+from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.world import world_options
 from taxinet_ros.registry import KMWH
 

@@ -72,7 +72,7 @@ class Scenario:
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
         gust_mps: standard deviation of the turbulence in each horizontal direction [m/s], see
-            :mod:`taxinet_ros.core.gusts`.
+            :mod:`taxinet_ros.core.motion.gusts`.
         gust_seed: random seed of the gusts; a whole number.
         runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
         slope_fraction: rise of the runway divided by its length, uphill ahead positive.

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 
 if TYPE_CHECKING:
     import pandas as pd

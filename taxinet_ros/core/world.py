@@ -16,11 +16,11 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
 from taxinet_ros.core.faults import SteeringFaults, shown_step
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS

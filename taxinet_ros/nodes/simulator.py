@@ -22,12 +22,12 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.core import topics
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import STOP
-from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STOP
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface

@@ -27,9 +27,9 @@ from taxinet_ros.analysis.gate import (
 from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 ALPHA = 0.05

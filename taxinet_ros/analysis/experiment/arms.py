@@ -16,8 +16,8 @@ from taxinet_ros.analysis.experiment.pairs import (
 )
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.verdict.outcome import Outcome
 
 Rows = Mapping[str, Sequence[RunRow]]
 """Runs of an experiment by name of their arm."""

@@ -27,12 +27,12 @@ from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.rates import count_outcomes
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.verdict.outcome import Outcome
 
 _LOWEST_SHOWN = -6.0
 """Lower limit of rho in the picture; runs below it are shown at the lower edge."""

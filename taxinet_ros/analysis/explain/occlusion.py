@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.explain.track import Estimator, Floats, Frame, heading_asked_rad
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains
 
 PATCH_PX = 30
 """Side of a patch [px]: the width of the centreline at 7 m."""

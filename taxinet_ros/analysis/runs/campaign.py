@@ -34,9 +34,9 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, recorded_s
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 

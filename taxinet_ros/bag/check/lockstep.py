@@ -34,11 +34,11 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
     is_topic,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 

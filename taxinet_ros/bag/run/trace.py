@@ -23,8 +23,8 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS

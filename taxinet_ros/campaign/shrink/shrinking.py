@@ -26,10 +26,10 @@ from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
 from taxinet_ros.campaign.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
 from taxinet_ros.campaign.summary import participants_words, scene_words
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 
 
 class Shrinking:

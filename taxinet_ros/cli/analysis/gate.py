@@ -22,9 +22,9 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.table import check_tables
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import differences
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 

@@ -30,11 +30,11 @@ from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs, signal_ranges
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judge import SpecCheck, check_specs, describe_specs, signal_ranges
 from taxinet_ros.errors import ExitCode, UsageError
 
 

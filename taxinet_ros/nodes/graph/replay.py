@@ -27,10 +27,10 @@ from taxinet_ros.bag.run.facts import RecordedRun, gains_text
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph

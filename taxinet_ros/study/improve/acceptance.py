@@ -32,7 +32,7 @@ from taxinet_ros.analysis.runs.features import (
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 
 INCUMBENT, CANDIDATE = 'incumbent', 'candidate'
 MARGIN, PLACE_MARGIN = 0.01, 0.05

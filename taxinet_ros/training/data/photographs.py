@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track

@@ -11,7 +11,7 @@ from taxinet_ros.analysis.explain.occlusion import (
     patches,
 )
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.types import TrackingError
 

@@ -16,7 +16,6 @@ from taxinet_ros.analysis.runs.features import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     DURATION,
@@ -27,6 +26,7 @@ from taxinet_ros.core.scenario_fields import (
     SCENARIO_FIELDS,
     TRAFFIC,
 )
+from taxinet_ros.core.verdict.outcome import Outcome
 
 PUSHED = {
     'wind_speed_mps': 8.0, 'wind_direction_deg': 270.0, 'gust_mps': 2.0, 'gust_seed': 3.0,

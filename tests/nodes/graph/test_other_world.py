@@ -9,7 +9,7 @@ from plugins import lay_down
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.ros
 
 CODE = """
 from functools import partial
-from taxinet_ros.core.aircraft import Aircraft
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.world import SimulatedWorld
 
