@@ -132,7 +132,9 @@ class Moment:
     shown: AircraftState | None = None
 
 
-def heading_asked_rad(cte_m: Floats, he_rad: Floats, gains: SteeringGains) -> Floats:
+def heading_asked_rad(
+    cte_m: Floats | float, he_rad: Floats | float, gains: SteeringGains
+) -> Floats:
     """Heading error that the steering law corrects, for given tracking errors."""
     limit = gains.max_intercept_rad
     return he_rad + np.asarray(

@@ -233,6 +233,15 @@ def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(columns, dtype=None)
 
 
+def scene_columns(table: pd.DataFrame) -> pd.DataFrame:
+    """A column for every scenario key of a campaign's table, in human units."""
+    return pd.DataFrame({
+        field.key: table[field.key].to_numpy() if field.key in table.columns
+        else np.full(len(table), _BEFORE.get(field.key, math.nan), dtype=object)
+        for field in fields.SCENARIO_FIELDS
+    })
+
+
 def varied(
     frame: pd.DataFrame, features: tuple[Feature, ...] = ALL_FEATURES
 ) -> tuple[Feature, ...]:
