@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import measured_model
+from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft

@@ -7,12 +7,12 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.judge import check_others, check_specs
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, SHIPPED, parse_spec
 from taxinet_ros.core.rig.catalogue import find_aircraft, load_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import quaternion
+from taxinet_ros.core.verdict.judge import check_others, check_specs
 
 OUTLINE = [part.points for part in find_aircraft('caravan').outline if part.shades]
 X_M, Y_M = 400.0, 0.0

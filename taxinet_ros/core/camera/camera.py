@@ -162,7 +162,9 @@ class Camera:
         hidden = parts.hidden if parts else np.zeros(height, np.int32)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
-            ground = ground_atlas(runway, track, crossing=scenario.crossing)
+            ground = ground_atlas(
+                runway, track, scenario.airport, crossing=scenario.crossing
+            )
         self._ground = GroundView(
             ground, grain_atlas(), gain, hidden, width, ground_layout(runway, track)
         )

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
-from taxinet_ros.core.aircraft import Aircraft, checked_aircraft, full_steering_rad
 from taxinet_ros.core.camera.airframe import OwnShadow
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.camera.solids import hull_faces, solid_drawing
 from taxinet_ros.core.documents import canonical
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft, checked_aircraft, full_steering_rad
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.rig.aircraft_model import make_aircraft, read_aircraft

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import WING, Camera, project
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.camera_model import make_camera, read_camera
 from taxinet_ros.core.rig.catalogue import CAMERAS, find_camera, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human

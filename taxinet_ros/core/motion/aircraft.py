@@ -9,7 +9,7 @@ import math
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +17,7 @@ from statistics import fmean
 
 import jsbsim
 
-from taxinet_ros.core.gusts import M_PER_FT, Gusts
+from taxinet_ros.core.motion.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.rig.aircraft_model import (
@@ -298,16 +298,18 @@ class Aircraft:
         return all(run() for _ in self._wind.gusts(self._fdm, self._steps))
 
     def _load(self, name: str, *, scenario: Scenario) -> jsbsim.FGFDMExec:
-        with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
+        with captured_log() as log, ExitStack() as used:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
             folder = self.model.folder
-            if self.model.files:
-                folder = write_model_files(Path(scratch), name, self.model.files)
             windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
+            if self.model.files or windy or sloping:  # else no folder is written
+                scratch = Path(used.enter_context(tempfile.TemporaryDirectory()))
+            if self.model.files:
+                folder = write_model_files(scratch, name, self.model.files)
             if windy or sloping:
                 models = folder or Path(fdm.get_aircraft_path())
-                folder = _adapted(models, name, Path(scratch), windy=windy, sloping=sloping)
+                folder = _adapted(models, name, scratch, windy=windy, sloping=sloping)
             if folder is not None:
                 fdm.set_aircraft_path(str(folder))
             self._attempt(lambda: fdm.load_model(name), f'loading {name}', log)
