@@ -138,8 +138,8 @@ class GroundObject:
         # The front goes ahead of the middle as far as the way behind allows: it starts as it faces.
         front, rear = self._point(way_m + min(way_m, half_m)), self._point(way_m - half_m)
         dx, dy = front[0] - rear[0], front[1] - rear[1]
-        if math.hypot(dx, dy) < 1e-6:  # exactly at the turn of a path that leads back
-            return Pose(x_m, y_m, start_rad)
+        if math.hypot(dx, dy) < 1e-6:  # where a path turns back: it faces as it came
+            dx, dy = x_m - rear[0], y_m - rear[1]
         return Pose(x_m, y_m, math.atan2(dy, dx))
 
     @cached_property

@@ -63,6 +63,16 @@ def test_given_a_path_that_leads_back_then_there_is_a_pose_at_every_moment():
     assert found[-1].x_m == 0
 
 
+def test_given_a_wait_where_a_path_leads_back_then_it_faces_as_it_came():
+    back = first({
+        'kind': 'vehicle', 'x_m': 0, 'y_m': 0, 'heading_deg': 90, 'path': [
+            {'x_m': 30, 'y_m': 0, 'speed_mps': 5, 'wait_s': 4},
+            {'x_m': 0, 'y_m': 0, 'speed_mps': 5},
+        ],
+    })
+    assert [pose.heading_rad for pose in poses(back, 5.9, 6, 8, 10)] == [0, 0, 0, 0]
+
+
 @pytest.mark.parametrize('kind', KINDS)
 def test_given_a_kind_then_its_size_is_as_usual_unless_the_object_says_another(kind):
     assert first({'kind': kind, 'x_m': 1, 'y_m': 2}).size == KINDS[kind].size
