@@ -196,15 +196,8 @@ class Scenario:
                 f'scenario: aircraft {model.name}: speed_mps is {self.speed_mps:g}, it taxis at '
                 f'{low_mps:g} to {high_mps:g}'
             )
-        camera, settled = self.camera_model, model.settled
-        if settled is not None:
-            turn = rotation(settled.roll_rad, settled.pitch_rad, 0.0)
-            height_m = settled.z_m + float(turn[2] @ np.array(camera.offset_m))
-            if height_m < LEAST_HEIGHT_M:
-                raise UsageError(
-                    f'scenario: camera {camera.name} on aircraft {model.name} is {height_m:.2f} m '
-                    f'above the ground, expected {LEAST_HEIGHT_M:g} or more'
-                )
+        if model.settled is not None:  # else when it has been measured
+            check_camera_height(self.camera_model, model)
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         if field is DISTANCE and not self.line.is_runway:
@@ -287,6 +280,23 @@ class Scenario:
         return {
             field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
+
+
+def check_camera_height(camera: CameraModel, model: AircraftModel) -> None:
+    """Refuse a camera below the ground on an aircraft whose attitude is known.
+
+    Raises:
+        UsageError: it would be there.
+    """
+    settled = model.settled
+    assert settled is not None
+    turn = rotation(settled.roll_rad, settled.pitch_rad, 0.0)
+    height_m = settled.z_m + float(turn[2] @ np.array(camera.offset_m))
+    if height_m < LEAST_HEIGHT_M:
+        raise UsageError(
+            f'scenario: camera {camera.name} on aircraft {model.name} is {height_m:.2f} m above '
+            f'the ground, expected {LEAST_HEIGHT_M:g} or more'
+        )
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:

@@ -15,6 +15,7 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
+    CAMERA,
     DURATION,
     FAULT_ONSET,
     FAULT_SEED,
@@ -52,6 +53,7 @@ _ALLOWING = {
     DURATION.key: DURATION.high,
 }
 """Values that are compatible with every value of the other keys."""
+_RIG = (AIRCRAFT_MODEL.key, CAMERA.key)
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
@@ -72,7 +74,10 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     place = _place(overrides) if PLACE.key in overrides else {}
     for key, value in overrides.items():
         try:
-            check_value(key, value, {key: value} if key == PLACE.key else place)
+            if key in _RIG:  # one fits the other, which a program may set
+                BY_KEY[key].from_human(value)
+            else:
+                check_value(key, value, {key: value} if key == PLACE.key else place)
         except UsageError as error:
             raise _headed(error, f'override {key}={value!s:.60}') from error
     if all(key in overrides for key in WEATHER):

@@ -27,7 +27,7 @@ from taxinet_ros.core.rig.aircraft_model import (
     SpeedGains,
 )
 from taxinet_ros.core.rig.model_files import write_model_files
-from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario import Scenario, check_camera_height
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
@@ -249,9 +249,12 @@ class Aircraft:
         self._period_s = period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)
-        self.model = model = model or scenario.aircraft_model
-        if model.settled is None or model.speed_gains is None:
-            self.model = model = measured_model(model)
+        own, self.model = model is None, model or scenario.aircraft_model
+        if self.model.settled is None or self.model.speed_gains is None:
+            self.model = measured_model(self.model)
+            if own:
+                check_camera_height(scenario.camera_model, self.model)
+        model = self.model
         assert model.settled is not None
         assert model.speed_gains is not None
         self._settled, self._gains = model.settled, model.speed_gains

@@ -113,3 +113,16 @@ def test_given_an_aircraft_that_cannot_taxi_when_run_then_one_line_says_why(tmp_
     assert done.returncode == 2
     assert 'aircraft own: no wheel of the model F450 steers' in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_given_a_camera_that_fits_the_aircraft_only_when_both_are_named_then_it_is_taken(tmp_path):
+    (tmp_path / 'high.yaml').write_text(
+        'name: high\nmodel: c172p\nsettled: {height_m: 1.328, pitch_deg: -2.5}\n'
+    )
+    (tmp_path / 'low.yaml').write_text(CAMERA.replace('[2.0, 0, 0.8]', '[-8.0, 0, -1.5]'))
+    done = taxinet(
+        'run', 'nominal', '--camera', tmp_path / 'low.yaml', '--aircraft', tmp_path / 'high.yaml',
+        '--out', tmp_path / 'out',
+    )
+    assert done.returncode == 2
+    assert 'camera mine on aircraft high is -' in done.stderr, 'not on the usual Caravan'

@@ -25,7 +25,13 @@ from taxinet_ros.core.motion.aircraft import Aircraft, checked_aircraft, full_st
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.rig.aircraft_model import make_aircraft, read_aircraft
-from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft, find_camera, load_aircraft
+from taxinet_ros.core.rig.catalogue import (
+    AIRCRAFT,
+    find_aircraft,
+    find_camera,
+    load_aircraft,
+    load_camera,
+)
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import InfraError, UsageError
@@ -118,6 +124,13 @@ def test_given_wind_that_lifts_it_then_the_run_is_no_taxiing_and_has_no_verdict(
     )
     with pytest.raises(InfraError, match='above its wheels: the wind lifts it'):
         tx.run(windy, perception='truth')
+
+
+def test_given_a_camera_below_a_measured_aircraft_then_one_line_says_so(cub, tmp_path):
+    low = {'name': 'low', 'offset_m': [0, 0, -1.5], 'size_px': [64, 48], 'field_of_view_deg': 60}
+    scene = Scenario(aircraft=cub, camera=load_camera(written(tmp_path, low)))
+    with pytest.raises(UsageError, match=r'camera low on aircraft cub is -0\.31 m above'):
+        tx.render(scene)
 
 
 def test_given_a_limit_of_the_wheel_when_steered_then_it_turns_no_further():
