@@ -178,6 +178,15 @@ def lay_down_world(site: Path, body: str, first: str = '') -> None:
     ), worlds='elsewhere = Elsewhere')
 
 
+def test_given_a_world_without_pictures_then_only_who_needs_none_runs_in_it(site: Path) -> None:
+    lay_down_world(site, 'return dataclasses.replace(now, image=None)')
+    asked = tx.Scenario(duration_s=0.5)
+    assert tx.run(asked, world='elsewhere').outcome == 'PASS'
+    for word in ('original', lambda frame: (0.0, 0.0)):
+        with pytest.raises(InfraError, match=r'at step 0: .*no picture, which perception \S+ n'):
+            tx.run(asked, perception=word, world='elsewhere')
+
+
 @pytest.mark.parametrize(('body', 'words'), [
     ('return dataclasses.replace(now, stamp_ns=2 * now.stamp_ns)', 'observed stamp 200000000 ns'),
     ('return dataclasses.replace(now, state=(1, 2, 3))', 'the state is tuple'),

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
+from taxinet_ros.campaign.rates import CONFIDENCE, TAIL
 from taxinet_ros.campaign.record.facts import with_present_keys
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.search_space import Choice
@@ -37,16 +37,28 @@ class Evidence:
 
     Attributes:
         amounts: sum of their weights, in each of the choice's bins.
-        squares: sum of the squares of their weights.
+        squares: sum of the squares of their weights, in each bin.
+        heaviest: greatest weight that a failure can have; None if there is no bound.
     """
 
     amounts: tuple[float, ...]
-    squares: float
+    squares: tuple[float, ...]
+    heaviest: float | None
 
     @property
     def failures(self) -> float:
         """Effective number of failures drawn by the program itself (Kish, 1965)."""
-        return sum(self.amounts) ** 2 / self.squares if self.squares else 0.0
+        return sum(self.amounts) ** 2 / sum(self.squares) if sum(self.squares) else 0.0
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Read it as :func:`dataclasses.asdict` gives it."""
+        heaviest = values['heaviest']
+        return cls(
+            amounts=tuple(map(float, values['amounts'])),
+            squares=tuple(map(float, values['squares'])),
+            heaviest=None if heaviest is None else float(heaviest),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,12 +108,10 @@ class LearnedResult:
                     for choice, dimension in zip(choices, dimensions, strict=True)
                 },
                 evidence={
-                    choice.dimension.name: Evidence(
-                        amounts=tuple(map(float, dimension['evidence']['amounts'])),
-                        squares=float(dimension['evidence']['squares']),
-                    )
+                    choice.dimension.name: Evidence.from_json(evidence)
                     for choice, dimension in zip(choices, dimensions, strict=True)
-                    if dimension.get('evidence')
+                    # Earlier versions wrote one sum of squares, from which no interval follows.
+                    if 'heaviest' in (evidence := dimension.get('evidence') or {})
                 },
             )
         except FileNotFoundError as error:
@@ -113,7 +123,10 @@ class LearnedResult:
 
 
 class Share(NamedTuple):
-    """A share of the failures under the program, with its 95 % interval; NaN where unknown."""
+    """A share of the failures under the program, with its 95 % interval.
+
+    Where it is unknown, the share is NaN; where no interval is, it is [0, 1].
+    """
 
     share: float
     low: float
@@ -149,8 +162,8 @@ class LearnedTogether:
             if not result.evidence:
                 raise UsageError(
                     f'{folder}: {LEARNED_NAME} does not say which failures it rests on: written by '
-                    'an earlier version, or its program has requirements of a share of the runs '
-                    '(require[p]), with which the weights of the runs are not known'
+                    'an earlier version (--resume rewrites it), or its program has requirements of '
+                    'a share of the runs (require[p]), with which the weights are not known'
                 )
         self.results = tuple(results)
         self.choices = results[0].choices
@@ -163,6 +176,17 @@ class LearnedTogether:
     def failures(self, choice: Choice) -> float:
         """Effective number of failures drawn by the program itself for a choice."""
         return sum(result.evidence[choice.dimension.name].failures for result in self.results)
+
+    @property
+    def why_no_interval(self) -> str:
+        """Sentence on why the shares have no interval; '' if they have one."""
+        if all(each.heaviest for result in self.results for each in result.evidence.values()):
+            return ''
+        sampler = self.results[0].facts.get('sampler', 'the sampler')
+        return (
+            f'no intervals: {sampler} drew nothing from the program itself, so it may have missed '
+            'any part of the failures; search with --sampler-option floor=0.3'
+        )
 
     @property
     def mean(self) -> Probabilities:
@@ -199,27 +223,69 @@ class LearnedTogether:
     def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
         """Share of the failures; ``inside`` is the counted part of each bin.
 
-        The interval is the Clopper-Pearson one for as many failures as would have the variance
-        (Korn and Graubard, Survey Methodology 24, 1998). Searches are the clusters of that
-        variance, with Student's quantile for their small number; the effective number of failures
-        is at most that of the weights (Kish), because shares that agree by chance would overstate
-        it.
+        Each end is Clopper and Pearson's, with weighted counts (Fay and Feuer, Statistics in
+        Medicine 16, 1997): a further failure of the greatest possible weight is added on one
+        side, and the beta distribution has the mean and variance of the share then. Within one
+        search that variance is the sum of the squared deviations of the weighted failures, which
+        are those of a martingale, however the sampler learns; so it is enough for several. If they
+        clearly differ by more than it explains, their spread counts, with Student's quantile for
+        their small number (as clusters: Korn and Graubard, Survey Methodology 24, 1998).
         """
-        from scipy.stats import t
-
         evidence = [result.evidence[name] for result in self.results]
         amounts = np.array([each.amounts for each in evidence])
+        squares = np.sum([each.squares for each in evidence], axis=0)
         hits, totals = amounts @ inside, amounts.sum(axis=1)
-        squares = sum(each.squares for each in evidence)
-        if not squares:
+        if not squares.any():
             return Share(share=math.nan, low=0.0, high=1.0)
-        total, searches = float(totals.sum()), len(evidence)
-        share = min(float(hits.sum() / total), 1.0)
-        failures = total**2 / squares
-        spread = float(np.sum((hits - share * totals) ** 2)) / total**2
-        if searches > 1 and spread > 0:
-            wider = (t.ppf(0.975, searches - 1) / t.ppf(0.975, max(failures - 1, 1))) ** 2
-            variance = spread * searches / (searches - 1)
-            failures = min(failures, share * (1 - share) / variance / wider)
-        low, high = share_bounds(share * failures, (1 - share) * failures, (1 - CONFIDENCE) / 2)
-        return Share(share=share, low=low, high=high)
+        within = _Part(float(hits.sum()), float(squares @ inside))
+        without = _Part(float((amounts @ (1 - inside)).sum()), float(squares @ (1 - inside)))
+        share = within.amount / (within.amount + without.amount)
+        bounds = [each.heaviest for each in evidence]
+        if None in bounds:
+            return Share(share=share, low=0.0, high=1.0)
+        heaviest = max(each for each in bounds if each is not None)
+        variance = _variance(within, without)
+        wider = _wider(hits - share * totals, variance)
+        return Share(
+            share=share, low=1 - _upper(without, within, heaviest, wider),
+            high=_upper(within, without, heaviest, wider),
+        )
+
+
+class _Part(NamedTuple):
+    """Weighted failures in a part of a choice's values: sums of weights and of their squares."""
+
+    amount: float
+    squares: float
+
+
+def _variance(within: _Part, without: _Part) -> float:
+    """Variance of the weights within, less the share's part of all (linearised)."""
+    share = within.amount / (within.amount + without.amount)
+    return within.squares * (1 - share) ** 2 + without.squares * share**2
+
+
+def _wider(deviations: npt.NDArray[np.float64], variance: float) -> float:
+    """Factor of the variance by which several searches differ more than it explains, 1 or more."""
+    from scipy.stats import chi2, norm, t
+
+    more = len(deviations) - 1
+    if not more or not variance:
+        return 1.0
+    spread = float(deviations @ deviations) * len(deviations) / (more * variance)
+    if spread * more <= chi2.ppf(CONFIDENCE, more):
+        return 1.0
+    return spread * float(t.ppf(1 - TAIL, more) / norm.ppf(1 - TAIL)) ** 2
+
+
+def _upper(within: _Part, without: _Part, heaviest: float, wider: float) -> float:
+    """Upper end of the share within; ``wider`` multiplies the variance."""
+    from scipy.special import betaincinv
+
+    if without.amount <= 0:
+        return 1.0
+    within = _Part(within.amount + heaviest, within.squares + heaviest**2)
+    total = within.amount + without.amount
+    share = within.amount / total
+    failures = share * (1 - share) * total**2 / (wider * _variance(within, without))
+    return float(betaincinv(share * failures, (1 - share) * failures, 1 - TAIL))

@@ -337,9 +337,21 @@ def check_assumptions(
     """
     try:
         found = parse_assumptions(bounds, rates)
-        if specs:
-            check_read(found, (spec.formula for spec in specs))
-        return found
+    except UsageError as error:
+        raise UsageError(f'--{error}') from None
+    if specs:
+        check_assumptions_read(found, specs)
+    return found
+
+
+def check_assumptions_read(found: Assumptions, specs: Sequence[Spec]) -> None:
+    """Check that requirements read the signals of assumptions.
+
+    Raises:
+        UsageError: one line that names the option without effect.
+    """
+    try:
+        check_read(found, (spec.formula for spec in specs))
     except UsageError as error:
         raise UsageError(f'--{error}') from None
 

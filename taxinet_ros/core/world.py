@@ -111,6 +111,22 @@ class World(Protocol):
         ...
 
 
+def check_picture(now: Observation, who: str) -> None:
+    """Check that there is a picture for those who need it: they would fail in silence.
+
+    Args:
+        now: observation of a world that was asked for a picture.
+        who: who needs it.
+
+    Raises:
+        InfraError: there is none.
+    """
+    if now.image is None:
+        raise InfraError(
+            InfraKind.SIM, 'simulator', now.seq, f'the world has no picture, which {who} needs'
+        )
+
+
 class WorldMaker(Protocol):
     """Factory of worlds, as returned by :func:`find_world`."""
 

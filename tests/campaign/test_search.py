@@ -50,7 +50,8 @@ def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_ch
     assert list(table['index']) == list(range(20))
     assert {'PASS', 'FAIL', 'REJECTED'} == set(table['outcome'])
     assert set(table['sampler']) == {'ce'}
-    assert table[['u_x', 'u_y', 'weight']].notna().all(axis=None)
+    assert table[['u_x', 'u_y']].notna().all(axis=None)
+    assert list(table['weight'].notna()) == list(table['refused'] == 0)
     drawn = table[table['outcome'] != 'REJECTED']
     assert list(drawn['cross_track_m']) == pytest.approx(list(10 * drawn['u_x'] - 5))
     assert (table['weight'] != 1).any(), 'the sampler has learned nothing, so the test would not'

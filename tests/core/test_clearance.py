@@ -61,6 +61,29 @@ def test_given_another_aircraft_then_it_is_its_outline_that_counts(tmp_path):
         check_others([SHIPPED['no_collision']], bare)
 
 
+def test_given_a_tail_wheel_then_heights_are_those_of_the_aircraft_with_its_nose_up(tmp_path):
+    (tmp_path / 'cub.yaml').write_text(
+        '{name: cub, model: J3Cub, taxi_speed_mps: [2, 8], '
+        'settled: {height_m: 1.16, pitch_deg: -12, roll_deg: 0}, outline: ['
+        '{part: body, sections: [[2, 0, 0, 0.4, 0.4], [-4.5, 0, 0, 0.1, 0.1]]}]}'
+    )
+    cub = load_aircraft(str(tmp_path / 'cub.yaml'))
+    low = there('vehicle', 1.9, 0, height_m=1.0, length_m=0.2)
+    assert near(low, aircraft=cub) > 0.5, 'it passes below the raised nose'
+    behind = there('vehicle', -4.3, 0, height_m=0.5, length_m=0.2)
+    assert near(behind, aircraft=cub) == 0.0, 'the tail is down'
+
+
+def test_given_an_upright_plate_without_thickness_then_it_can_be_hit(tmp_path):
+    (tmp_path / 'plate.yaml').write_text(
+        '{name: plate, model: c172p, taxi_speed_mps: [2, 8], outline: ['
+        '{part: hull, points: [[-4, 0, -1], [-4, 0, 2], [3, 0, 2], [3, 0, -1]]}]}'
+    )
+    plate = load_aircraft(str(tmp_path / 'plate.yaml'))
+    assert near(there('vehicle', -1, 5), aircraft=plate) == pytest.approx(5 - 2.1 / 2, abs=2e-3)
+    assert near(there('vehicle', -1, 0), aircraft=plate) == 0.0
+
+
 def test_given_an_object_within_or_around_the_aircraft_then_it_is_hit():
     assert near(there('cone', 0, 0, height_m=0.5)) > 0, 'between the wheels, below the belly'
     assert near(there('person', 0, 0)) == 0.0

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from taxinet_ros.campaign.learned_program import learned_program
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, Evidence, LearnedResult
+from taxinet_ros.campaign.samplers.registry import drawn_share
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.search import Search
@@ -78,20 +82,33 @@ def _evidence_words(search: Search) -> list[str]:
 
 
 def _evidence(search: Search) -> dict[str, Evidence]:
-    """Weighted failures by bin of each dimension; empty if the runs' weights are not known."""
+    """Weighted failures by bin of each dimension; empty if the runs' weights are not known.
+
+    Of runs whose first point met the requirements: their weights are right up to one factor, the
+    probability that a point of the program meets them. Those of later points are unknown.
+    """
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
+    if any(row.weight is None and (search.space.soft or not row.refused) for row in failed):
+        return {}
+    weighted = [(row.point, row.weight) for row in failed if row.weight and not row.refused]
+    heaviest = _heaviest(search, [weight for _, weight in weighted])
     found = {}
     for choice in search.space.searched:
-        name = choice.dimension.name
-        amounts, squares = [0.0] * len(choice.dimension.prior), 0.0
-        for row in failed:
-            if row.weight is None:
-                return {}
-            if name in row.point:
-                amounts[choice.dimension.bin(row.point[name])] += row.weight
-                squares += row.weight**2
-        found[name] = Evidence(amounts=tuple(amounts), squares=squares)
+        name, bins = choice.dimension.name, len(choice.dimension.prior)
+        places = [choice.dimension.bin(point[name]) for point, _ in weighted if name in point]
+        weights = np.array([weight for point, weight in weighted if name in point])
+        found[name] = Evidence(
+            amounts=tuple(np.bincount(places, weights, bins).tolist()),
+            squares=tuple(np.bincount(places, weights**2, bins).tolist()), heaviest=heaviest,
+        )
     return found
+
+
+def _heaviest(search: Search, weights: Sequence[float]) -> float | None:
+    """The greatest weight that a run can have, from the share that the program itself draws."""
+    options = search.options
+    drawn = drawn_share(options.sampler, options.sampler_options)
+    return max(1 / drawn, *weights) if drawn else None
 
 
 def _title(search: Search) -> str:

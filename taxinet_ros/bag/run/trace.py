@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of, track_of
+from taxinet_ros.bag.run.message_values import (
+    clearance_in,
+    clearance_of,
+    error_of,
+    stamp_of,
+    track_of,
+)
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -195,10 +201,9 @@ def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 
 
 def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    if message.valid:
-        table.put(
-            message.seq, est_cte_m=message.cross_track_error, est_he_rad=message.heading_error
-        )
+    estimate = error_of(message)
+    if estimate.usable:
+        table.put(message.seq, est_cte_m=estimate.cte_m, est_he_rad=estimate.he_rad)
 
 
 def _command(table: _TraceColumns, stamp_ns: int, message: Any) -> None:

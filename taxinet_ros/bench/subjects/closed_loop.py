@@ -155,7 +155,7 @@ class _Recorded:
                 scratch / 'run', self._topics, metadata={}, attachments={}, min_free_bytes=0
             )
             for stamp_ns, step in self._steps:
-                for topic, _, cdr in step:
+                for topic, _, cdr, _ in step:
                     writer.write(topic.name, self._canonical.message(topic.name, cdr), stamp_ns)
                 writer.flush()
             writer.close()

@@ -115,12 +115,12 @@ class History:
         return self._values[: self._size, 1]
 
 
-def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
-    """Which runs count as failures to be learned from.
+def worst(rhos: Floats) -> npt.NDArray[np.bool_]:
+    """Which runs to search around.
 
-    Those with a robustness of 0 or less, as soon as there are :data:`LEAST` of them. Before that,
-    the worst runs count, as in the cross-entropy method for rare events (Rubinstein and Kroese, The
-    Cross-Entropy Method, 2004): the share :data:`ELITE`, but at least :data:`LEAST`.
+    The failures, as soon as there are :data:`LEAST` of them. Before that, the worst runs, as in the
+    cross-entropy method for rare events (Rubinstein and Kroese, The Cross-Entropy Method, 2004):
+    the share :data:`ELITE`, but at least :data:`LEAST`.
     """
     failed = rhos <= 0
     if len(rhos) == 0 or np.count_nonzero(failed) >= LEAST:
@@ -130,18 +130,25 @@ def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
     return rhos <= level
 
 
-def failure_histograms(space: Space, history: History) -> list[Floats]:
-    """Estimate of the probability of each bin given a failure under the prior, per dimension.
+def histograms(
+    space: Space, history: History, among: npt.NDArray[np.bool_]
+) -> list[Floats]:
+    """Estimate of the probability of each bin given a run among these under the prior.
 
-    For a dimension that may be idle: given a failure in which it is active.
+    Per dimension; for one that may be idle: given such a run in which it is active.
     """
-    amounts = np.where(failures(history.rhos), history.weights, 0.0)
+    amounts = np.where(among, history.weights, 0.0)
     found = []
     for number, dimension in enumerate(space):
         prior = np.array(dimension.prior)
         mine = history.sums(number, len(prior), amounts)
         found.append((mine + STRENGTH * prior) / (mine.sum() + STRENGTH))
     return found
+
+
+def failure_histograms(space: Space, history: History) -> Probabilities:
+    """Estimate of the probability of each bin given a failure under the prior, by dimension."""
+    return by_name(space, histograms(space, history, history.rhos <= 0))
 
 
 class HistogramSampler(ABC):
@@ -168,6 +175,7 @@ class HistogramSampler(ABC):
         self._bins: list[tuple[int, ...]] = []
         self._weights: list[float] = []
         self._of_prior: list[bool] = []
+        self._refused: set[int] = set()
         self._attempt = 0
 
     def ask(self) -> Point:
@@ -180,6 +188,7 @@ class HistogramSampler(ABC):
     def again(self) -> Point:
         """Another draw for the same run, from the same part of the mixture."""
         self._attempt += 1
+        self._refused.add(len(self._bins) - 1)
         return self._drawn()
 
     def _drawn(self) -> Point:
@@ -200,17 +209,21 @@ class HistogramSampler(ABC):
         if rho is not None:
             self._learn(index, rho)
 
-    def weight(self, index: int) -> float:
-        """Density of the prior over that of the proposal at the time of the request."""
-        return self._weights[index]
+    def weight(self, index: int) -> float | None:
+        """Density of the prior over that of the proposal at the time of the request.
+
+        None after a refused point: the requirements accept points of the two parts with different
+        probabilities, so the parts' shares of the accepted points are unknown.
+        """
+        return None if index in self._refused else self._weights[index]
 
     def drawn(self, index: int) -> bool:
         """Whether the run belongs to the prior's share, or preceded any learning."""
         return self._of_prior[index]
 
+    @abstractmethod
     def learned(self) -> Probabilities:
-        """The histograms, without the prior's share."""
-        return by_name(self._space, self._proposal().probabilities)
+        """The learned histograms, without the prior's share."""
 
     @abstractmethod
     def _proposal(self) -> Product:
@@ -233,10 +246,11 @@ class CrossEntropy(HistogramSampler):
     """Histograms fitted to all failures so far, each with the weight it has under the prior.
 
     Minimises the cross entropy to the distribution of the failures under the prior (Rubinstein and
-    Kroese, The Cross-Entropy Method, 2004), so :meth:`learned` estimates the probability of each
-    bin given a failure. Unlike :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule`, it
-    does not collapse to the likeliest bin. Before the first fit the points are those of the random
-    sampler.
+    Kroese, The Cross-Entropy Method, 2004); as long as failures are few, to that of the worst runs.
+    :meth:`learned` estimates the probability of each bin given a failure, with hard requirements
+    only roughly, as it then learns from runs with unknown weights too. Unlike
+    :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule`, it does not collapse to the
+    likeliest bin. Before the first fit the points are those of the random sampler.
     """
 
     def __init__(
@@ -255,15 +269,18 @@ class CrossEntropy(HistogramSampler):
         self._fitted = prior_product(space)
         self._history = History(len(space))
 
+    def learned(self) -> Probabilities:
+        """Failure histograms under the prior, by all failures so far."""
+        return failure_histograms(self._space, self._history)
+
     def _proposal(self) -> Product:
         return self._fitted
 
     def _learn(self, index: int, rho: float) -> None:
         self._history.add(self._bins[index], self._weights[index], rho)
         if len(self._history) % self._every == 0:
-            self._fitted = Product(
-                self._space, failure_histograms(self._space, self._history)
-            )
+            found = histograms(self._space, self._history, worst(self._history.rhos))
+            self._fitted = Product(self._space, found)
 
 
 class VerifaiRule(HistogramSampler):
@@ -292,6 +309,10 @@ class VerifaiRule(HistogramSampler):
         super().__init__(space, seed, floor)
         self._alpha = alpha
         self._current = prior_product(space)
+
+    def learned(self) -> Probabilities:
+        """The histograms of the rule."""
+        return by_name(self._space, self._current.probabilities)
 
     def _proposal(self) -> Product:
         return self._current
@@ -355,13 +376,13 @@ class Bandit(HistogramSampler):
 
     def learned(self) -> Probabilities:
         """Failure histograms under the prior, estimated as by the cross-entropy sampler."""
-        return by_name(self._space, failure_histograms(self._space, self._history))
+        return failure_histograms(self._space, self._history)
 
     def _learn(self, index: int, rho: float) -> None:
         self._history.add(self._bins[index], self._weights[index], rho)
 
     def _proposal(self) -> Product:
-        rewards = failures(self._history.rhos).astype(float)
+        rewards = worst(self._history.rhos).astype(float)
         return Product(
             self._space,
             (self._arm(number, each, rewards) for number, each in enumerate(self._space)),

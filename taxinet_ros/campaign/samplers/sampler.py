@@ -63,11 +63,10 @@ class Sampler(Protocol):
     def weight(self, index: int) -> float | None:
         """Density of the prior over that of the proposal, at the last point of run ``index``.
 
-        None if the density is unknown. If no points were rejected, weighted results have the
-        mean under the prior. If some were, the mean of the weights is not 1 but the ratio of the
-        acceptance probabilities under the prior and the proposal, which is unknown and changes as
-        the sampler learns. Self-normalised sums (weighted sum over sum of weights) still converge
-        to the mean under the prior conditioned on the requirements.
+        None if the density is unknown, as that of a mixture is once a point of this run was
+        rejected. Weighted results of the runs whose first point was accepted have the mean under
+        the prior conditioned on the requirements, times the probability of accepting a point of the
+        prior; so their self-normalised sums (weighted sum over sum of weights) converge to it.
         """
 
     def drawn(self, index: int) -> bool:

@@ -153,6 +153,10 @@ def _render(recording: Recording, out: Path | None) -> int:
     missing = missing_frames(info)
     if not missing and not info.trouble:
         frames = info.counts[IMAGE]
+        if out is not None:
+            raise UsageError(
+                f'--out {out}: nothing to render for it: all {frames} frames are in {bag}'
+            )
         console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
         return ExitCode.OK
     steps = (

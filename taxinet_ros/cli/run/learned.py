@@ -35,6 +35,8 @@ def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | Non
     console = Console(highlight=False)
     console.print(heading(together), soft_wrap=True)
     console.print(_table(together))
+    if together.why_no_interval:
+        console.print(together.why_no_interval, soft_wrap=True)
     for name, low, high in asked:
         share = together.within(name, low, high)
         before = together.choice(name).probability_within(low, high)

@@ -169,7 +169,11 @@ class Camera:
             ground, grain_atlas(), gain, hidden, width, ground_layout(runway, track)
         )
         self._clouds = CloudShade(self._light, height, width)
-        self._atmosphere = Atmosphere(self._light, height, width, float(self._intrinsics[0, 0]))
+        # The wing camera is level enough for whole rows, and keeps the bytes of older versions.
+        self._atmosphere = Atmosphere(
+            self._light, height, width, float(self._intrinsics[0, 0]),
+            in_strips=model.view != WING.view,
+        )
         self._rain = RainSheet(self._light, height, width) if self._light.rain > 0 else None
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
         casts = sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD

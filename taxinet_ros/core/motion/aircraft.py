@@ -451,6 +451,7 @@ _BRAKING_MPS2 = 3.5
 """Typical deceleration with full brakes on dry pavement."""
 _LOOSEST_MPS = 0.5
 _LEAST_TURN_RAD = math.radians(0.5)
+_MOST_OFF_M, _MOST_OFF_DEG = 0.05, 1.0
 
 
 def checked_aircraft(model: AircraftModel) -> AircraftModel:
@@ -461,10 +462,12 @@ def checked_aircraft(model: AircraftModel) -> AircraftModel:
     """
     try:
         complete = Aircraft(Scenario(), model=model).model
-        _check_turn(complete)
+        if complete is model:  # nothing was measured
+            _check_settled(model, _driven(model, _SETTLE_S)[0])
+            _check_turn(model)
         return complete
     except InfraError as error:
-        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+        raise _unusable(model, error) from None
 
 
 @lru_cache(maxsize=16)
@@ -491,11 +494,33 @@ def measured_model(model: AircraftModel) -> AircraftModel:
             )
         if model.speed_gains is None:
             gains = replace(gains, rolling_lever=round(lever, 4))
+        _check_settled(model, settled)
         found = replace(model, settled=model.settled or settled, speed_gains=gains)
         _check_turn(found)
     except InfraError as error:
-        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+        raise _unusable(model, error) from None
     return found
+
+
+def _unusable(model: AircraftModel, error: InfraError) -> UsageError:
+    doubt = ' (is it at rest with the values of settled?)' if model.settled else ''
+    return UsageError(f'aircraft {model.name}: {error.detail}{doubt}')
+
+
+def _check_settled(model: AircraftModel, driven: Attitude) -> None:
+    """Refuse a stated attitude other than that in which it taxis."""
+    stated = model.settled
+    if stated is None:
+        return
+    off_deg = math.degrees(max(
+        abs(stated.pitch_rad - driven.pitch_rad), abs(stated.roll_rad - driven.roll_rad)
+    ))
+    if abs(stated.z_m - driven.z_m) > _MOST_OFF_M or off_deg > _MOST_OFF_DEG:
+        raise UsageError(
+            f'aircraft {model.name}: settled is not how it taxis, which is '
+            f'{{height_m: {driven.z_m:.3f}, pitch_deg: {math.degrees(driven.pitch_rad):.2f}, '
+            f'roll_deg: {math.degrees(driven.roll_rad):.2f}}}; leave it out to have it measured'
+        )
 
 
 def _rough_attitude(model: AircraftModel) -> Attitude:

@@ -151,9 +151,11 @@ def _track_of_routes(
                     roads[stop].setdefault(start, route.name)
     found: list[tuple[float, float, tuple[_Point, ...]]] = []
     for start in list(roads):
-        for length_m, way in _shortest_ways(roads, start):
+        for way in _shortest_ways(roads, start):
             passed = [name for name, _ in groupby(roads[a][b] for a, b in pairwise(way))]
             if passed == list(names):
+                # The sum is exact, so a way is as long backwards.
+                length_m = math.fsum(math.dist(*ends) for ends in pairwise(way))
                 found.append((-round(length_m, 1), abs(start[1]), way))
     if not found:
         raise ValueError('the taxi routes of these names do not meet in this order')
@@ -167,15 +169,15 @@ def _track_of_routes(
 
 def _shortest_ways(
     roads: defaultdict[_Point, dict[_Point, str]], start: _Point
-) -> list[tuple[float, tuple[_Point, ...]]]:
-    """Length [m] and points of the shortest way to every point (Dijkstra)."""
-    ways: dict[_Point, tuple[float, tuple[_Point, ...]]] = {}
+) -> list[tuple[_Point, ...]]:
+    """Points of the shortest way to every point (Dijkstra)."""
+    ways: dict[_Point, tuple[_Point, ...]] = {}
     waiting: list[tuple[float, tuple[_Point, ...]]] = [(0.0, (start,))]
     while waiting:
         length_m, way = heapq.heappop(waiting)
         if way[-1] in ways:
             continue
-        ways[way[-1]] = length_m, way
+        ways[way[-1]] = way
         for point in roads.get(way[-1], ()):
             if point not in ways:
                 heapq.heappush(waiting, (length_m + math.dist(way[-1], point), (*way, point)))

@@ -24,6 +24,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun, gains_text
+from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
@@ -264,11 +265,10 @@ def _columns(answer: Topic, answers: dict[int, dict[str, list[Any]]]) -> Columns
 
 
 def _numbers(message: Any) -> dict[str, float]:
-    """Values of one answer, named as in a trace; none for an invalid estimate."""
+    """Values of one answer, named as in a trace; none for an unusable estimate."""
     if isinstance(message, interface.ESTIMATE.type):
-        if not message.valid:
-            return {}
-        return {'est_cte_m': message.cross_track_error, 'est_he_rad': message.heading_error}
+        seen = error_of(message)
+        return {'est_cte_m': seen.cte_m, 'est_he_rad': seen.he_rad} if seen.usable else {}
     if isinstance(message, interface.COMMAND.type):
         return {'steering_rad': message.steering_angle, 'speed_cmd_mps': message.speed}
     return {

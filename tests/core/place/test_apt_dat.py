@@ -128,6 +128,16 @@ def test_given_a_packed_file_when_read_then_it_is_the_same_place(tmp_path):
     assert find_place(there.document).runway == there.runway
 
 
+def test_given_a_file_that_is_written_again_then_its_new_airport_is_read(tmp_path):
+    there = typed_place(f'{written(tmp_path)}:XTST/09')
+    assert typed_place(f'{tmp_path}/apt.dat:XTST/09') is there
+    text = HEADER + OTHER + RUNWAYS.replace('100 30.00', '100 60.0') + GROUND + AFTER
+    assert typed_place(f'{written(tmp_path, text)}:XTST/09').runway.width_m == 60
+    (tmp_path / 'apt.dat').unlink()
+    with pytest.raises(UsageError, match='cannot be read'):
+        typed_place(f'{tmp_path}/apt.dat:XTST/09')
+
+
 def test_given_a_place_typed_as_file_and_runway_then_scenes_are_there(tmp_path):
     path = written(tmp_path)
     scene = scenario_from_human({'place': f'{path}:XTST/27', 'distance': 1000})

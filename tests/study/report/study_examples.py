@@ -89,7 +89,9 @@ def _learned(folder: Path, less: float, seed: int) -> None:
     result = LearnedResult(
         facts={'seed': seed, 'runs_made': 60}, choices=(choice,),
         probabilities={'ego.position.y': tuple(probabilities)},
-        evidence={'ego.position.y': Evidence(amounts=amounts, squares=28.0)},
+        evidence={'ego.position.y': Evidence(
+            amounts=amounts, squares=amounts, heaviest=1.0,
+        )},
     )
     (folder / 'learned.json').write_text(result.to_json())
 
