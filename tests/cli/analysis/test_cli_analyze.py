@@ -27,7 +27,7 @@ def table(runs: int, perception: str, early_fails: bool) -> pd.DataFrame:
         'clouds': rng.choice(['clear', 'stratus'], runs), 'rain_percent': 0.0,
         'time_of_day_h': hours, 'outcome': np.where(failed, 'FAIL', 'PASS'),
         'rho': np.where(failed, -5.0, 1.0), 'rho_phi': np.where(failed, -5.0, 1.0),
-        'left_runway': failed, 'bag': '', 'sampler': 'random',
+        'left_runway': failed, 'bag': '',
     })
 
 
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('analyze')
     (folder / 'c').mkdir()
     table(120, 'original', early_fails=True).to_parquet(folder / 'c' / 'runs.parquet')
-    write_sealed(folder / 'c' / 'campaign.json', {'runs': 120}, [folder / 'c' / 'runs.parquet'])
+    write_sealed(folder / 'c' / 'campaign.json', {}, [folder / 'c' / 'runs.parquet'])
     table(60, 'taxinet', early_fails=False).to_parquet(folder / 'better.parquet')
     done = taxinet_apart('analyze', 'c', '--baseline', 'better.parquet', cwd=folder)
     assert done.returncode == 0, done.stderr
