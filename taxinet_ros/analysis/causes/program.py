@@ -105,11 +105,7 @@ def _settings(runs: CampaignRuns) -> RunSettings:
     """Settings of the runs, with the analysed requirement alone."""
     facts = dict(runs.facts)
     settings = RunSettings.from_facts(facts)
-    documents = any(
-        key in CATALOGUES and value not in CATALOGUES[key].shipped
-        for key, value in settings.values.items()
-    )
-    told = runs.spec in facts.get('specs', {}) and not documents
+    told = runs.spec in facts.get('specs', {}) and _documents_known(settings)
     if not told and (runs.folder / LEDGER_NAME).is_file():
         # The ledger has the requirements added later, and the documents in full.
         added = open_campaign(runs.folder).content.added
@@ -120,6 +116,14 @@ def _settings(runs: CampaignRuns) -> RunSettings:
         for key, value in settings.values.items()
     }
     return replace(settings.judged_by(runs.spec), perception=runs.perception, values=values)
+
+
+def _documents_known(settings: RunSettings) -> bool:
+    try:
+        settings.documents()
+    except UsageError:
+        return False
+    return True
 
 
 def _source(runs: CampaignRuns) -> str | None:
