@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -185,6 +185,7 @@ class CampaignRuns:
     facts: Mapping[str, Any]
     stacks: tuple[Provenance, ...]
     frame: pd.DataFrame
+    scenes: pd.DataFrame
     others: Mapping[str, int]
     kinds: Mapping[str, int]
     undecided: int
@@ -194,7 +195,6 @@ class CampaignRuns:
     anytime: bool = False
     blind: int = 0
     unrecorded: str = ''
-    scenes: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def warnings(self) -> tuple[str, ...]:
