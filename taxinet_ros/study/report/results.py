@@ -268,15 +268,15 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
     """Read a network from a campaign's folder, or from its table."""
     table = read_table(path)
     runs = runs_of(table, path)
-    if runs.weighting is not Weighting.DRAWN:
-        raise UsageError(
-            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
-            'evaluate with --sampler random'
-        )
     if runs.uncounted:
         raise UsageError(
             f'{path}: {runs.uncounted} of its runs follow one without a result; end the campaign '
             'with --resume'
+        )
+    if runs.weighting is not Weighting.DRAWN:
+        raise UsageError(
+            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
+            'evaluate with --sampler random'
         )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []

@@ -252,3 +252,21 @@ def test_given_places_when_photographed_then_each_looks_like_itself():
         scene = Scenario(place=name, shadows=False)
         looks.add(Camera(scene).render(Aircraft(scene).state, 0).tobytes())
     assert len(looks) == 3
+
+
+def test_given_a_file_of_a_places_json_then_it_is_that_place_and_other_files_are_refused(tmp_path):
+    place = dataclasses.replace(find_place('bikf_10'), shipped=False)
+    path = tmp_path / f'place-{place.reference}.json'
+    path.write_text(place.document)
+    assert typed_place(str(path)).reference == place.reference
+    for text, why in (('{"name": 3', 'neither a name nor JSON'), ('no json', 'not one of'),
+                      ('\xff', 'not one of')):
+        path.write_text(text)
+        with pytest.raises(UsageError, match=why):
+            typed_place(str(path))
+    path.write_bytes(b'\xff')
+    for wrong in (path, tmp_path / 'no.json', tmp_path):
+        with pytest.raises(UsageError) as error:
+            typed_place(f'{wrong}' if wrong.suffix else f'{wrong}/.json')
+        assert 'cannot be read' in str(error.value)
+        assert '\n' not in str(error.value)
