@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from own_place import OWN
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import sun_position
@@ -22,17 +23,6 @@ from taxinet_ros.core.place.place_file import read_place
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
-
-OWN = {
-    'name': 'own_16', 'time_zone': 'UTC+05:30',
-    'runway': {
-        'ends': [
-            {'designation': '16L', 'latitude_deg': 10.018, 'longitude_deg': 77.0},
-            {'designation': '34R', 'latitude_deg': 10.0, 'longitude_deg': 77.006},
-        ],
-        'width_m': 45, 'elevation_m': 12, 'category': 'visual', 'surface': 'concrete',
-    },
-}
 
 
 def written(folder: Path, values: dict, name: str = 'own.yaml') -> Path:
