@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from taxinet_ros.api.search import falsify
     from taxinet_ros.bag.errors import BagError
     from taxinet_ros.bag.run.recording import Recording
-    from taxinet_ros.core.controller import SteeringGains, SteeringLaw
+    from taxinet_ros.core.motion.controller import SteeringGains, SteeringLaw
     from taxinet_ros.core.mtl.specs import Spec
-    from taxinet_ros.core.outcome import Outcome
     from taxinet_ros.core.place.catalogue import load_place
     from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.traffic.traffic_file import load_traffic
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.core.user_code import UserCodeError
+    from taxinet_ros.core.verdict.outcome import Outcome
     from taxinet_ros.errors import InfraError, RecordError, UsageError
     from taxinet_ros.version import __version__ as __version__
 
@@ -70,9 +70,9 @@ _MODULES = {
     'taxinet_ros.api.search': ('falsify',),
     'taxinet_ros.bag.errors': ('BagError',),
     'taxinet_ros.bag.run.recording': ('Recording',),
-    'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
+    'taxinet_ros.core.motion.controller': ('SteeringGains', 'SteeringLaw'),
     'taxinet_ros.core.mtl.specs': ('Spec',),
-    'taxinet_ros.core.outcome': ('Outcome',),
+    'taxinet_ros.core.verdict.outcome': ('Outcome',),
     'taxinet_ros.core.place.catalogue': ('load_place',),
     'taxinet_ros.core.rig.catalogue': ('load_aircraft', 'load_camera'),
     'taxinet_ros.core.scenario': ('Scenario',),

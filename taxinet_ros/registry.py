@@ -50,7 +50,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'truth': 'taxinet_ros.core.perception.perception:GroundTruth',
         **_constants('taxinet_ros.core.perception.weights', _NETWORKS),
     },
-    CONTROLLERS: {'steering': 'taxinet_ros.core.controller:SteeringLaw'},
+    CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
     WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
     REQUIREMENTS: _constants(

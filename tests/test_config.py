@@ -13,7 +13,7 @@ import pytest
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.topics import TOPICS, TRANSFORMS
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import fits

@@ -232,4 +232,4 @@ def test_given_a_colcon_workspace_when_built_then_ros2_run_and_launch_find_every
     assert (installed / 'share/taxinet_ros/launch/taxinet.launch.py').exists()
     assert (installed / 'share/ament_index/resource_index/packages/taxinet_ros').exists()
     package = next(installed.glob('lib/python3*/site-packages/taxinet_ros'))
-    assert list(package.glob('core/aircraft_models/*/*.xml'))
+    assert list(package.glob('core/rig/models/*/*.xml'))

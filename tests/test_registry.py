@@ -16,7 +16,7 @@ from taxinet_ros import registry
 from taxinet_ros.campaign.options import read_specs
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.core.controller import check_controller, make_controller
+from taxinet_ros.core.motion.controller import check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.weights import SHIPPED
@@ -176,6 +176,15 @@ def lay_down_world(site: Path, body: str, first: str = '') -> None:
         '        now = super().observe(picture=picture)\n'
         f'        {body}\n'
     ), worlds='elsewhere = Elsewhere')
+
+
+def test_given_a_world_without_pictures_then_only_who_needs_none_runs_in_it(site: Path) -> None:
+    lay_down_world(site, 'return dataclasses.replace(now, image=None)')
+    asked = tx.Scenario(duration_s=0.5)
+    assert tx.run(asked, world='elsewhere').outcome == 'PASS'
+    for word in ('original', lambda frame: (0.0, 0.0)):
+        with pytest.raises(InfraError, match=r'at step 0: .*no picture, which perception \S+ n'):
+            tx.run(asked, perception=word, world='elsewhere')
 
 
 @pytest.mark.parametrize(('body', 'words'), [

@@ -24,7 +24,7 @@ import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -40,10 +40,10 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING, controller_options
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 MOST_RUNS = 10**7
@@ -309,7 +309,7 @@ _GATE = 'gate'
 
 def junit_xml(
     rows: Sequence[RunRow], answer: GateResult, folder: Path, facts: Mapping[str, Any], *,
-    inconclusive_passes: bool,
+    inconclusive_passes: bool, documents: Path = Path(),
 ) -> bytes:
     """The report as a UTF-8 document.
 
@@ -319,13 +319,14 @@ def junit_xml(
         folder: the campaign's folder, for rerun commands.
         facts: facts of the campaign.
         inconclusive_passes: an undecided criterion is skipped, not a failure.
+        documents: folder of the files of :func:`rerun_documents`.
     """
     suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})
     _add_properties(suite, answer, facts)
     for criterion in answer.criteria:
         _add_criterion(suite, criterion, passes=inconclusive_passes)
     for row in rows:
-        _add_run(suite, row, folder, facts)
+        _add_run(suite, row, folder, facts, documents)
     totals = {
         'tests': len(suite.findall('testcase')), 'failures': len(suite.findall('*/failure')),
         'errors': len(suite.findall('*/error')), 'skipped': len(suite.findall('*/skipped')),
@@ -338,20 +339,35 @@ def junit_xml(
     return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
 
 
-def rerun_command(row: RunRow, folder: Path, facts: Mapping[str, Any]) -> str:
-    """Command to rerun a run, bit-exact if its bag exists."""
+def rerun_command(
+    row: RunRow, folder: Path, facts: Mapping[str, Any], documents: Path = Path()
+) -> str:
+    """Command to rerun a run, bit-exact if its bag exists; '' if its graph is not known.
+
+    Args:
+        row: row of the run.
+        folder: folder of its campaign.
+        facts: facts of its campaign.
+        documents: folder of the files of :func:`rerun_documents`.
+    """
     if row.bag:
         return shlex.join(['taxinet', 'run', '--from', str(folder / row.bag)])
-    settings = [f'{key}={_setting(value)}' for key, value in row.scene.items()]
-    settings += [f'steering.{name}={value!r}' for name, value in facts.get('gains', {}).items()]
-    words = ['taxinet', 'run', 'nominal', '--perception', row.perception]
-    words += controller_options(facts.get('controller', STEERING))
-    for name, formula in facts.get('specs', {}).items():
-        words += ['--spec', f'{name}={formula}']
-    for setting in settings:
-        words += ['--set', setting]
-    timing = parse_timing(row.timing).of_run(row.seed, row.index)
-    return shlex.join([*words, *timing.options])
+    return _settings(row, facts).command('nominal', folder=documents) if row.perception else ''
+
+
+def rerun_documents(rows: Sequence[RunRow], facts: Mapping[str, Any]) -> dict[str, str]:
+    """Text by file name of the documents that the commands of :func:`junit_xml` read."""
+    return {
+        name: text for row in rows if row.outcome is Outcome.FAIL and not row.bag
+        for name, text in _settings(row, facts).documents().items()
+    }
+
+
+def _settings(row: RunRow, facts: Mapping[str, Any]) -> RunSettings:
+    return replace(
+        RunSettings.from_facts(facts), perception=row.perception, values=row.scene,
+        timing=parse_timing(row.timing).of_run(row.seed, row.index),
+    )
 
 
 def _add_properties(
@@ -386,7 +402,8 @@ def _add_criterion(suite: ElementTree.Element, criterion: Criterion, *, passes: 
 
 
 def _add_run(
-    suite: ElementTree.Element, row: RunRow, folder: Path, facts: Mapping[str, Any]
+    suite: ElementTree.Element, row: RunRow, folder: Path, facts: Mapping[str, Any],
+    documents: Path,
 ) -> None:
     attributes = {
         'classname': _text(Path(row.program).stem or 'run'), 'name': _text(row.run_id),
@@ -400,7 +417,8 @@ def _add_run(
         failure = ElementTree.SubElement(
             case, 'failure', {'message': _text(message), 'type': row.outcome.value}
         )
-        failure.text = _text(f'{message}\nrun it again: {rerun_command(row, folder, facts)}')
+        command = rerun_command(row, folder, facts, documents)
+        failure.text = _text(f'{message}\nrun it again: {command}' if command else message)
         return
     words = ' '.join(word for word in (row.kind, row.who, row.detail) if word)
     message = f'{row.outcome}: {words}' if words else row.outcome.value
@@ -415,12 +433,6 @@ def _rho_words(row: RunRow) -> str:
         f'{name}: rho {low:+.3f}' if low == high else f'{name}: rho {low:+.3f} to {high:+.3f}'
         for name, (low, high) in row.robustness.items()
     )
-
-
-def _setting(value: Any) -> str:
-    if isinstance(value, bool):
-        return 'on' if value else 'off'
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def _text(value: Any) -> str:

@@ -43,9 +43,11 @@ from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import (
+from taxinet_ros.core.faults import unseen_faults
+from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.motion.controller import (
     STEERING,
     Controller,
     SteeringGains,
@@ -54,15 +56,11 @@ from taxinet_ros.core.controller import (
     make_controller,
     read_command,
 )
-from taxinet_ros.core.faults import unseen_faults
-from taxinet_ros.core.judge import Judgement, check_others, check_specs
-from taxinet_ros.core.judging import Judging, parse_stop_on
-from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
-from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
+from taxinet_ros.core.mtl.units import dimension_of, si_unit
 from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
@@ -73,12 +71,21 @@ from taxinet_ros.core.perception.perception import (
     make_perception,
     read_estimate,
 )
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
-from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
+from taxinet_ros.core.trace import (
+    COLUMN_UNITS,
+    columns_of_steps,
+    source_column,
+    trace_signals,
+    trace_table,
+)
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION
+from taxinet_ros.core.verdict.judge import Judgement, check_others, check_specs
+from taxinet_ros.core.verdict.judging import Judging, parse_stop_on
+from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH
@@ -466,9 +473,9 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
             ``he_estimate``, ``estimate_gap``, ``unusable_share``, ``clearance`` and ``collision``
             (with others on the ground) come from the columns of :attr:`Run.trace`, in SI units and
-            radians. Any other numeric column is a signal under its own name and in its own unit.
-            A signal's column with another unit in
-            ``attrs['units']`` is rejected.
+            radians. Any other numeric column is a signal under its own name; its unit is known if
+            it is in ``attrs['units']``. A column that is read, or the time, is rejected if its
+            unit there is another, or not one of SI, in which formulas compare.
 
     Returns:
         Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
@@ -488,14 +495,23 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if name.isidentifier() and name not in RESERVED
     }
     for name in signals.keys() & own.keys():
-        if name in SIGNAL_COLUMNS and not np.array_equal(signals[name], own[name], equal_nan=True):
+        source = source_column(name, numbers)
+        if source and not np.array_equal(signals[name], own[name], equal_nan=True):
             raise UsageError(
-                f'trace: columns {name} and {SIGNAL_COLUMNS[name]} both give signal {name} and '
-                'differ; leave one out'
+                f'trace: columns {name} and {source} both give signal {name} and differ; '
+                'leave one out'
             )
     signals |= own
     _check_read(spec, trace, signals)
-    asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
+    told = trace.attrs.get('units')
+    units = dict(told) if isinstance(told, Mapping) else {}
+    known = {**COLUMN_UNITS, **SIGNALS}
+    asked = spec if isinstance(spec, Spec) else parse_spec(
+        spec, signals={name: known.get(name) or str(units.get(name, '')) for name in signals}
+    )
+    _check_units(units, 't_ns' if 't_ns' in trace.columns else 't_s')
+    for name in signal_names(asked.formula):
+        _check_units(units, name, source_column(name, numbers))
     return offline.robustness(asked.formula, stamps_ns, signals)
 
 
@@ -503,7 +519,7 @@ def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any
     """Report non-numeric columns that a formula reads; its parser does not see them.
 
     Raises:
-        UsageError: there is one, or a signal's column is in another unit than the signal.
+        UsageError: there is one.
     """
     text = spec.text if isinstance(spec, Spec) else SHIPPED[spec].text if spec in SHIPPED else spec
     read = set(re.findall(r'[^\W\d]\w*', text))
@@ -512,14 +528,24 @@ def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any
             kind = getattr(trace[name], 'dtype', 'several columns')
             raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds {kind}, no '
                              'numbers')
-    units = trace.attrs.get('units')
-    if not isinstance(units, Mapping):
-        return
-    for name, column in SIGNAL_COLUMNS.items():
-        unit = units.get(column, SIGNALS[name])
-        if name in read and column in trace.columns and unit != SIGNALS[name]:
+
+
+def _check_units(units: Mapping[object, object], name: str, source: str = '') -> None:
+    """Check the units told of the column ``name``, if there is one, and of a signal's source.
+
+    Raises:
+        UsageError: one is not the unit in which it is read.
+    """
+    for column in (name, source):
+        unit = str(units.get(column) or '')
+        dimension = dimension_of(unit)
+        wanted = SIGNALS.get(column) or COLUMN_UNITS.get(column) or (
+            unit if dimension is None else si_unit(dimension) or '1'
+        )
+        if unit and unit != wanted:
             raise UsageError(
-                f'trace: column {column} is in {unit}; signal {name} is in {SIGNALS[name]}'
+                f'trace: column {column} is in {unit}; signal {name} is in {wanted}, as formulas '
+                'compare in SI'
             )
 
 

@@ -31,7 +31,7 @@ from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
-from taxinet_ros.core.controller import STEERING, check_controller
+from taxinet_ros.core.motion.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.registry import KMWH

@@ -61,11 +61,12 @@ class RawMessage(NamedTuple):
 
 
 class StoredMessage(NamedTuple):
-    """One message with its topic's description; the stamp is the log time [ns]."""
+    """One message with its topic's description; log time and publish time [ns]."""
 
     topic: TopicInfo
     stamp_ns: int
     cdr: bytes
+    published_ns: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ def read_messages(path: Path, topics: Collection[str] | None = None) -> Iterator
         UsageError: ``path`` does not exist.
     """
     wanted = None if topics is None else frozenset(topics).__contains__
-    for topic, stamp_ns, cdr in stored_messages(path, wanted):
+    for topic, stamp_ns, cdr, _ in stored_messages(path, wanted):
         yield RawMessage(topic.name, topic.type, stamp_ns, cdr)
 
 
@@ -137,13 +138,17 @@ def stored_messages(
                 asked_for = wanted is None or wanted(info.name)
                 infos.check(record, file, wanted=asked_for)
                 if asked_for:
-                    yield StoredMessage(info, record.log_time, record.data)
+                    yield _stored(info, record)
                     count += 1
     except (BagTruncated, BagCorrupt) as error:
         message = f'{error}; {count} intact messages before'
         raise type(error)(
             message, path=error.path, recovered=count, offset=error.offset
         ) from error
+
+
+def _stored(topic: TopicInfo, message: Message) -> StoredMessage:
+    return StoredMessage(topic, message.log_time, message.data, message.publish_time)
 
 
 def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
@@ -278,7 +283,7 @@ class Contents:
     def note(self, record: object, kept_bytes: KeptBytes) -> None:
         """Process a topic, message, metadata record or attachment."""
         if isinstance(record, StoredMessage):
-            topic, stamp_ns, cdr = record
+            topic, stamp_ns, cdr, _ = record
             self.counts[topic.name] += 1
             if stamp_ns != self._latest_ns or self._start_ns is None:
                 self._note_stamp(stamp_ns)
@@ -344,7 +349,7 @@ def _scanned(
         if isinstance(record, Message):
             info = infos.by_channel[record.channel_id]
             infos.check(record, file, wanted=kept_bytes(info.name) > 0)
-            yield StoredMessage(info, record.log_time, record.data)
+            yield _stored(info, record)
         elif isinstance(record, Channel):
             yield infos.by_channel[record.id]
         elif isinstance(record, Metadata | Attachment):
@@ -441,12 +446,13 @@ class _SoundFile:
             start += HEAD.size
             end = start + length
             if opcode == Opcode.MESSAGE:
-                channel, _, stamp_ns, _ = _MESSAGE.unpack_from(raw, start)
+                channel, _, stamp_ns, published_ns = _MESSAGE.unpack_from(raw, start)
                 self._count += 1
                 cdr = raw[start + _MESSAGE.size:end]
                 if cdr.startswith(_ZSTD):
                     raise BagCorrupt('a message is compressed')
-                found.append(StoredMessage(self._infos.by_channel[channel], stamp_ns, cdr))
+                info = self._infos.by_channel[channel]
+                found.append(StoredMessage(info, stamp_ns, cdr, published_ns))
             else:
                 found += self._declared(parse_record(opcode, raw[start:end]))
             start = end

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from mcap.records import Attachment
+
 from taxinet_ros.bag.description import NOT_STARTED_NS, BagContent, file_text, record_text
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
@@ -23,7 +25,8 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder, write_atomically
 from taxinet_ros.version import __version__
 
-LIBRARY = f'taxinet_ros {__version__}'
+_PACKAGE = 'taxinet_ros'
+LIBRARY = f'{_PACKAGE} {__version__}'
 MANIFEST = 'manifest.json'
 RUN_METADATA = 'taxinet'
 FREE_RUN_METADATA = 'taxinet_free_run'
@@ -109,28 +112,40 @@ class BagWriter:
         for name, data in {MANIFEST: self._manifest(), **attachments}.items():
             self.attach(name, data)
 
-    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+    def write(
+        self, topic: str, cdr: bytes, stamp_ns: int, published_ns: int | None = None
+    ) -> None:
         """Append one serialised message.
 
         Args:
             topic: name of one of the bag's topics.
             cdr: the message with its encapsulation of four bytes.
-            stamp_ns: simulated time [ns], not negative; used as log time and publish time.
+            stamp_ns: simulated time [ns], not negative; the log time.
+            published_ns: the publish time [ns]; None: the log time.
         """
         if topic not in self._storage.counts:
             raise UsageError(f'topic {topic!r} is not in bag {self.folder}; give it at its start')
         if not 0 <= stamp_ns < NOT_STARTED_NS:
             raise UsageError(f'topic {topic!r}: stamp {stamp_ns} ns is not within 0 ... 2^63-2')
-        self._storage.add_message(topic, cdr, stamp_ns)
+        self._storage.add_message(
+            topic, cdr, stamp_ns, stamp_ns if published_ns is None else published_ns
+        )
 
     def flush(self) -> None:
         """Flush to the operating system: data survive the end of this process, not a power loss."""
         self._storage.finish_chunk()
 
     def attach(self, name: str, data: bytes) -> None:
-        """Add an attachment."""
+        """Add an attachment, stamped with the latest message's time."""
         media_type = _MEDIA_TYPES.get(Path(name).suffix, 'application/octet-stream')
-        self._storage.add_attachment(name, data, media_type=media_type)
+        now_ns = self._storage.end_ns
+        self.copy_attachment(Attachment(
+            create_time=now_ns, log_time=now_ns, name=name, media_type=media_type, data=data,
+        ))
+
+    def copy_attachment(self, attachment: Attachment) -> None:
+        """Add an attachment as it is in another bag; a name may be repeated."""
+        self._storage.add_attachment(attachment)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
@@ -211,6 +226,11 @@ class BagWriter:
             start_ns=self._storage.start_ns,
             end_ns=self._storage.end_ns,
         )
+
+
+def is_own_manifest(data: bytes) -> bool:
+    """Whether an attachment is the manifest of a bag of this package."""
+    return data.startswith(f'{{\n  "library": "{_PACKAGE} '.encode())
 
 
 def _check_words(name: str, values: Mapping[str, str]) -> None:

@@ -29,7 +29,7 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import ChildProcess
 

@@ -23,11 +23,11 @@ import psutil
 from scipy import stats
 
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS

@@ -17,9 +17,9 @@ from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_scene
-from taxinet_ros.core.judge import SpecCheck
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import timing_words
+from taxinet_ros.core.verdict.judge import SpecCheck
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2

@@ -40,10 +40,10 @@ from taxinet_ros.campaign.scenes.overrides import check_overrides
 from taxinet_ros.campaign.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
-from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 

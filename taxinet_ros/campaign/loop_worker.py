@@ -19,12 +19,12 @@ from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.worker_pool import encode_line, request_from_json, result_to_json
-from taxinet_ros.core.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.outcome import RunRequest, RunResult, outcome_of
+from taxinet_ros.core.motion.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult, outcome_of
 from taxinet_ros.core.world import SimulatedWorld, WorldMaker, find_world
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import module_command

@@ -21,11 +21,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
-from taxinet_ros.core.aircraft import checked_aircraft
-from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.faults import check_free, unseen_faults
-from taxinet_ros.core.judge import SpecCheck, check_others, check_specs, reads_others
-from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
+from taxinet_ros.core.motion.aircraft import checked_aircraft
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -43,6 +41,8 @@ from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by_key
 from taxinet_ros.core.user_code import short_word
+from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
+from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
@@ -337,9 +337,21 @@ def check_assumptions(
     """
     try:
         found = parse_assumptions(bounds, rates)
-        if specs:
-            check_read(found, (spec.formula for spec in specs))
-        return found
+    except UsageError as error:
+        raise UsageError(f'--{error}') from None
+    if specs:
+        check_assumptions_read(found, specs)
+    return found
+
+
+def check_assumptions_read(found: Assumptions, specs: Sequence[Spec]) -> None:
+    """Check that requirements read the signals of assumptions.
+
+    Raises:
+        UsageError: one line that names the option without effect.
+    """
+    try:
+        check_read(found, (spec.formula for spec in specs))
     except UsageError as error:
         raise UsageError(f'--{error}') from None
 

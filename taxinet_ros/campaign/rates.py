@@ -31,7 +31,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 
 CONFIDENCE = 0.95
 TAIL = (1 - CONFIDENCE) / 2

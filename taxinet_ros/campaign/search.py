@@ -43,11 +43,11 @@ from taxinet_ros.campaign.summary import (
     stopped_words,
     table_line,
 )
-from taxinet_ros.core.judge import SpecCheck
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA, TRAFFIC
+from taxinet_ros.core.verdict.judge import SpecCheck
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
 PATIENCE = 3

@@ -16,7 +16,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.registry import check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 FAILURES = 'failures'

@@ -11,15 +11,15 @@ from rich.text import Text
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import ProgramRate, count_outcomes, failure_rate
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.judge import SpecCheck
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
 from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
+from taxinet_ros.core.verdict.judge import SpecCheck
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5

@@ -20,11 +20,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.processes.child import ChildProcess, open_pipe
 

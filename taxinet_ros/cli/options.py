@@ -21,6 +21,23 @@ def given_options(context: typer.Context) -> dict[str, Any]:
     }
 
 
+def refuse_given(context: typer.Context, names: Collection[str], why: str) -> None:
+    """Refuse parameters that would have no effect.
+
+    Args:
+        context: context of the command.
+        names: names of its parameters.
+        why: reason, put behind the option.
+
+    Raises:
+        UsageError: one of them is given on the command line.
+    """
+    given = given_options(context)
+    for parameter in context.command.params:
+        if parameter.name in names and parameter.name in given:
+            raise UsageError(f'{max(parameter.opts, key=len)}: {why}')
+
+
 _APT_DAT = (
     '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
     '~/X-Plane 12/Global Scenery/Global Airports/Earth nav data/apt.dat',

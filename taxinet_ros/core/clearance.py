@@ -1,9 +1,10 @@
 """How far the aircraft is from others on the ground: the signals ``clearance`` and ``collision``.
 
 Distances are in plan, between parts of the aircraft and of an object at the same height above
-ground: a wing passes over a cone, but not over a fin. Roll and pitch on the wheels are neglected.
-The position is that of the odometry, so that loop, graph and bags give the same
-bits. There are no physics of an impact: the run goes on.
+ground: a wing passes over a cone, but not over a fin. The pitch is that of straight taxiing, nose
+up with a tail wheel; how the aircraft rolls and pitches beside that is neglected. The position is
+that of the odometry, so that loop, graph and bags give the same bits. There are no physics of an
+impact: the run goes on.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import measured_model
+from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.shapes import Outline, Points, hull, outlines
@@ -27,6 +29,7 @@ from taxinet_ros.core.types import AircraftState, quaternion
 
 Vectors = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+_THIN_M = 5e-4
 
 
 class Clearance:
@@ -37,7 +40,7 @@ class Clearance:
         self._objects = scenario.others.solids
         self._aircraft = scenario.aircraft
         if self._objects:  # ahead of the first step, as it may take a second
-            _above_ground_m(scenario.aircraft)
+            _own_parts(scenario.aircraft)
 
     @property
     def anybody(self) -> bool:
@@ -162,12 +165,22 @@ def _placed(outline: Outline, pose: Pose) -> _Edges:
 @lru_cache(maxsize=256)
 def _own_edges(aircraft: str, low_m: float, high_m: float) -> _Edges | None:
     """Plan of what the aircraft has between two heights above ground; None if it has nothing."""
-    raised = 0.0, 0.0, _above_ground_m(aircraft)
     hulls = [
-        hull(points) for part in _own_parts(aircraft)
-        if len(points := _between(part + raised, low_m, high_m)) > 2
+        _plan(points) for part in _own_parts(aircraft)
+        if (points := _between(part, low_m, high_m))
     ]
-    return _Edges.of([one for one in hulls if len(one) > 2]) if hulls else None
+    return _Edges.of(hulls) if hulls else None
+
+
+def _plan(points: Sequence[tuple[float, float]]) -> Points:
+    """The hull; what is upright and has no thickness gets one, as it can be hit too."""
+    plan = hull(points)
+    if len(plan) > 2:
+        return plan
+    return hull([
+        (x + dx, y + dy) for x, y in points for dx in (-_THIN_M, _THIN_M)
+        for dy in (-_THIN_M, _THIN_M)
+    ])
 
 
 def _between(part: Vectors, low_m: float, high_m: float) -> list[tuple[float, float]]:
@@ -182,18 +195,19 @@ def _between(part: Vectors, low_m: float, high_m: float) -> list[tuple[float, fl
 
 
 @lru_cache(maxsize=64)
-def _above_ground_m(aircraft: str) -> float:
-    """Height of the aircraft's reference point on its wheels [m], to a centimetre."""
+def _own_parts(aircraft: str) -> tuple[Vectors, ...]:
+    """Convex parts of the aircraft that can touch something, those that cast shadows.
+
+    As they stand on the wheels: x forward and y left of the reference point, z from the ground
+    [m]. Height and pitch are rounded, to a centimetre and half a degree, so that a measured
+    aircraft has the bits of one whose file states what was measured.
+    """
     model = find_aircraft(aircraft)
     settled = model.settled or measured_model(model).settled
     assert settled is not None
-    return round(settled.z_m, 2)
-
-
-@lru_cache(maxsize=64)
-def _own_parts(aircraft: str) -> tuple[Vectors, ...]:
-    """Convex parts of the aircraft that can touch something, those that cast shadows."""
-    return tuple(part.points for part in find_aircraft(aircraft).outline if part.shades)
+    turn = rotation(0.0, round(settled.pitch_rad, 2), 0.0)
+    raised = 0.0, 0.0, round(settled.z_m, 2)
+    return tuple(part.points @ turn.T + raised for part in model.outline if part.shades)
 
 
 @lru_cache(maxsize=64)

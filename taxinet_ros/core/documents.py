@@ -121,11 +121,16 @@ class Catalogue(Generic[_T]):
         """Find the document given by a user.
 
         Args:
-            text: a shipped name, a YAML file, JSON, or a reference from a table.
+            text: a shipped name, a YAML file, JSON or a file of it, or a reference from a table.
 
         Raises:
             UsageError: none of these, or an invalid file.
         """
+        if text.lower().endswith('.json') and not text.startswith('{'):
+            try:
+                return self.find(Path(text).read_text(encoding='utf-8'))
+            except (OSError, UnicodeDecodeError) as error:
+                raise UsageError(f'{self.key}: {text}: cannot be read: {error}') from None
         if text.lower().endswith(_SUFFIXES):
             return self.find(self._read(Path(text), False).text)
         if _REFERENCE.fullmatch(text):

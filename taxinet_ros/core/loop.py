@@ -10,19 +10,19 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.faults import loop_delay_ns
-from taxinet_ros.core.judge import Judge, Judgement
-from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker
+from taxinet_ros.core.verdict.judge import Judge, Judgement
+from taxinet_ros.core.verdict.judging import StopOn
+from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker, check_picture
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 """Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
@@ -147,6 +147,8 @@ def run_closed_loop(
     clearance = Clearance(scenario)
     while True:
         now = world.observe()
+        if perception.needs_image:
+            check_picture(now, f'perception {perception.word}')
         along_m, cte_m, he_rad = now.on_track
         estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
         command = controller.command(estimate)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
+from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
@@ -71,7 +72,7 @@ class Scenario:
         wind_speed_mps: mean wind [m/s].
         wind_direction_rad: direction the wind blows from [rad], clockwise from true north.
         gust_mps: standard deviation of the turbulence in each horizontal direction [m/s], see
-            :mod:`taxinet_ros.core.gusts`.
+            :mod:`taxinet_ros.core.motion.gusts`.
         gust_seed: random seed of the gusts; a whole number.
         runway_state: friction, one of ``scenario_fields.RUNWAY_STATES``.
         slope_fraction: rise of the runway divided by its length, uphill ahead positive.
@@ -221,6 +222,11 @@ class Scenario:
     def runway(self) -> Runway:
         """Runway of the place."""
         return find_place(self.place).runway
+
+    @property
+    def airport(self) -> AirportGround | None:
+        """Pavements and lines of the place beside the runway, if known."""
+        return find_place(self.place).ground
 
     @property
     def line(self) -> Track:

@@ -7,15 +7,15 @@ again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,10 @@ the track; ``cte_m`` and ``he_rad`` are the truth, ``est_`` the perception's est
 CLEARANCE_COLUMN = 'clearance_m'
 """Distance to others on the ground, where there are any."""
 
-_UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm'}
+COLUMN_UNITS: Mapping[str, str] = MappingProxyType({
+    't_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm',
+})
+"""Unit of every column that has one."""
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
     'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
@@ -45,6 +48,14 @@ SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
 })
 """Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
+def source_column(signal: str, columns: Container[str]) -> str:
+    """Column of a trace that gives a signal of :data:`.mtl.specs.SIGNALS`, or ''."""
+    column = SIGNAL_COLUMNS.get('clearance' if signal == 'collision' else signal, '')
+    if signal == 'x' and column not in columns:
+        column = 'x_m'  # An older version's, whose track was always the runway's centreline.
+    return column if column in columns else ''
+
+
 _OF_STEP: Mapping[str, Callable[[Step], float]] = {
     'x_m': lambda step: step.observation.state.x_m,
     'y_m': lambda step: step.observation.state.y_m,
@@ -52,8 +63,8 @@ _OF_STEP: Mapping[str, Callable[[Step], float]] = {
     'speed_mps': lambda step: step.observation.state.speed_mps,
     'cte_m': lambda step: step.observation.truth.cte_m,
     'he_rad': lambda step: step.observation.truth.he_rad,
-    'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.valid else math.nan,
-    'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.valid else math.nan,
+    'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.usable else math.nan,
+    'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.usable else math.nan,
     'steering_rad': lambda step: step.command.steering_rad,
     'speed_cmd_mps': lambda step: step.command.speed_mps,
 }
@@ -70,15 +81,15 @@ def columns_of_steps(
         others: whether others are on the ground.
 
     Returns:
-        ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool, the columns of
-        :data:`STEP_UNITS` as float64 (NaN for an invalid estimate), with others
-        :data:`CLEARANCE_COLUMN`, and for each formula ``rho_lower.<name>`` and
-        ``rho_upper.<name>``.
+        ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool (whether the
+        estimate was usable, as in formulas), the columns of :data:`STEP_UNITS` as float64 (NaN
+        where it was not), with others :data:`CLEARANCE_COLUMN`, and for each formula
+        ``rho_lower.<name>`` and ``rho_upper.<name>``.
     """
     columns: dict[str, Column] = {
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
         't_ns': np.array([step.observation.stamp_ns for step in steps], dtype=np.int64),
-        'est_valid': np.array([step.estimate.valid for step in steps], dtype=np.bool_),
+        'est_valid': np.array([step.estimate.usable for step in steps], dtype=np.bool_),
     }
     for name, value in _OF_STEP.items():
         columns[name] = np.array([value(step) for step in steps], dtype=np.float64)
@@ -97,7 +108,9 @@ def trace_table(columns: Mapping[str, Column]) -> pd.DataFrame:
     import pandas as pd
 
     table = pd.DataFrame({'t_s': np.asarray(columns['t_ns'], np.int64) / NS_PER_S, **columns})
-    table.attrs['units'] = {name: _UNITS[name] for name in table.columns if name in _UNITS}
+    table.attrs['units'] = {
+        name: COLUMN_UNITS[name] for name in table.columns if name in COLUMN_UNITS
+    }
     return table
 
 
@@ -117,11 +130,8 @@ def trace_signals(
     """
     signals: dict[str, Column] = {
         name: np.asarray(columns[column], dtype=np.float64)
-        for name, column in SIGNAL_COLUMNS.items() if column in columns
+        for name in SIGNAL_COLUMNS if (column := source_column(name, columns))
     }
-    if 'x' not in signals and 'x_m' in columns:
-        # A trace of an older version, whose track was always the runway's centreline.
-        signals['x'] = np.asarray(columns['x_m'], dtype=np.float64)
     if 'clearance' in signals:
         clearance_m = np.asarray(signals['clearance'], np.float64)
         signals['collision'] = np.where(np.isnan(clearance_m), np.nan, clearance_m <= 0)

@@ -16,11 +16,11 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
 from taxinet_ros.core.faults import SteeringFaults, shown_step
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
@@ -109,6 +109,22 @@ class World(Protocol):
             InfraError: the world failed.
         """
         ...
+
+
+def check_picture(now: Observation, who: str) -> None:
+    """Check that there is a picture for those who need it: they would fail in silence.
+
+    Args:
+        now: observation of a world that was asked for a picture.
+        who: who needs it.
+
+    Raises:
+        InfraError: there is none.
+    """
+    if now.image is None:
+        raise InfraError(
+            InfraKind.SIM, 'simulator', now.seq, f'the world has no picture, which {who} needs'
+        )
 
 
 class WorldMaker(Protocol):

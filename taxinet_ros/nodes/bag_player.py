@@ -6,7 +6,6 @@ Playback follows the wall clock and waits for no answers; other nodes run freely
 
 from __future__ import annotations
 
-import functools
 import importlib
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -283,7 +282,7 @@ class BagPlayer(Node):
         self._started = False
         self._heard: set[str] = set()
         self._under_way: set[Publisher] = set()
-        self._count, self._late_s = 0, 0.0
+        self._count, self._late_s, self._interrupted = 0, 0.0, False
         self._begun_at = time.monotonic()
         self._rewind()
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -297,7 +296,7 @@ class BagPlayer(Node):
             Exit code: 0, 4 if subscribers are missing, 130 after an interrupt.
         """
         finished = self._finished = Future(executor=executor)
-        with interrupts(functools.partial(self._finish, ExitCode.INTERRUPTED)):
+        with interrupts(self._interrupt):
             if self._awaited:
                 names = ', '.join(sorted(self._awaited))
                 self.get_logger().info(f'waiting for subscribers of {names}')
@@ -375,7 +374,13 @@ class BagPlayer(Node):
         self._next = next(self._portions, None)
         self._origin: float | None = None
 
+    def _interrupt(self) -> None:
+        # For a signal handler: the code that it interrupts may hold the lock of the future.
+        self._interrupted = True
+
     def _tick(self) -> None:
+        if self._interrupted:
+            self._finish(ExitCode.INTERRUPTED)
         if self._finished is None or self._finished.done() or self._paused_at is not None:
             return
         try:

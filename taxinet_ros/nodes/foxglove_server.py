@@ -24,7 +24,12 @@ from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
-from taxinet_ros.nodes.scene_markers import AircraftMarkers, other_runway_markers, runway_markers
+from taxinet_ros.nodes.scene_markers import (
+    MovingMarkers,
+    ground_markers,
+    ground_of,
+    other_ground_markers,
+)
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -72,14 +77,14 @@ class FoxgloveServer(Observer):
         refuse_unknown(self)
         self._held: dict[str, deque[tuple[int, bytes]]] = {}
         self._now_ns = 0
-        self._aircraft = AircraftMarkers()
+        self._moving = MovingMarkers()
         self._server = self._open(port)
         self.port = int(self._server.port)
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
         topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
-        self._ground = Scene().runway, Scene().line
-        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers(*self._ground)), 0)
+        self._ground = ground_of(Scene())
+        self._say(interface.SCENE_RUNWAY, serialize_message(ground_markers(Scene())), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
         print(f'listening on ws://{HOST}:{self.port}', flush=True)
@@ -142,17 +147,15 @@ class FoxgloveServer(Observer):
                 self.repeat(self._channels[still.name].topic())
         self._say(topic, cdr, stamp_ns)
         if topic is interface.ODOMETRY:
-            markers = self._aircraft.markers(deserialize_message(cdr, Odometry))
+            markers = self._moving.markers(deserialize_message(cdr, Odometry))
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
     def _change_scene(self, cdr: bytes) -> None:
         scene = scenario_of(deserialize_message(cdr, Scenario))
-        self._aircraft.change(scene.aircraft_model)
-        ground = scene.runway, scene.line
-        if ground != self._ground:
-            self._ground = ground
-            markers = serialize_message(other_runway_markers(*ground))
-            self._say(interface.SCENE_RUNWAY, markers, 0)
+        self._moving.change(scene)
+        if ground_of(scene) != self._ground:
+            self._ground = ground_of(scene)
+            self._say(interface.SCENE_RUNWAY, serialize_message(other_ground_markers(scene)), 0)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
         if topic.quality.latched:

@@ -41,12 +41,12 @@ from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.scenes.programs import SUFFIX
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.judging import StopOn, parse_stop_on
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
+from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface

@@ -28,8 +28,8 @@ from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
 )
-from taxinet_ros.core.judging import StopOn
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.judging import StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS

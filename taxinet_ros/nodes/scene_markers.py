@@ -1,4 +1,4 @@
-"""Executable ``scene_markers``: publish runway, aircraft and path as markers for 3-D viewers.
+"""Executable ``scene_markers``: publish ground, aircraft and others as markers for 3-D viewers.
 
 It works with any graph or ``bag_player`` without taking part. The Foxglove server publishes the
 same markers.
@@ -19,12 +19,14 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.core.place.markings import markings
+from taxinet_ros.core.place.markings import Polygon, markings
+from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.place.track import Track, painted_line
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
-from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.shapes import UNSEEN, body, daylight_colour
+from taxinet_ros.core.traffic.traffic import GroundObject
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -43,20 +45,25 @@ _PATH_WIDTH_M = 0.3
 Triangle = tuple[tuple[float, float, float], ...]
 
 
-def runway_markers(runway: Runway, track: Track | None = None) -> MarkerArray:
-    """Pavement, crossings, all paint, and a track that leaves the runway, in ``map``."""
+def ground_markers(scene: Scenario) -> MarkerArray:
+    """What stays where it is, in ``map``: pavement, paint, and others that stand on the ground."""
+    runway, track, airport = scene.runway, scene.line, scene.airport
     pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
     pavement.pose.position = Point(x=runway.length_m / 2, z=-_THICKNESS_M / 2)
     pavement.scale = Vector3(x=runway.length_m, y=runway.width_m, z=_THICKNESS_M)
     crossings = [_crossing(*numbered) for numbered in enumerate(runway.crossings)]
     paint = _triangles('paint', _paint_triangles(runway), _PAINT)
-    aside = [] if track is None or track.is_runway else _taxiway(track, runway)
-    return MarkerArray(markers=[pavement, *crossings, paint, *aside])
+    aside = [] if track.is_runway else _taxiway(track, runway)
+    around = [] if airport is None else _airport(airport)
+    others = [
+        _other(number, one, 0) for number, one in enumerate(scene.others.objects) if not one.path
+    ]
+    return MarkerArray(markers=[pavement, *crossings, paint, *aside, *around, *others])
 
 
-def other_runway_markers(runway: Runway, track: Track) -> MarkerArray:
-    """The same markers, replacing those of another runway or track."""
-    markers = runway_markers(runway, track).markers
+def other_ground_markers(scene: Scenario) -> MarkerArray:
+    """The same markers, replacing those of another scene."""
+    markers = ground_markers(scene).markers
     return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers])
 
 
@@ -68,14 +75,64 @@ def _taxiway(track: Track, runway: Runway) -> list[Marker]:
         ((*here, -_THICKNESS_M), (*ahead, -_THICKNESS_M), (*across, -_THICKNESS_M))
         for (here, ahead), across in zip(pairwise(strip), reversed(strip[:-1]), strict=True)
     ]
-    lines = [
-        ((*start, _PAINT_LIFT_M), (*end, _PAINT_LIFT_M))
-        for line in painted_line(track, runway) for start, end in pairwise(line)
+    return [
+        _triangles('taxiway', ground, _CONCRETE),
+        _lines('taxi_line', painted_line(track, runway), _YELLOW),
     ]
-    paint = _marker('taxi_line', Marker.LINE_LIST, _YELLOW)
-    paint.scale.x = _PATH_WIDTH_M
-    paint.points = [Point(x=x, y=y, z=z) for ends in lines for x, y, z in ends]
-    return [_triangles('taxiway', ground, _CONCRETE), paint]
+
+
+def _airport(airport: AirportGround) -> list[Marker]:
+    """Outlines of pavements, which may be of any shape, and painted lines."""
+    outlines = [
+        (*polygon, polygon[0]) for area in airport.pavements
+        for polygon in (area.outline, *area.holes)
+    ]
+    return [
+        _lines('airport_pavements', outlines, _CONCRETE),
+        _lines('airport_lines', [line.points for line in airport.lines], _YELLOW),
+    ]
+
+
+def _lines(
+    namespace: str, lines: Iterable[Polygon], colour: tuple[float, float, float]
+) -> Marker:
+    marker = _marker(namespace, Marker.LINE_LIST, colour)
+    marker.scale.x = _PATH_WIDTH_M
+    marker.points = [
+        Point(x=x, y=y, z=_PAINT_LIFT_M)
+        for line in lines for ends in pairwise(line) for x, y in ends
+    ]
+    return marker
+
+
+def _other(number: int, one: GroundObject, stamp_ns: int) -> Marker:
+    """One of the others on the ground at a simulated time [ns]."""
+    marker = _triangles('others', *_other_mesh(one))
+    marker.id = number
+    at = one.pose_at(stamp_ns)
+    marker.pose.position = Point(x=at.x_m, y=at.y_m)
+    marker.pose.orientation = _quaternion(*quaternion(0.0, 0.0, at.heading_rad))
+    return marker
+
+
+@lru_cache(maxsize=64)
+def _other_mesh(one: GroundObject) -> tuple[list[Triangle], tuple[float, float, float]]:
+    """Triangles of an object in its own frame, and its colour."""
+    red, green, blue = (code / 255 for code in daylight_colour(one.colour))
+    if not one.solid:
+        half_x, half_y = one.size.length_m / 2, one.size.width_m / 2
+        corners = [
+            (x, y, _PAINT_LIFT_M) for x, y in
+            ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
+        ]
+        return [tuple(corners[:3]), (corners[0], *corners[2:])], (red, green, blue)
+    triangles: list[Triangle] = [
+        (points[face[0]], points[first], points[second])
+        for part in body(one.kind, one.size) if part.colour != UNSEEN
+        for points in [[(x, y, z) for x, y, z in part.corners.tolist()]]
+        for face in part.faces for first, second in pairwise(face[1:])
+    ]
+    return triangles, (red, green, blue)
 
 
 def _crossing(number: int, crossing: Crossing) -> Marker:
@@ -87,19 +144,28 @@ def _crossing(number: int, crossing: Crossing) -> Marker:
     return marker
 
 
-class AircraftMarkers:
-    """The aircraft and its path in the current run."""
+def ground_of(scene: Scenario) -> tuple[str, str, str]:
+    """What the markers of the ground depend on."""
+    return scene.place, scene.track, scene.traffic
+
+
+class MovingMarkers:
+    """The aircraft with its path, and others on the ground that move, in the current run."""
 
     def __init__(self) -> None:
-        """Start without a path, with the usual aircraft."""
-        self.change(find_aircraft(DEFAULT_AIRCRAFT))
+        """Start without a path, with the usual scene."""
+        self.change(Scenario())
+        self._cleared = True
         self._path = _marker('path', Marker.LINE_STRIP, _PATH)
         self._path.scale.x = _PATH_WIDTH_M
         self._last_ns = -1
 
-    def change(self, aircraft: AircraftModel) -> None:
-        """Draw another aircraft from now on."""
-        self._body = _triangles('aircraft', _aircraft_triangles(aircraft), _AIRFRAME)
+    def change(self, scene: Scenario) -> None:
+        """Draw the aircraft and the others of another scene from now on."""
+        triangles = _aircraft_triangles(scene.aircraft_model)
+        self._body = _triangles('aircraft', triangles, _AIRFRAME)
+        self._others = [one for one in enumerate(scene.others.objects) if one[1].path]
+        self._cleared = False
 
     def markers(self, odometry: Odometry) -> MarkerArray:
         """Markers at an odometry message, in its frame; a jump back in time starts a new path."""
@@ -110,8 +176,13 @@ class AircraftMarkers:
         self._last_ns = stamp_ns
         self._path.points.append(Point(x=at.position.x, y=at.position.y, z=_PAINT_LIFT_M * 2))
         self._body.pose = Pose(position=at.position, orientation=at.orientation)
-        self._body.header = self._path.header = odometry.header
-        return MarkerArray(markers=[self._body, self._path])
+        others = [_other(number, one, stamp_ns) for number, one in self._others]
+        for marker in (self._body, self._path, *others):
+            marker.header = odometry.header
+        # Those of a scene before would stay.
+        before = [] if self._cleared else [Marker(action=Marker.DELETEALL)]
+        self._cleared = True
+        return MarkerArray(markers=[*before, self._body, self._path, *others])
 
 
 def _marker(namespace: str, kind: int, colour: tuple[float, float, float]) -> Marker:
@@ -157,8 +228,8 @@ def _quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
 
 USAGE = Usage(
     executable=interface.SCENE_MARKERS,
-    does='Draws runway, aircraft and path as markers for RViz and other viewers, beside any graph '
-    'or bag_player.',
+    does='Draws ground, aircraft, path and others as markers for RViz and other viewers, beside '
+    'any graph or bag_player.',
     publishes=published_topics(interface.SCENE_MARKERS),
     subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name, interface.SCENARIO.name),
 )
@@ -175,22 +246,21 @@ class SceneMarkers(Observer):
             topic.name: self.create_publisher(topic.type, topic.name, topic.qos)
             for topic in interface.SCENE
         }
-        self._aircraft = AircraftMarkers()
-        self._ground = Scenario().runway, Scenario().line
-        self._say(interface.SCENE_RUNWAY, runway_markers(*self._ground))
+        self._moving = MovingMarkers()
+        self._ground = ground_of(Scenario())
+        self._say(interface.SCENE_RUNWAY, ground_markers(Scenario()))
         self.watch(interface.ODOMETRY, self._draw)
         self.watch(interface.SCENARIO, self._change_scene)
 
     def _change_scene(self, message: Any) -> None:
         scene = scenario_of(message)
-        self._aircraft.change(scene.aircraft_model)
-        ground = scene.runway, scene.line
-        if ground != self._ground:
-            self._ground = ground
-            self._say(interface.SCENE_RUNWAY, other_runway_markers(*ground))
+        self._moving.change(scene)
+        if ground_of(scene) != self._ground:
+            self._ground = ground_of(scene)
+            self._say(interface.SCENE_RUNWAY, other_ground_markers(scene))
 
     def _draw(self, odometry: Odometry) -> None:
-        self._say(interface.SCENE_AIRCRAFT, self._aircraft.markers(odometry))
+        self._say(interface.SCENE_AIRCRAFT, self._moving.markers(odometry))
 
     def _say(self, topic: Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)

@@ -22,13 +22,13 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.core import topics
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import STOP
-from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STOP
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import find_world
+from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, outcome_of
+from taxinet_ros.core.world import check_picture, find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -434,6 +434,8 @@ class Simulator(Node):
         begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
+        for who in sorted(run.listeners(interface.IMAGE.name)):
+            check_picture(now, who)
         run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id, run.camera):
             self._say(topic, message)

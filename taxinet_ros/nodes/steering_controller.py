@@ -10,7 +10,7 @@ from taxinet_msgs.msg import Scenario
 from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import command_cdr
-from taxinet_ros.core.controller import (
+from taxinet_ros.core.motion.controller import (
     GAIN_RANGES,
     STEERING,
     SteeringGains,

@@ -156,6 +156,39 @@ def interrupts(
 
 
 @contextlib.contextmanager
+def interrupts_delayed() -> Iterator[None]:
+    """Context of a closing that no interrupt may tear apart: they take effect at its end.
+
+    If it has not ended :data:`_STUCK_S` after the first of them, the process is. Interrupts reach
+    the main thread only, so other threads need nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def end() -> None:
+        RECEIVED_STOPS.extend(came)
+        _exit_stuck()
+
+    stuck = threading.Timer(_STUCK_S, end)
+    stuck.daemon = True
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        if len(came) == 1:
+            stuck.start()
+
+    try:
+        with signals_handled(note):
+            yield
+    finally:
+        stuck.cancel()
+        for number in came:
+            signal.raise_signal(number)
+
+
+@contextlib.contextmanager
 def signals_handled(
     handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
 ) -> Iterator[None]:

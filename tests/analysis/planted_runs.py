@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,7 +48,8 @@ def planted_table(
 
 
 def planted_runs(table: pd.DataFrame, folder: Path, spec: str | None = None) -> CampaignRuns:
-    """The table as a campaign's, by way of a file in ``folder``."""
-    path = folder / 'planted.parquet'
+    """The table as that of a campaign of so many runs in ``folder``."""
+    path = folder / 'runs.parquet'
     table.to_parquet(path, index=False)
+    (folder / 'campaign.json').write_text(json.dumps({'runs': len(table)}))
     return read_runs(path, spec)

@@ -22,8 +22,8 @@ from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
 from taxinet_ros.campaign.past_runs.localisation import Trial
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 
 WORDS = ('as-recorded', 'truth', 'truth-heading', 'truth-cte')
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import shlex
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,12 +22,14 @@ from taxinet_ros.analysis.gate import (
     gate_result,
     junit_xml,
     rerun_command,
+    rerun_documents,
 )
 from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 ALPHA = 0.05
@@ -294,3 +297,30 @@ def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
     assert '--controller mine.py:steer' in rerun_command(
         one, Path('c'), {'controller': 'mine.py:steer'}
     )
+
+
+def test_given_any_setting_then_what_to_type_for_a_run_without_a_bag_has_it(tmp_path):
+    place = tmp_path / 'mine.yaml'
+    place.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())
+    mine = catalogue.typed_place(str(place))
+    scene = {**Scenario(clouds='broken').to_human(), 'place': mine.reference}
+    words = shlex.split(rerun_command(row(0, Outcome.FAIL, **scene), Path('c'), {
+        'world': 'salt_lake', 'gains': {'heading_gain': 1.25}, 'stop_on': 'violated',
+        'specs': {'a': 'always((abs(cte) <= 1))', 'b': 'always((speed <= 9))'},
+        'bounds': ['cte=-25:25', 'speed=0:9'], 'rates': ['cte=3'],
+    }, Path('docs')))
+    pairs = list(zip(words[3::2], words[4::2], strict=True))
+    for pair in (
+        ('--world', 'salt_lake'), ('--set', 'steering.heading_gain=1.25'),
+        ('--spec', 'a=always((abs(cte) <= 1))'), ('--spec', 'b=always((speed <= 9))'),
+        ('--stop-on', 'violated'), ('--bound', 'cte=-25:25'), ('--bound', 'speed=0:9'),
+        ('--rate', 'cte=3'), ('--set', 'clouds=broken'),
+        ('--set', f'place=docs/place-{mine.reference}.json'),
+    ):
+        assert pair in pairs
+    graph = row(0, Outcome.FAIL, **{**scene, 'perception': ''})
+    assert rerun_command(graph, Path('c'), {}) == '', 'it was started before the campaign'
+    (name, text), = rerun_documents([row(0, Outcome.FAIL, **scene)], {}).items()
+    assert (name, text) == (f'place-{mine.reference}.json', mine.document)
+    (tmp_path / name).write_text(text)
+    assert catalogue.typed_place(str(tmp_path / name)) == mine

@@ -9,8 +9,8 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 
 CROSS_TRACKS_M = (0.5, 7.0, -1.0)
 SPEC = 'phi_always'

@@ -43,8 +43,8 @@ def run() -> tx.Run:
     {'perception': f'{ROOT}/examples/perception_function.py:bright_paint'},
 ], ids=['network', 'stopped', 'late and tuned', 'file'])
 def test_given_a_run_then_its_bag_is_to_the_byte_the_one_that_the_graph_records(asked, tmp_path):
-    from taxinet_ros.core.outcome import RunRequest
     from taxinet_ros.core.pacing.timing import parse_latency
+    from taxinet_ros.core.verdict.outcome import RunRequest
     from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
     here = tx.run(SHORT, **asked)

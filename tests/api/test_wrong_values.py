@@ -193,6 +193,55 @@ def test_given_a_signals_column_in_another_unit_then_it_is_refused():
         tx.robustness('always(abs(he) <= 1)', trace)
 
 
+@pytest.mark.parametrize(('columns', 'units', 'formula', 'words'), [
+    (['x_m'], {'x_m': 'ft'}, 'always(x <= 1000)', 'column x_m is in ft; signal x is in m'),
+    (['distance_m', 'x_m'], {'distance_m': 'km'}, 'x <= 1', 'column distance_m is in km; signal x'),
+    (['cte', 'cte_m'], {'cte': 'ft'}, 'cte <= 1', 'column cte is in ft; signal cte is in m'),
+    (['cte'], {'cte': 'ft'}, 'on_runway', 'column cte is in ft; signal cte is in m'),
+    (['clearance_m'], {'clearance_m': 'ft'}, 'no_collision', 'column clearance_m is in ft'),
+    (['clearance_m'], {'clearance_m': 'ft'}, 'collision <= 0', 'column clearance_m is in ft'),
+    (['cte_m'], {'t_s': 'ms'}, 'phi_always', 'column t_s is in ms; signal t_s is in s'),
+    (['gap'], {'gap': 'ft'}, 'gap <= 3', 'column gap is in ft; signal gap is in m'),
+    (['wind'], {'wind': 'kt'}, 'wind <= 10 kt', 'column wind is in kt; signal wind is in m/s'),
+    (['gap'], {'gap': 'm'}, 'gap <= 3 deg', r'expected a length \(m, .*\) to go with gap'),
+    (['cte_m'], {}, 'cte <= 3 deg', r'expected a length \(m, .*\) to go with cte'),
+    (['cte_m'], {}, 'cte_m <= 3 deg', r'expected a length \(m, .*\) to go with cte_m'),
+])
+def test_given_a_trace_in_other_units_then_what_is_read_in_them_is_refused_by_name(
+    columns, units, formula, words
+):
+    table = pd.DataFrame({'t_s': [0.0, 1.0], **{name: [0.5, 1.0] for name in columns}})
+    table.attrs['units'] = units
+    with pytest.raises(tx.UsageError, match=words):
+        tx.robustness(formula, table)
+
+
+def test_given_a_trace_in_other_units_then_what_is_not_read_does_not_matter():
+    table = pd.DataFrame({'t_s': [0.0, 1.0], 'x_m': [1.0, 2.0], 'cte_m': 0.5, 'light': 9.0})
+    table.attrs['units'] = {'x_m': 'ft', 'light': 'lx'}
+    assert tx.robustness('phi_always', table) == 1.0
+    assert tx.robustness('always(light <= 10)', table) == 1.0
+    assert tx.robustness('always(x <= 3)', table.assign(distance_m=1.0)) == 2.0
+
+
+@pytest.mark.parametrize('numbers', [(1.0, math.nan), (math.inf, 0.0)])
+def test_given_a_valid_estimate_that_is_not_finite_then_a_trace_has_none_as_a_bag_has(
+    tmp_path, numbers
+):
+    seen = tx.TrackingError(cte_m=numbers[0], he_rad=numbers[1], valid=True)
+    run = replace(RUN, steps=tuple(
+        replace(step, estimate=seen) for step in RUN.steps
+    ))
+    run.save_bag(tmp_path / 'bag', images=False)
+    recording = tx.open_recording(tmp_path / 'bag')
+    for trace in (run.trace, recording.trace):
+        assert not trace['est_valid'].any()
+        assert trace[['est_cte_m', 'est_he_rad']].isna().all(axis=None)
+        with pytest.raises(tx.UsageError, match='cte_estimate'):
+            tx.robustness('always(abs(cte_estimate) <= 3)', trace)
+    assert recording.judge('always(abs(cte_estimate) <= 3)').verdict == 'INVALID'
+
+
 def test_given_a_bag_or_a_campaign_then_the_other_function_is_named(campaign_folder):
     with pytest.raises(tx.UsageError, match=r'a campaign, no bag; open it with tx\.open_campaign'):
         tx.open_recording(campaign_folder)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from bag_samples import QOS, Sample, make, serialise, store
 
+from taxinet_ros.bag.run.message_values import verdict_values
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.core.loop import Step, run_closed_loop
@@ -73,9 +74,8 @@ def run_messages() -> tuple[Sample, ...]:
     robustness = [_robustness(last, number, specs) for number in range(len(specs))]
     end = {**_stamped(last), 'run_id': RUN_ID}
     verdict = make(
-        'taxinet_msgs/msg/Verdict', **end, specs=robustness, complete=judgement.complete,
-        satisfied=judgement.satisfied,
-        max_cross_track_error=judgement.statistics.max_cross_track_m,
+        'taxinet_msgs/msg/Verdict', **_stamped(last), specs=robustness,
+        **verdict_values(judgement, RUN_ID),
     )
     status = make(
         'taxinet_msgs/msg/RunStatus', **end, state=2, seq=STEPS - 1, perception='truth',

@@ -23,7 +23,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.errors import UsageError
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 
 words = sys.argv[1:]
 out = pathlib.Path('c')

@@ -18,11 +18,11 @@ from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.campaign.scenes.source import Refused, Rejected
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')

@@ -30,8 +30,8 @@ from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.cli.run import search as command
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
 GOOD = {

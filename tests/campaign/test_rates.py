@@ -28,8 +28,8 @@ from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_s
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 
 SPACE = (Dimension(name='x'), Dimension(name='y'), Dimension(name='kind', weights=(2, 1)))
 

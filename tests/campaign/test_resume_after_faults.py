@@ -18,7 +18,7 @@ from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.search import PATIENCE, search_summary
 from taxinet_ros.cli import main as cli
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError
 
 

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.search_options import (
     make_search_options,
     parse_stop_rule,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
 

@@ -12,7 +12,7 @@ import pytest
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
 

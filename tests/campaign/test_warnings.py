@@ -22,11 +22,11 @@ from taxinet_ros.campaign.summary import (
     row_line,
     scene_words,
 )
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import UsageError
 
 VACUOUS = 'gentle=always(abs(steering) <= 0.3)'

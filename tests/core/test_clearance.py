@@ -7,12 +7,12 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.judge import check_others, check_specs
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, SHIPPED, parse_spec
 from taxinet_ros.core.rig.catalogue import find_aircraft, load_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import quaternion
+from taxinet_ros.core.verdict.judge import check_others, check_specs
 
 OUTLINE = [part.points for part in find_aircraft('caravan').outline if part.shades]
 X_M, Y_M = 400.0, 0.0
@@ -59,6 +59,29 @@ def test_given_another_aircraft_then_it_is_its_outline_that_counts(tmp_path):
     assert math.isnan(Clearance(bare).at(0, X_M, 0.0, LEVEL))
     with pytest.raises(tx.UsageError, match='the outline of aircraft bare is unknown'):
         check_others([SHIPPED['no_collision']], bare)
+
+
+def test_given_a_tail_wheel_then_heights_are_those_of_the_aircraft_with_its_nose_up(tmp_path):
+    (tmp_path / 'cub.yaml').write_text(
+        '{name: cub, model: J3Cub, taxi_speed_mps: [2, 8], '
+        'settled: {height_m: 1.16, pitch_deg: -12, roll_deg: 0}, outline: ['
+        '{part: body, sections: [[2, 0, 0, 0.4, 0.4], [-4.5, 0, 0, 0.1, 0.1]]}]}'
+    )
+    cub = load_aircraft(str(tmp_path / 'cub.yaml'))
+    low = there('vehicle', 1.9, 0, height_m=1.0, length_m=0.2)
+    assert near(low, aircraft=cub) > 0.5, 'it passes below the raised nose'
+    behind = there('vehicle', -4.3, 0, height_m=0.5, length_m=0.2)
+    assert near(behind, aircraft=cub) == 0.0, 'the tail is down'
+
+
+def test_given_an_upright_plate_without_thickness_then_it_can_be_hit(tmp_path):
+    (tmp_path / 'plate.yaml').write_text(
+        '{name: plate, model: c172p, taxi_speed_mps: [2, 8], outline: ['
+        '{part: hull, points: [[-4, 0, -1], [-4, 0, 2], [3, 0, 2], [3, 0, -1]]}]}'
+    )
+    plate = load_aircraft(str(tmp_path / 'plate.yaml'))
+    assert near(there('vehicle', -1, 5), aircraft=plate) == pytest.approx(5 - 2.1 / 2, abs=2e-3)
+    assert near(there('vehicle', -1, 0), aircraft=plate) == 0.0
 
 
 def test_given_an_object_within_or_around_the_aircraft_then_it_is_hit():

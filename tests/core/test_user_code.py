@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.core.controller import SteeringGains, check_controller, make_controller
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.controller import SteeringGains, check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,

@@ -9,9 +9,9 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import WING, Camera, pose
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.catalogue import default_runway

@@ -10,9 +10,9 @@ from typing import Any
 
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
 PERIOD_NS = 100_000_000

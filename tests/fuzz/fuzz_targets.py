@@ -33,10 +33,10 @@ from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.resumption import read_earlier_runs
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.journal import read_journal
 
 Use = Callable[[bytes], object]

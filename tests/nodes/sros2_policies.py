@@ -19,9 +19,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, SIMULATOR
 from taxinet_ros.nodes.running.domain import own_domain

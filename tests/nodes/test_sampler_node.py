@@ -26,9 +26,9 @@ from taxinet_ros.campaign.record.facts import write_facts
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.cli.run.search import run_falsify
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.journal import Journal, read_journal
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph

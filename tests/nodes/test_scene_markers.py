@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import rclpy
@@ -14,17 +16,20 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
+from visualization_msgs.msg import Marker
 
 from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.place.catalogue import default_runway, find_track
+from taxinet_ros.core.place.catalogue import default_runway, find_place, find_track
 from taxinet_ros.core.place.markings import EDGE_STRIPE_WIDTH_M, edge_stripe_y_m
 from taxinet_ros.core.place.track import PAVED_BEYOND_M
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.scene_markers import AircraftMarkers, SceneMarkers, runway_markers
+from taxinet_ros.nodes.scene_markers import MovingMarkers, SceneMarkers, ground_markers
 
 STEPS = 21
 
@@ -47,7 +52,7 @@ def points_of(marker) -> np.ndarray:
 
 def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_it():
     runway = default_runway()
-    pavement, crossing, paint = runway_markers(runway).markers
+    pavement, crossing, paint = ground_markers(Scenario()).markers
     assert {m.header.frame_id for m in (pavement, crossing, paint)} == {'map'}
     assert (pavement.scale.x, pavement.scale.y) == (runway.length_m, runway.width_m)
     assert pavement.pose.position.x == runway.length_m / 2
@@ -66,7 +71,7 @@ def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_i
 
 def test_given_a_track_then_its_pavement_and_its_yellow_line_are_markers_too():
     track = find_track('kmwh_04', 'exit_left')
-    *_, taxiway, line = runway_markers(default_runway(), track).markers
+    *_, taxiway, line = ground_markers(Scenario(track='exit_left')).markers
     corners = points_of(taxiway)[:, :2].reshape(-1, 3, 2)
     sides = corners[:, 1:] - corners[:, :1]
     area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum() / 2
@@ -77,7 +82,7 @@ def test_given_a_track_then_its_pavement_and_its_yellow_line_are_markers_too():
 
 
 def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_path():
-    aircraft = AircraftMarkers()
+    aircraft = MovingMarkers()
     for step in range(3):
         at = state(x_m=700.0 + step)
         body, path = aircraft.markers(odometry(at, step * 100_000_000)).markers
@@ -91,8 +96,41 @@ def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_pat
     assert points_of(path)[:, :2].tolist() == [[700.0, 2.0], [701.0, 2.0], [702.0, 2.0]]
 
 
+def test_given_others_on_the_ground_then_each_is_where_it_is_at_that_time():
+    scene = Scenario(traffic=load_traffic([
+        {'kind': 'cone', 'x_m': 430, 'y_m': 2, 'heading_deg': 90},
+        {'kind': 'vehicle', 'x_m': 450, 'y_m': -10,
+         'path': [{'x_m': 450, 'y_m': 30, 'speed_mps': 10}]},
+        {'kind': 'patch', 'x_m': 460, 'y_m': 0, 'length_m': 6, 'width_m': 2},
+    ]))
+    cone, patch = [one for one in ground_markers(scene).markers if one.ns == 'others']
+    assert (cone.pose.position.x, cone.pose.position.y, cone.id) == (430, 2, 0)
+    assert np.ptp(points_of(cone)[:, 2]) == pytest.approx(0.75)
+    assert np.ptp(points_of(patch), axis=0) == pytest.approx([6, 2, 0])
+
+    moving = MovingMarkers()
+    assert len(moving.markers(odometry(state(), 0)).markers) == 2
+    moving.change(scene)
+    cleared, _, _, van = moving.markers(odometry(state(), 0)).markers
+    assert cleared.action == Marker.DELETEALL
+    assert (van.id, van.pose.position.y) == (1, -10)
+    _, _, van = moving.markers(odometry(state(), 2_000_000_000)).markers
+    assert van.pose.position.y == pytest.approx(10)
+    assert van.header.stamp.sec == 2
+
+
+def test_given_an_airport_then_its_pavements_and_lines_are_outlined():
+    place = {**json.loads(find_place('bikf_10').document), 'name': 'own'}
+    square = [[0, 100], [50, 100], [50, 150], [0, 150]]
+    place['pavements'] = [{'surface': 'asphalt', 'outline_m': square}]
+    place['lines'] = [{'style': 1, 'points_m': [[0, 50], [100, 50]]}]
+    *_, pavements, lines = ground_markers(Scenario(place=json.dumps(place))).markers
+    assert len(points_of(pavements)) == 8
+    assert points_of(lines)[:, :2].tolist() == [[0, 50], [100, 50]]
+
+
 def test_given_time_that_goes_back_then_another_path_begins():
-    aircraft = AircraftMarkers()
+    aircraft = MovingMarkers()
     aircraft.markers(odometry(state(), 100_000_000))
     _, path = aircraft.markers(odometry(state(x_m=10.0), 0)).markers
     assert points_of(path)[:, 0].tolist() == [10.0]

@@ -14,9 +14,9 @@ import pytest
 from slowed_perception import SlowedPerception
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 

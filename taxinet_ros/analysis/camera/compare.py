@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.labelled_frames import LabelledFrame
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human

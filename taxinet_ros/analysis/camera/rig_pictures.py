@@ -13,8 +13,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.camera.sheets import contact_sheet, scene_picture
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.camera_model import CameraModel, make_camera
 from taxinet_ros.core.scenario import Scenario

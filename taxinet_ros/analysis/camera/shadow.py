@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import GAMMA, LUMINANCE, air_mass, scenario_light, sun_position
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import scenario_from_human
 
 LINKE_TURBIDITY = 3.3

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words

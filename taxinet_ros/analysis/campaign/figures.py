@@ -142,7 +142,8 @@ def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
         for axes, feature in zip(panels, PAPER_FEATURES, strict=True):
             cut = bins(feature, pooled)
             for number, (runs, colour) in enumerate(zip(campaigns, colours, strict=True)):
-                found = [(one, _rate_in(runs, feature, one)) for one in cut]
+                values = runs.frame[feature.name].to_numpy()
+                found = [(one, runs.rate(one.holds(values))) for one in cut]
                 shift = (number - (len(campaigns) - 1) / 2) * 0.8 / len(campaigns)
                 _bars(axes, found, colour, shift, runs.label, theme)
             _name_bins(axes, feature, cut)
@@ -157,7 +158,7 @@ def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
     return Picture(
         name='rates_by_feature', title='How often runs fail, by feature', draw=draw,
         caption='Share of runs that fail in each bin, with its 95 % interval'
-        f'{_meaning(campaigns)}. A bin without a mark has no run.', size_in=(7.6, 2.5 * rows),
+        f'{_meaning(campaigns)}. A bin without a mark has no such run.', size_in=(7.6, 2.5 * rows),
     )
 
 
@@ -185,7 +186,8 @@ def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> 
     return Picture(
         name=name, title=f'How often runs fail, by {across.title} and {up.title}', draw=draw,
         caption='The share of runs that fail [%] in each cell, below it the number of runs; a cell '
-        f'without numbers has no run{_meaning([runs])}.', size_in=(7.6, 1.1 + 0.46 * len(rows)),
+        f'without numbers has no such run{_meaning([runs])}.',
+        size_in=(7.6, 1.1 + 0.46 * len(rows)),
     )
 
 
@@ -217,27 +219,12 @@ def distribution_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
     )
 
 
-def _rate_in(runs: CampaignRuns, feature: Feature, one: Bin) -> GroupRate:
-    """The rate of a campaign in a bin, which may be that of another campaign."""
-    if len(one.mask) == len(runs.frame) and bool((one.mask == _within(runs, feature, one)).all()):
-        return runs.rate(one.mask)
-    return runs.rate(_within(runs, feature, one))
-
-
-def _within(runs: CampaignRuns, feature: Feature, one: Bin) -> np.ndarray:
-    values = runs.frame[feature.name].to_numpy()
-    if not feature.numeric:
-        return np.asarray(values == one.label)
-    closed = one.low == one.high or bool(values.max() <= one.high)
-    return (values >= one.low) & ((values <= one.high) if closed else (values < one.high))
-
-
 def _bars(
     axes: Axes, found: Sequence[tuple[Bin, GroupRate]], colour: str, shift: float, label: str,
     theme: Theme,
 ) -> None:
-    places = np.array([number for number, (_, rate) in enumerate(found) if rate.runs])
-    rates = [rate for _, rate in found if rate.runs]
+    places = np.array([number for number, (_, rate) in enumerate(found) if rate.rate >= 0])
+    rates = [rate for _, rate in found if rate.rate >= 0]
     if not rates:
         return
     share = np.array([rate.rate for rate in rates])
@@ -289,7 +276,7 @@ def _edge(feature: Feature, value: float) -> str:
 def _cell(
     axes: Axes, x: int, y: int, rate: GroupRate, colours: LinearSegmentedColormap, theme: Theme
 ) -> None:
-    if not rate.runs:
+    if math.isnan(rate.rate):
         return
     colour = colours(rate.rate)
     axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=colour, linewidth=0))
@@ -297,7 +284,8 @@ def _cell(
     text = _DARK_TEXT if light > 0.18 else _LIGHT_TEXT
     axes.text(x, y + 0.13, f'{100 * rate.rate:.0f}', ha='center', va='center', fontsize=9,
               color=text)
-    axes.text(x, y - 0.27, f'{rate.runs}', ha='center', va='center', fontsize=6, color=text,
+    number = rate.runs if math.isnan(rate.effective) else int(rate.effective)
+    axes.text(x, y - 0.27, f'{number}', ha='center', va='center', fontsize=6, color=text,
               alpha=0.85)
 
 
@@ -305,6 +293,8 @@ def _meaning(campaigns: Sequence[CampaignRuns]) -> str:
     kinds = {runs.weighting for runs in campaigns}
     if Weighting.UNKNOWN in kinds:
         return '; shares of the runs chosen by the sampler, without intervals'
+    if Weighting.UNDECIDED in kinds:
+        return '; shares of the decided runs, without intervals'
     return '; of the runs drawn by the program itself' if Weighting.WEIGHTED in kinds else ''
 
 

@@ -7,6 +7,7 @@ difference, and runs that changed in the same scenes), and which failed runs to 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from taxinet_ros.analysis.causes.causes import Causes, find_causes
 from taxinet_ros.analysis.causes.clusters import (
@@ -29,23 +29,31 @@ from taxinet_ros.analysis.causes.predictors import (
     grow_tree,
     rank_features,
 )
+from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 
 _DIGITS = 6
-_SCENE = [feature.name for feature in PAPER_FEATURES]
+_SIGNIFICANT = 0.05
+_SETTINGS = {
+    'program_sha256': 'program', 'perception_sha256': 'weights', 'controller': 'controller',
+    'controller_sha256': 'controller', 'gains': 'gains', 'world': 'world', 'timing': 'timing',
+    'stop_on': 'stop rule', 'bounds': 'assumed bounds', 'rates': 'assumed rates',
+}
+"""Facts that a comparison depends on beside the scenes, by display name."""
 
 
 class ChangedScenes(NamedTuple):
     """Scenes that both networks were run in.
 
     Attributes:
-        scenes: how many there are.
+        scenes: how many there are; of the runs that count in rates, where both have rates.
         worse: number failed here but satisfied by the baseline.
         better: number satisfied here but failed by the baseline.
-        p: p value of the hypothesis that both fail equally often (McNemar's exact test).
+        p: p value of the hypothesis that both fail equally often (McNemar's exact test); NaN
+            without rates, as scenes chosen by results say nothing of others.
     """
 
     scenes: int
@@ -61,8 +69,11 @@ class BaselineComparison:
     Attributes:
         baseline: the other campaign.
         rate: its failure rate.
-        difference: the campaign's failure rate minus the baseline's.
+        difference: the campaign's failure rate minus the baseline's; where all scenes of either
+            were run in both, in these.
+        paired: whether it is that of the same scenes.
         changed: changes in common scenes, or None if there are none.
+        differing: display names of settings that differ, or are not recorded.
         in_causes: failure rate of the baseline in each of the campaign's causes.
         off_causes: its failure rate outside all of them.
     """
@@ -70,9 +81,18 @@ class BaselineComparison:
     baseline: CampaignRuns
     rate: GroupRate
     difference: Difference
+    paired: bool
     changed: ChangedScenes | None
+    differing: tuple[str, ...]
     in_causes: tuple[GroupRate, ...]
     off_causes: GroupRate
+
+    @property
+    def clear(self) -> bool:
+        """Whether the rates differ significantly."""
+        if self.paired and self.changed is not None:
+            return self.changed.p < _SIGNIFICANT
+        return self.difference.clear
 
     def sentence(self, label: str, rate: GroupRate) -> str:
         """Text of the comparison.
@@ -86,11 +106,16 @@ class BaselineComparison:
         if np.isfinite(gap.low):
             value, low, high = (f'{100 * part:+.1f}'.replace('-', '−') for part in gap)
             text += f': {value} points ({low} to {high})'
-            text += '' if gap.clear else ', which may be chance'
+            text += ' in the same scenes' if self.paired else ''
+            text += '' if self.clear else ', which may be chance'
         if self.changed is not None:
             same = self.changed
             text += (f'. Of {same.scenes:,} scenes that both were run in, {same.worse:,} fail with '
                      f'{label} only and {same.better:,} with {self.baseline.label} only')
+            p = 'p < 0.001' if same.p < 0.001 else f'p = {same.p:.3f}'
+            text += '' if np.isnan(same.p) else f' ({p})'
+        if self.differing:
+            text += f'. Not known to be the same: {", ".join(self.differing)}'
         return text + '.'
 
 
@@ -99,26 +124,48 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
     masks = [cause.region.mask(baseline.frame) for cause in causes.found]
     rate = baseline.rate()
     elsewhere = ~np.logical_or.reduce([np.zeros(len(baseline.frame), dtype=bool), *masks])
+    pairs = _pairs(runs, baseline)
+    rated = runs.weighting.rated and baseline.weighting.rated
+    paired = rated and pairs.pairs >= min(runs.rate().effective, baseline.rate().effective)
     return BaselineComparison(
-        baseline=baseline, rate=rate, difference=difference(runs.rate(), rate),
-        changed=_changed(runs.frame, baseline.frame),
+        baseline=baseline, rate=rate, paired=paired,
+        difference=Difference(*pairs.difference) if paired else difference(runs.rate(), rate),
+        changed=None if not pairs.pairs else ChangedScenes(
+            pairs.pairs, worse=pairs.only_second, better=pairs.only_first,
+            p=pairs.p_value if rated else math.nan,
+        ),
+        differing=_differing(runs, baseline),
         in_causes=tuple(baseline.rate(mask) for mask in masks),
         off_causes=baseline.rate(elsewhere),
     )
 
 
-def _changed(one: pd.DataFrame, other: pd.DataFrame) -> ChangedScenes | None:
-    """Compare common scenes, each once: those with the same features to the last stored digit."""
-    here, there = (
-        frame[[*_SCENE, 'failed']].round(_DIGITS).drop_duplicates(_SCENE) for frame in (one, other)
+def _pairs(runs: CampaignRuns, baseline: CampaignRuns) -> PairedRates:
+    """Failures in common scenes, the baseline's first; each scene once.
+
+    Scenes are the same if all keys are, numbers to the last stored digit.
+    """
+    rated = runs.weighting.rated and baseline.weighting.rated
+    keys = list(HUMAN_KEYS)
+    one, other = (
+        some.scenes.assign(failed=some.failed)[(some.weight == 1) if rated else slice(None)]
+        .round(_DIGITS).drop_duplicates(keys) for some in (runs, baseline)
     )
-    both = here.merge(there, on=_SCENE, suffixes=('', '_there'))
-    if both.empty:
-        return None
-    worse = int((both['failed'] & ~both['failed_there']).sum())
-    better = int((~both['failed'] & both['failed_there']).sum())
-    p = float(binomtest(worse, worse + better).pvalue) if worse + better else 1.0
-    return ChangedScenes(len(both), worse, better, p)
+    both = one.merge(other, on=keys, suffixes=('', '_there'))
+    return paired_rates(both['failed_there'].tolist(), both['failed'].tolist())
+
+
+def _differing(runs: CampaignRuns, baseline: CampaignRuns) -> tuple[str, ...]:
+    if not (runs.facts and baseline.facts):
+        return ('the settings, of which there is no record',)
+    found = [
+        name for key, name in _SETTINGS.items()
+        if (runs.facts.get(key) or None) != (baseline.facts.get(key) or None)
+        and (key != 'perception_sha256' or runs.perception == baseline.perception)
+    ]
+    one, other = (some.facts.get('specs', {}).get(runs.spec) for some in (runs, baseline))
+    found += [f'the formula {runs.spec}'] * (one != other)
+    return tuple(dict.fromkeys(found))
 
 
 @dataclass(frozen=True, kw_only=True)

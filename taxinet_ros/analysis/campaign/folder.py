@@ -11,7 +11,11 @@ from typing import Any
 
 from taxinet_ros.analysis.campaign.findings import BaselineComparison, Findings, explained_runs
 from taxinet_ros.analysis.causes.causes import Cause, FoundRate
-from taxinet_ros.analysis.causes.program import cause_program, program_name
+from taxinet_ros.analysis.causes.program import (
+    cause_program,
+    program_documents,
+    program_name,
+)
 from taxinet_ros.analysis.causes.region import Region
 from taxinet_ros.analysis.report.parts import Report, Table
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
@@ -84,6 +88,7 @@ def _campaign(runs: CampaignRuns) -> dict[str, Any]:
 def _baseline(one: BaselineComparison) -> dict[str, Any]:
     return {
         **_campaign(one.baseline), 'difference': one.difference._asdict(),
+        'paired': one.paired, 'differing': list(one.differing),
         'changed': None if one.changed is None else one.changed._asdict(),
         'in_causes': [_rate(rate) for rate in one.in_causes],
         'outside_causes': _rate(one.off_causes),
@@ -154,6 +159,9 @@ def write_analysis(
     for cause in findings.causes.found:
         if (program := cause_program(findings.runs, cause)) is not None:
             write_atomically(out / program_name(cause), program)
+    if findings.causes.found:
+        for name, text in program_documents(findings.runs).items():
+            write_atomically(out / name, text)
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))

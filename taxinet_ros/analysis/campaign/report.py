@@ -31,7 +31,7 @@ from taxinet_ros.analysis.campaign.tables import (
     tree_table,
 )
 from taxinet_ros.analysis.causes.clusters import CLEAR, Clusters
-from taxinet_ros.analysis.causes.program import confirmation_command
+from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.causes.scan import DISCOUNT, SHUFFLES
 from taxinet_ros.analysis.report.parts import Report, Section
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting
@@ -54,6 +54,8 @@ def summary(findings: Findings) -> tuple[str, ...]:
     return (
         *rate_sentences(findings.runs), *cause_sentences(findings),
         *stack_sentences(findings.campaigns),
+        *(f'Warning: {one.baseline.label}: {line}.' for one in findings.comparisons
+          for line in one.baseline.warnings),
         *(one.sentence(findings.runs.label, findings.runs.rate())
           for one in findings.comparisons),
     )
@@ -75,6 +77,14 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 f'{runs.spec}. Of the {rate.effective:,.0f} runs among them that the program '
                 f'itself drew it is {rate.words()}{left}; all rates here are of such runs.'
                 f'{_anytime(runs)}'
+            )
+        case Weighting.UNDECIDED:
+            low, high = (100 * end for end in runs.bounds)
+            first = (
+                f'{count}: {rate.failures:,} violate {runs.spec}; {runs.undecided:,} more were '
+                'stopped before it was decided. So there is no failure rate of it: at 95 % '
+                f'confidence it is at least {low:.1f} % and at most {high:.1f} %, if all of those '
+                'satisfy or violate it. All shares refer to the decided runs.'
             )
         case Weighting.UNKNOWN:
             first = (
@@ -245,7 +255,10 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
             'rates of the program and have no intervals'
             if findings.causes.searched
             else f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
-            'All intervals of causes hold for all regions at once, so also for those selected'
+            + ('All intervals of causes hold for all regions at once, so also for those selected'
+               if not findings.runs.undecided else
+               'They are of the decided runs alone, which their results selected, so they have no '
+               'intervals')
         )
         sentences[-1] += how + '. Its runs are removed, and the search is repeated.'
     if findings.causes.again:
@@ -258,6 +271,9 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
         sentences.append(
             'To test a cause on fresh scenes, run its command in this folder:')
         sentences += commands
+    elif findings.causes.found:
+        why = why_no_program(findings.runs)
+        sentences.append(f'There is no program to test the causes on fresh scenes: {why}.')
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),
@@ -284,10 +300,10 @@ def _clusters(findings: Findings) -> Section:
     sentences = [cluster_sentence(findings.clusters)]
     if findings.axes:
         first = findings.axes[0]
-        even = 1 / len(findings.axes)
         sentences.append(
             f'The longest principal axis of the failures explains {100 * first.explained:.0f} % of '
-            f'their variance; for unrelated features it would be {100 * even:.0f} %.')
+            f'their variance; the mean of all {len(findings.axes)} axes is '
+            f'{100 / len(findings.axes):.0f} %, and the longest is above it also by chance.')
     return Section(
         name='clusters', heading='Groups of failures', sentences=tuple(sentences),
         pictures=(clusters_picture(findings),) if found else (),

@@ -177,7 +177,8 @@ def _rounded(part: Part, frame: pd.DataFrame) -> Part:
         least if part.low is None else part.low, most if part.high is None else part.high
     )
     if part.low is not None and part.high is not None and part.low > part.high:
-        return replace(part, low=low, high=high)
+        # The gap between its ends may be less than a step: rounded, only the gap would remain.
+        return replace(part, low=low, high=high) if low > high else part
     return replace(part, low=low if low > least else None, high=high if high < most else None)
 
 
@@ -197,7 +198,7 @@ class FoundRate(NamedTuple):
         runs, failures: numbers in the group, of the runs as made.
         rate: share of failures among these; usually biased upwards for a found region.
         low, high: simultaneous 95 % interval over all compared regions, so valid for the selected
-            one; NaN if outcomes influenced the choice of scenes.
+            one; NaN if outcomes influenced the choice of scenes, or left out undecided runs.
     """
 
     runs: int
@@ -299,6 +300,8 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     failed = frame['failed'].to_numpy(dtype=bool)
     left = np.ones(len(frame), dtype=bool)
     searched = not set(runs.sampler.split(', ')) <= _OUTCOME_BLIND_SAMPLERS
+    # Neither scenes chosen by outcomes nor runs left out by theirs give intervals.
+    free = not searched and not runs.undecided
     why_not = _why_not(failed)
     found: list[Cause] = []
     candidates, slack = 0, 0.0
@@ -315,7 +318,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         inside, beyond = within & left, ~within & left
         if not failed[inside].any() or not beyond.any():
             break
-        deviance = math.nan if searched else scan.deviance(min(inside.sum(), beyond.sum()))
+        deviance = scan.deviance(min(inside.sum(), beyond.sum())) if free else math.nan
         slack += deviance
         found.append(Cause(
             region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
@@ -325,7 +328,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         ))
         left = beyond
     if not found:
-        slack = math.nan if searched else _OF_ALL
+        slack = _OF_ALL if free else math.nan
     return Causes(
         found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
         candidates=candidates, searched=searched, again=again,

@@ -8,8 +8,8 @@ the region, whatever sampler chose the analysed runs.
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,16 @@ from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
-from taxinet_ros.core.controller import STEERING, controller_options
-from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
+from taxinet_ros.core import scenario_fields
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import DATE, PLACE, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_FIELDS
+from taxinet_ros.errors import UsageError
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
@@ -44,18 +47,33 @@ def program_name(cause: Cause) -> str:
     return f'cause-{cause.rank}{SUFFIX}'
 
 
+def why_no_program(runs: CampaignRuns) -> str:
+    """Why the causes of these runs cannot be tested on fresh scenes; '' if they can."""
+    if not runs.facts:
+        return f'there is no {FACTS_NAME} beside the table, so the settings of its runs are unknown'
+    if not runs.perception:
+        return 'the graph of its runs was started before the campaign'
+    if _source(runs) is None:
+        return 'the text of their program is not recorded, or has several files'
+    try:
+        _settings(runs)
+    except UsageError as error:
+        return str(error)
+    return ''
+
+
 def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
-    """Text of a cause's program; None if the text of the runs' own program is not known.
+    """Text of a cause's program; None if there is none, see :func:`why_no_program`.
 
     Args:
         runs: runs in which it was found.
         cause: the cause.
     """
     source = _source(runs)
-    if source is None:
+    if source is None or why_no_program(runs):
         return None
     required = [f'require {_condition(part)}' for part in cause.region.parts]
-    required = _adapted(required, source, runs.facts.get('overrides', {}))
+    required = _adapted(required, source, _settings(runs).values)
     return '\n'.join([
         source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
@@ -63,26 +81,45 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
 
 
 def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str | None:
-    """Command that runs fresh scenes of a cause; None if its program cannot be written.
+    """Command that runs fresh scenes of a cause; None without a program of it.
 
     Args:
         runs: runs in which it was found.
         cause: the cause.
         folder: folder of its program.
     """
-    if _source(runs) is None:
+    if why_no_program(runs):
         return None
     seed = int(runs.facts.get('seed') or 0) + _ANOTHER_SEED
-    words = ['taxinet', 'run', str(folder / program_name(cause)), '--runs', str(RUNS),
-             '--seed', str(seed), '--perception', runs.perception,
-             *controller_options(runs.facts.get('controller', STEERING))]
-    values = {**runs.facts.get('overrides', {}), **runs.facts.get('laid_over', {})}
-    for key, value in values.items():
-        words += ['--set', f'{key}={value}']
-    specs = runs.facts.get('specs', {})
-    words += ['--spec', f'{runs.spec}={specs[runs.spec]}' if runs.spec in specs else runs.spec]
-    words += parse_timing(str(runs.facts.get('timing', ''))).options
-    return shlex.join([*words, '--images', 'none'])
+    words = ('--runs', str(RUNS), '--seed', str(seed))
+    program = str(folder / program_name(cause))
+    return f'{_settings(runs).command(program, *words, folder=folder)} --images none'
+
+
+def program_documents(runs: CampaignRuns) -> dict[str, str]:
+    """Text by file name of the documents that confirmation commands read beside the programs."""
+    return {} if why_no_program(runs) else _settings(runs).documents()
+
+
+def _settings(runs: CampaignRuns) -> RunSettings:
+    """Settings of the runs, with the analysed requirement alone."""
+    facts = dict(runs.facts)
+    settings = RunSettings.from_facts(facts)
+    documents = any(
+        key in CATALOGUES and value not in CATALOGUES[key].shipped
+        for key, value in settings.values.items()
+    )
+    told = runs.spec in facts.get('specs', {}) and not documents
+    if not told and (runs.folder / LEDGER_NAME).is_file():
+        # The ledger has the requirements added later, and the documents in full.
+        added = open_campaign(runs.folder).content.added
+        facts['specs'] = {**added, **facts.get('specs', {})}
+        settings = RunSettings.from_facts(facts)
+    values = {
+        key: CATALOGUES[key].typed(str(value)).text if key in CATALOGUES else value
+        for key, value in settings.values.items()
+    }
+    return replace(settings.judged_by(runs.spec), perception=runs.perception, values=values)
 
 
 def _source(runs: CampaignRuns) -> str | None:
@@ -118,10 +155,11 @@ def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> 
         key: f'our_value({name!r}, scene_{key}, scene_{PLACE.key}, scene_{DATE.key})'
         for key, name in of_paper.items()
     }
-    if PLACE.key in names:
-        values[PLACE.key] = f'typed_place(scene_{PLACE.key}).reference'
+    documents = [key for key in names if key in CATALOGUES]
+    # The cause has references; a program may have names, files or whole documents.
+    values |= {key: f'CATALOGUES[{key!r}].typed(scene_{key}).reference' for key in documents}
     lines = [f'from {our_value.__module__} import our_value'] * bool(of_paper)
-    lines += [f'from {typed_place.__module__} import typed_place'] * (PLACE.key in names)
+    lines += [f'from {scenario_fields.__name__} import CATALOGUES'] * bool(documents)
     # A requirement knows the names of a program, but not the parameters of the world.
     lines += [f'scene_{key} = globalParameters[{name!r}]' for key, name in sorted(names.items())]
     for key, usual in ((PLACE.key, DEFAULT_PLACE), (DATE.key, Scenario().date)) * bool(of_paper):

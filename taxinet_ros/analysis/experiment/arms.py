@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -16,8 +16,8 @@ from taxinet_ros.analysis.experiment.pairs import (
 )
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.verdict.outcome import Outcome
 
 Rows = Mapping[str, Sequence[RunRow]]
 """Runs of an experiment by name of their arm."""
@@ -39,11 +39,11 @@ class ArmComparison:
         pairs: rows of scenes judged in both arms, base first.
         unpaired: number of the other scenes.
         satisfied: whether runs satisfy the formulas.
-        off_runway: whether runs leave the runway.
+        off_runway: whether runs leave the runway, where it is known in both arms.
         rho: robustness of the headline formula [m, or the unit of its predicate].
         max_cross_track_m: greatest |cross-track error| [m].
         settle_time_s: settling time of runs that settle in both arms [s].
-        settled: whether runs settle on the centreline.
+        settled: whether runs settle on the centreline, where it is known in both arms.
     """
 
     base: str
@@ -123,13 +123,23 @@ def compare_arms(
         base=base, arm=arm, pairs=pairs, unpaired=len(numbers) - len(pairs),
         satisfied=paired_rates([row.outcome is Outcome.PASS for row in firsts],
                                [row.outcome is Outcome.PASS for row in seconds]),
-        off_runway=paired_rates([bool(row.left_runway) for row in firsts],
-                                [bool(row.left_runway) for row in seconds]),
+        off_runway=_known_rates(pairs, lambda row: row.left_runway),
         rho=shift('rho'), max_cross_track_m=shift('max_cross_track_m'),
         settle_time_s=shift('settle_time_s'),
-        settled=paired_rates([row.settle_time_s is not None for row in firsts],
-                             [row.settle_time_s is not None for row in seconds]),
+        # After an early stop it is not known whether a run would have settled.
+        settled=_known_rates(
+            pairs, lambda row: None if row.stopped_early else row.settle_time_s is not None,
+        ),
     )
+
+
+def _known_rates(
+    pairs: Sequence[tuple[RunRow, RunRow]], result: Callable[[RunRow], bool | None]
+) -> PairedRates:
+    """Rates of a result over the pairs in which it is known of both runs."""
+    found = [(result(one), result(other)) for one, other in pairs]
+    known = [(one, other) for one, other in found if one is not None and other is not None]
+    return paired_rates([one for one, _ in known], [other for _, other in known])
 
 
 def varied_keys(rows: Sequence[RunRow]) -> tuple[str, ...]:

@@ -57,8 +57,10 @@ class PairedRates:
         """McNemar's exact test of whether the two arms differ.
 
         Only discordant pairs count; under the null both ways are equally likely (Psychometrika
-        12, 1947; exact by the binomial distribution).
+        12, 1947; exact by the binomial distribution). NaN without pairs.
         """
+        if not self.pairs:
+            return math.nan
         differing = self.only_first + self.only_second
         if not differing:
             return 1.0
@@ -110,7 +112,7 @@ class PairedShift:
         pairs: number of pairs that have it in both arms.
         change: typical difference, second minus first, with its interval.
         more, less: number of pairs in which it grows or shrinks; it is equal in the others.
-        p_value: p value of the hypothesis of no change.
+        p_value: p value of the hypothesis of no change; NaN without pairs.
     """
 
     pairs: int
@@ -134,7 +136,8 @@ def paired_shift(first: Sequence[float], second: Sequence[float]) -> PairedShift
     more, less = int((differences > 0).sum()), int((differences < 0).sum())
     return PairedShift(
         pairs=len(differences), change=_typical(differences), more=more, less=less,
-        p_value=float(wilcoxon(differences).pvalue) if more + less else 1.0,
+        p_value=float(wilcoxon(differences).pvalue) if more + less else (
+            1.0 if len(differences) else math.nan),
     )
 
 

@@ -27,10 +27,12 @@ from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.rates import count_outcomes
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.mtl import SIGNALS, parse_spec
+from taxinet_ros.core.mtl.lint import rho_unit
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.verdict.outcome import Outcome
 
 _LOWEST_SHOWN = -6.0
 """Lower limit of rho in the picture; runs below it are shown at the lower edge."""
@@ -84,7 +86,8 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
     axes.axhline(0, color=theme.ink, linewidth=0.8)
     axes.set(
         xlabel=title_of(found.over),
-        ylabel=f'ρ of {experiment.specs[0].partition("=")[0]} [m]', ylim=(_lowest(found), None),
+        ylabel=f'ρ of {experiment.specs[0].partition("=")[0]}{_axis_unit(experiment)}',
+        ylim=(_lowest(found), None),
     )
     # Vertical lines join pairs there and would be lost among vertical grid lines.
     style_axes(axes, grid='both' if found.alone else 'y')
@@ -134,7 +137,7 @@ def change_picture(found: PairedArms, one: ArmComparison) -> Picture:
     return Picture(
         name=f'change_{one.arm}', title=f'Change of ρ from {one.base} to {one.arm}',
         caption='A dot is a scene: the difference of its ρ between the arms; the line is the '
-        f'median. Beyond {_MOST_CHANGE:g} m dots are drawn at the edge.',
+        f'median. Beyond {_MOST_CHANGE:g}{_unit(found.experiment)} dots are drawn at the edge.',
         draw=partial(_draw_change, found, one), size_in=(7.6, 3.2),
     )
 
@@ -148,7 +151,7 @@ def _draw_change(found: PairedArms, one: ArmComparison, figure: Figure, theme: T
               clip_on=False)
     if len(x):
         axes.plot(*_medians(x, shown), color=theme.failed, linewidth=2.0)
-    axes.set(xlabel=title_of(found.over), ylabel='change of ρ [m]')
+    axes.set(xlabel=title_of(found.over), ylabel=f'change of ρ{_axis_unit(found.experiment)}')
     style_axes(axes)
 
 
@@ -237,7 +240,7 @@ def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
         f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
         f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
     )
-    yield _shift_words(one, 'rho', one.rho, 'm', 2)
+    yield _shift_words(one, 'rho', one.rho, _unit(found.experiment), 2)
     yield from _where_words(found, one)
 
 
@@ -250,18 +253,23 @@ def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str
         f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
         f"only (McNemar's exact test: p = {_p(rates.p_value)})."
     )
-    yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, 'm', 2)
+    yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, ' m', 2)
     if one.settle_time_s.pairs:
         yield (
-            _shift_words(one, 'the time to settle', one.settle_time_s, 's', 1)
-            + f' {one.settled.first} settle at all in {one.base}, {one.settled.second} in '
-            f'{one.arm}.'
+            _shift_words(one, 'the time to settle', one.settle_time_s, ' s', 1)
+            + f' Of {one.settled.pairs}, {one.settled.first} settle at all in {one.base}, '
+            f'{one.settled.second} in {one.arm}.'
         )
     off = one.off_runway
     if off.first or off.second:
         yield (
             f'{off.first} leave the runway in {one.base}, {off.second} in {one.arm} '
             f'(p = {_p(off.p_value)}).'
+        )
+    if off.pairs < len(one.pairs):
+        yield (
+            f'In {len(one.pairs) - off.pairs} pairs a run was stopped before it was known whether '
+            'it leaves the runway.'
         )
 
 
@@ -288,7 +296,7 @@ def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, d
         '' if math.isnan(low) else f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
     )
     return (
-        f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f} {unit}'
+        f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f}{unit}'
         f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
         f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}).'
     )
@@ -305,15 +313,27 @@ def _where_words(found: PairedArms, one: ArmComparison) -> Iterator[str]:
         return
     greatest = int(np.argmax(np.abs(medians)))
     low, high, inside = parts[greatest]
+    unit = _unit(found.experiment)
     yield (
         f'The change of rho is greatest at {range_words(found.over, low, high)}: '
-        f'{medians[greatest]:+.2f} m in the median of {int(inside.sum())} pairs.'
+        f'{medians[greatest]:+.2f}{unit} in the median of {int(inside.sum())} pairs.'
     )
 
 
 def _formula(experiment: Experiment) -> str:
     name = experiment.specs[0].partition('=')[0]
     return name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas'
+
+
+def _unit(experiment: Experiment) -> str:
+    """The unit of rho as it follows a number: ``' m'``; '' if it has none, or several."""
+    unit = rho_unit(parse_spec(experiment.specs[0]).formula, SIGNALS)
+    return f' {unit}' if unit else ''
+
+
+def _axis_unit(experiment: Experiment) -> str:
+    unit = _unit(experiment)
+    return f' [{unit.strip()}]' if unit else ''
 
 
 def _points(difference: ConfidenceInterval) -> str:
@@ -384,7 +404,8 @@ def _arm_line(name: str, rows: Sequence[RunRow]) -> tuple[Cell, ...]:
     passed = sum(row.outcome is Outcome.PASS for row in judged)
     return (
         name, len(judged), passed, 100 * passed / len(judged) if judged else None,
-        sum(bool(row.left_runway) for row in judged),
+        None if any(row.left_runway is None for row in judged)
+        else sum(bool(row.left_runway) for row in judged),
         float(np.median([rho_of(row) for row in judged])) if judged else None,
         sum(row.outcome is Outcome.INFRA_ERROR for row in rows),
     )

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.explain.track import Estimator, Floats, Frame
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.analysis.explain.track import Estimator, Floats, Frame, heading_asked_rad
+from taxinet_ros.core.motion.controller import SteeringGains
 
 PATCH_PX = 30
 """Side of a patch [px]: the width of the centreline at 7 m."""
@@ -76,9 +76,11 @@ def occlusion_map(look: Estimator, image: Frame, gains: SteeringGains) -> Occlus
     Args:
         look: the network; equal frames must give equal estimates.
         image: camera frame, (H, W, 3) uint8 RGB.
-        gains: gains of the steering law, which weigh metres against radians.
+        gains: gains of the steering law, which weigh metres against radians; beyond its intercept
+            limit metres have no effect.
     """
     whole = look(image)
+    whole_rad = heading_asked_rad(whole.cte_m, whole.he_rad, gains)
     height, width = image.shape[:2]
     cells = (-(-height // STRIDE_PX), -(-width // STRIDE_PX))
     sums, counts, lost = np.zeros((*cells, 3)), np.zeros(cells), 0
@@ -91,7 +93,8 @@ def occlusion_map(look: Estimator, image: Frame, gains: SteeringGains) -> Occlus
             lost += 1
             continue
         cte_m, he_rad = seen.cte_m - whole.cte_m, seen.he_rad - whole.he_rad
-        sums[part] += (cte_m, he_rad, abs(he_rad + gains.cte_gain_rad_per_m * cte_m))
+        asked_rad = heading_asked_rad(seen.cte_m, seen.he_rad, gains)
+        sums[part] += (cte_m, he_rad, abs(asked_rad - whole_rad))
         counts[part] += 1
     mean = sums / np.maximum(counts, 1)[:, :, np.newaxis]
     return OcclusionMap(

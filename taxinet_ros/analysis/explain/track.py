@@ -1,9 +1,9 @@
 """A run's estimates compared with the truth at every step, and the moments of the worst errors.
 
-The steering law combines both errors into one heading (:mod:`taxinet_ros.core.controller`): a metre
-of cross-track error is worth a few degrees of heading, up to a limit. The difference between the
-headings requested by the estimate and by the truth measures how much the estimate misleads the
-aircraft: errors that cancel each other do no harm.
+The steering law combines both errors into one heading (:mod:`taxinet_ros.core.motion.controller`):
+a metre of cross-track error is worth a few degrees of heading, up to a limit. The difference
+between the headings requested by the estimate and by the truth measures how much the estimate
+misleads the aircraft: errors that cancel each other do no harm.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.faults import shown_step
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.rig.camera_model import CameraModel
@@ -132,7 +132,9 @@ class Moment:
     shown: AircraftState | None = None
 
 
-def heading_asked_rad(cte_m: Floats, he_rad: Floats, gains: SteeringGains) -> Floats:
+def heading_asked_rad(
+    cte_m: Floats | float, he_rad: Floats | float, gains: SteeringGains
+) -> Floats:
     """Heading error that the steering law corrects, for given tracking errors."""
     limit = gains.max_intercept_rad
     return he_rad + np.asarray(

@@ -6,8 +6,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
@@ -23,19 +25,28 @@ class Bin:
 
     Attributes:
         label: display text.
-        low, high: ends of numbers; equal for a single value, NaN for a word.
+        low, high: displayed ends of numbers; equal for a single value, NaN for a word.
+        start, stop: a number of the bin is at least ``start`` and below ``stop``; NaN for a word.
         mask: the runs in the bin.
     """
 
     label: str
     low: float
     high: float
+    start: float = math.nan
+    stop: float = math.nan
     mask: Mask
 
     @property
     def middle(self) -> float:
         """Halfway between the ends."""
         return (self.low + self.high) / 2
+
+    def holds(self, values: npt.NDArray[Any]) -> Mask:
+        """Mask of the values in the bin, which may be those of other runs."""
+        if math.isnan(self.low):
+            return np.asarray(values == self.label, bool)
+        return np.asarray((values >= self.start) & (values < self.stop), bool)
 
 
 def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[Bin]:
@@ -53,15 +64,12 @@ def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[B
             for kind in kinds_present(feature, frame)
         ]
     values = frame[feature.name].to_numpy(dtype=np.float64)
-    found = []
     dry = values == 0
-    if feature.name == RAIN.name and dry.any():
-        # Two thirds of the runs have no rain; they get a separate bin.
-        found.append(Bin(label='0', low=0.0, high=0.0, mask=dry))
-        if dry.all():
-            return found
-        return [*found, *_numbered(feature, values, ~dry, most - 1)]
-    return _numbered(feature, values, np.ones(len(values), dtype=bool), most)
+    if feature.name != RAIN.name or not dry.any():
+        return _numbered(feature, values, most)
+    # Two thirds of the runs have no rain; they get a separate bin.
+    wet = [] if dry.all() else _numbered(feature, values, most - 1, above=_ABOVE_ZERO)
+    return [_single('0', 0.0, values), *wet]
 
 
 def bin_rates(runs: CampaignRuns, feature: Feature) -> list[tuple[Bin, GroupRate]]:
@@ -101,17 +109,38 @@ def medians(
     return (numbers + 0.5) * width, middle, counts.astype(np.float64)
 
 
-def _numbered(feature: Feature, values: Floats, among: Mask, most: int) -> list[Bin]:
-    least, greatest = float(values[among].min()), float(values[among].max())
+_ABOVE_ZERO = math.nextafter(0.0, 1.0)
+_SLACK = 1e-6
+"""Share of a bin's width by which a value may lie beyond the outermost edge: a conversion of units
+adds a last bit."""
+
+
+def _single(label: str, value: float, values: Floats) -> Bin:
+    return Bin(label=label, low=value, high=value, start=value,
+               stop=math.nextafter(value, math.inf), mask=values == value)
+
+
+def _numbered(
+    feature: Feature, values: Floats, most: int, above: float = -math.inf
+) -> list[Bin]:
+    """Bins of the values from ``above`` on."""
+    some = values[values >= above]
+    least, greatest = float(some.min()), float(some.max())
     if least == greatest:
-        return [Bin(label=feature.value_words(least), low=least, high=greatest, mask=among)]
-    edges = _edges(feature, least, greatest, min(most, max(1, int(among.sum()) // _RUNS_PER_BIN)))
+        return [_single(feature.value_words(least), least, values)]
+    edges = _edges(feature, least, greatest, min(most, max(1, len(some) // _RUNS_PER_BIN)))
+    limits = list(edges)
+    limits[0] = max(edges[0] - _SLACK * (edges[1] - edges[0]), above)
+    limits[-1] += _SLACK * (edges[-1] - edges[-2])
     found = []
-    for number, (low, high) in enumerate(itertools.pairwise(edges), 1):
-        last = number == len(edges) - 1
-        within = among & (values >= low) & ((values <= high) if last else (values < high))
-        label = f'{feature.value_words(low)} to {feature.value_words(high)}'
-        found.append(Bin(label=label, low=low, high=high, mask=within))
+    for ends, (start, stop) in zip(
+        itertools.pairwise(edges), itertools.pairwise(limits), strict=True
+    ):
+        label = ' to '.join(map(feature.value_words, ends))
+        found.append(Bin(
+            label=label, low=ends[0], high=ends[1], start=start, stop=stop,
+            mask=(values >= start) & (values < stop),
+        ))
     return found
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES, Floats, Mask, feature_columns
+from taxinet_ros.analysis.runs.features import (
+    PAPER_FEATURES,
+    Floats,
+    Mask,
+    feature_columns,
+    scene_columns,
+)
 from taxinet_ros.campaign.rates import (
     count_kinds,
     count_words,
@@ -24,13 +30,13 @@ from taxinet_ros.campaign.rates import (
     sample_size_was_fixed,
     without_gaps,
 )
-from taxinet_ros.campaign.record.facts import read_facts, recorded_stacks
+from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, recorded_stacks
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 
@@ -40,8 +46,8 @@ class GroupRate(NamedTuple):
     Attributes:
         runs, failures: numbers of runs and failures as made.
         rate, low, high: share of failures under the program's own distribution with its 95 %
-            interval, from the runs drawn by the program itself. If there are none, the share among
-            the runs as made, with NaN for the ends.
+            interval, from the runs drawn by the program itself. NaN if it drew others, but none of
+            these. If it drew none at all, the share among the runs as made, with NaN for the ends.
         effective: number of runs that the interval is based on; NaN if there is none.
     """
 
@@ -61,6 +67,8 @@ def rate_words(runs: int, rate: float, low: float, high: float) -> str:
     """Rate and interval from counts; ``low`` is NaN if there is no interval."""
     if not runs:
         return 'no run'
+    if math.isnan(rate):
+        return 'no rate, as the program itself drew none of them'
     if math.isnan(low):
         return f'{rate:.1%} of the runs made'.replace('%', ' %')
     return f'{rate:.1%} ({100 * low:.1f}–{high:.1%})'.replace('%', ' %')
@@ -71,7 +79,8 @@ def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupR
 
     Args:
         failed: whether each run failed.
-        weight: 1 if the program itself drew the run, else 0, or NaN if unknown.
+        weight: 1 if the program itself drew the run and it counts, else 0; NaN if there is no
+            such run in the campaign.
         anytime: whether the number of runs was open (:mod:`taxinet_ros.campaign.rates`).
     """
     runs, failures = len(failed), int(np.count_nonzero(failed))
@@ -80,7 +89,8 @@ def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupR
     if not runs:
         return GroupRate(0, 0, *rate(0, 0), 0.0)
     if not number:
-        return GroupRate(runs, failures, failures / runs, math.nan, math.nan, math.nan)
+        share = failures / runs if np.isnan(weight).all() else math.nan
+        return GroupRate(runs, failures, share, math.nan, math.nan, math.nan)
     found = rate(int(np.count_nonzero(failed & drawn)), number, anytime=anytime)
     return GroupRate(runs, failures, *found, float(number))
 
@@ -125,6 +135,14 @@ class Weighting(Enum):
     """A sampler chose most runs, the program itself drew some: rates are of those alone."""
     UNKNOWN = 'unknown'
     """A sampler chose all runs: there is no rate, shares are of these runs only."""
+    UNDECIDED = 'undecided'
+    """Runs were stopped before the formula was decided, which depends on their results: there is no
+    rate, only bounds of it; shares are of the decided runs only."""
+
+    @property
+    def rated(self) -> bool:
+        """Whether there are failure rates."""
+        return self in (Weighting.DRAWN, Weighting.WEIGHTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,13 +159,20 @@ class CampaignRuns:
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
             ``rho`` (NaN if its size is unknown), ``rho_exact`` (False if the run was stopped early
             and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and the features.
+        scenes: scene of each of them, by scenario key.
         others: number of runs without a verdict, by outcome.
         kinds: number of infrastructure errors by kind.
         undecided: number of judged runs stopped before this formula was decided.
+        uncounted: number of runs that the program drew and that are in no rate, since an earlier
+            one has no result.
         weighting: interpretation of shares of these runs.
+        bounds: least and greatest failure rate under the program's own distribution, at 95 %
+            confidence: with the undecided runs as satisfied, and as violated.
         anytime: whether the number of runs was not fixed before the first one.
         blind: number of runs that passed though more of their frames had no usable estimate than
             the requirement ``usable`` allows.
+        unrecorded: what is not recorded and had to be assumed, as a sentence without its full
+            stop; ''.
     """
 
     label: str
@@ -163,14 +188,24 @@ class CampaignRuns:
     kinds: Mapping[str, int]
     undecided: int
     weighting: Weighting
+    bounds: tuple[float, float] = (0.0, 1.0)
+    uncounted: int = 0
     anytime: bool = False
     blind: int = 0
+    unrecorded: str = ''
+    scenes: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Caveats of the rates, one line each."""
         told = self.facts.get('warnings')
         lines = [str(line) for line in told] if isinstance(told, list) else []
+        lines += [self.unrecorded] * bool(self.unrecorded)
+        if self.uncounted:
+            lines.append(
+                f'{self.uncounted:,} of the runs are in no rate: they follow one without a result, '
+                'and runs that finish early are a biased sample'
+            )
         if self.blind:
             lines.append(
                 f'{self.blind:,} {"run" if self.blind == 1 else "runs"} passed with more than '
@@ -190,7 +225,7 @@ class CampaignRuns:
 
     @property
     def weight(self) -> Floats:
-        """1 for each run that the program itself drew, else 0; NaN if it drew none."""
+        """1 for each run that the program drew and that counts, else 0; NaN if there is none."""
         return self.frame['weight'].to_numpy(dtype=np.float64)
 
     @property
@@ -206,7 +241,7 @@ class CampaignRuns:
     def off_runway(self) -> GroupRate | None:
         """Off-runway rate; None if a run was stopped before it was known."""
         left = self.frame['left_runway']
-        if left.isna().any():
+        if self.undecided or left.isna().any():
             return None
         return group_rate(left.to_numpy() > 0, self.weight, anytime=self.anytime)
 
@@ -237,9 +272,14 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     broken = table[table['outcome'] == Outcome.INFRA_ERROR]
     kinds = count_kinds(broken['kind'].astype(str)) if 'kind' in table.columns else {}
     judged = table[table['outcome'].isin(_JUDGED)].sort_values('index', ignore_index=True)
-    frame = _frame(judged, name, counted)
+    frame = _frame(judged, name)
+    drawn = _drawn(judged)
+    frame['weight'] = _weights(drawn, judged['index'] < counted)
     decided = ~frame['failed'].isna()
     _check(judged, decided, count_words(others, kinds), path, name)
+    bounds = _bounds(frame, anytime=anytime)
+    if not decided.all():
+        frame['weight'] = math.nan
     frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
     perception, timing = _common(table['perception']), _timing(judged, path)
     return CampaignRuns(
@@ -249,8 +289,10 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
         spec=name, facts=facts, stacks=_stacks(table, path), frame=frame, anytime=anytime,
         others=others, kinds=kinds,
-        undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
-        blind=_blind(judged),
+        undecided=int((~decided).sum()), weighting=_weighting(drawn, decided), bounds=bounds,
+        uncounted=int((drawn & (judged['index'] >= counted)).sum()), blind=_blind(judged),
+        unrecorded=_unrecorded(table, facts),
+        scenes=scene_columns(judged)[decided].reset_index(drop=True),
     )
 
 
@@ -293,7 +335,7 @@ def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
     return spec or names[0]
 
 
-def _frame(judged: pd.DataFrame, spec: str, counted: float) -> pd.DataFrame:
+def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
     """Features and outcome of judged runs; ``failed`` is missing if the sign is not known."""
     rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
     empty = np.full(len(rho), np.nan)
@@ -309,33 +351,57 @@ def _frame(judged: pd.DataFrame, spec: str, counted: float) -> pd.DataFrame:
     facts = pd.DataFrame({
         'run_id': judged['run_id'].astype(str), 'index': judged['index'],
         'bag': judged['bag'].fillna('').astype(str) if 'bag' in judged.columns else '',
-        'weight': _weights(judged, counted),
         'rho': rho, 'rho_exact': exact, 'failed': failed,
         'left_runway': empty if left is None else left.to_numpy(dtype=np.float64, na_value=np.nan),
     })
     return pd.concat([facts, feature_columns(judged)], axis=1)
 
 
-def _weights(judged: pd.DataFrame, counted: float) -> pd.Series[float]:
-    """1 for a run below an index that the program itself drew, else 0; all NaN if there is none."""
+def _drawn(judged: pd.DataFrame) -> pd.Series[bool]:
+    """Which runs the program itself drew; all, if the table says nothing of samplers."""
     drawn = pd.Series(True, judged.index)
     if 'sampler' in judged.columns:
         drawn = judged['sampler'].fillna('').isin(SIMPLY_DRAWN)
     if 'drawn' in judged.columns:
         drawn = judged['drawn'].fillna(drawn).astype(bool)
-    drawn &= judged['index'] < counted
-    return drawn.astype(np.float64) if drawn.any() else pd.Series(math.nan, judged.index)
+    return drawn
+
+
+def _weights(drawn: pd.Series[bool], counted: pd.Series[bool]) -> pd.Series[float]:
+    """1 for a run that was drawn and counts, else 0; all NaN if there is none."""
+    both = drawn & counted
+    return both.astype(np.float64) if both.any() else pd.Series(math.nan, drawn.index)
+
+
+def _bounds(frame: pd.DataFrame, *, anytime: bool) -> tuple[float, float]:
+    """Ends of the interval with undecided runs as satisfied, and as violated."""
+    failed = frame.loc[frame['weight'] == 1, 'failed']
+    least, most = (
+        rate(int(failed.fillna(value).sum()), len(failed), anytime=anytime)
+        for value in (False, True)
+    )
+    return least.low, most.high
 
 
 def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
     """Whether the number of runs was not fixed beforehand, and the index below which runs count."""
     planned = facts.get('first_runs', facts.get('runs'))
-    if planned is None:
-        return False, math.inf
     outcomes = dict(zip(table['index'].tolist(), table['outcome'].tolist(), strict=True))
-    if sample_size_was_fixed(outcomes, int(planned)):
+    if len(outcomes) < len(table):
+        return planned is not None, math.inf  # several campaigns, joined
+    if sample_size_was_fixed(outcomes, None if planned is None else int(planned)):
         return False, math.inf
     return True, without_gaps(outcomes)
+
+
+def _unrecorded(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:
+    """What had to be assumed about the runs, or ''."""
+    assumed = []
+    if not facts:
+        assumed.append(f'that their number was fixed beforehand (no {FACTS_NAME} beside the table)')
+    if not {'sampler', 'drawn'} & set(table.columns):
+        assumed.append('that their program drew them (the table has no column sampler)')
+    return f'about the runs it is assumed {" and ".join(assumed)}' if assumed else ''
 
 
 def _check(
@@ -352,10 +418,12 @@ def _check(
             raise UsageError(f'{path}: run {run} was judged, but has no {name}; a damaged table?')
 
 
-def _weighting(weight: pd.Series[float]) -> Weighting:
-    if weight.isna().any():
+def _weighting(drawn: pd.Series[bool], decided: pd.Series[bool]) -> Weighting:
+    if not drawn.any():
         return Weighting.UNKNOWN
-    return Weighting.DRAWN if bool((weight == 1).all()) else Weighting.WEIGHTED
+    if not decided.all():
+        return Weighting.UNDECIDED
+    return Weighting.DRAWN if drawn.all() else Weighting.WEIGHTED
 
 
 def _blind(judged: pd.DataFrame) -> int:

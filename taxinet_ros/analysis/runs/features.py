@@ -223,7 +223,7 @@ BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 
 _BEFORE = {
     field.key: field.to_human(field.absent)
-    for field in (*fields.PUSHING_FIELDS, fields.TRACK, *fields.FAULT_FIELDS)
+    for field in fields.SCENARIO_FIELDS if field.absent is not None
 }
 
 
@@ -231,6 +231,15 @@ def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
     """A column for each feature of :data:`ALL`, of a campaign's table."""
     columns = {feature.name: _values(feature, table) for feature in ALL_FEATURES}
     return pd.DataFrame(columns, dtype=None)
+
+
+def scene_columns(table: pd.DataFrame) -> pd.DataFrame:
+    """A column for every scenario key of a campaign's table, in human units."""
+    return pd.DataFrame({
+        field.key: table[field.key].to_numpy() if field.key in table.columns
+        else np.full(len(table), _BEFORE.get(field.key, math.nan), dtype=object)
+        for field in fields.SCENARIO_FIELDS
+    })
 
 
 def varied(
@@ -259,6 +268,8 @@ def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
     if feature.source not in table.columns:
         # A table from before this feature existed.
         before = _BEFORE.get(feature.source, '')
+        if before is True:
+            before = 'on'
         return np.full(len(table), before, dtype=np.float64 if feature.numeric else object)
     column = table[feature.source]
     if feature in _SWITCHES:

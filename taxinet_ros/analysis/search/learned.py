@@ -13,7 +13,7 @@ from taxinet_ros.campaign.samplers.registry import drawn_share
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 

@@ -19,9 +19,9 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.options import ShrinkOptions
 from taxinet_ros.campaign.shrink.shrinking import Report, edge_words, off_nominal
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
 
 # Okabe-Ito colours, distinguishable with all common colour vision deficiencies; dashes for grey.

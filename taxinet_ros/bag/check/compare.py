@@ -26,7 +26,7 @@ from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import is_of_frames
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.provenance import differences, known, provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -149,7 +149,7 @@ def _pairs(
 def _compare(
     topic: TopicComparison, number: int, a: StoredMessage, b: StoredMessage, tolerance: float
 ) -> None:
-    if a.cdr == b.cdr and a.topic.definition == b.topic.definition and a.stamp_ns == b.stamp_ns:
+    if _meaning(a) == _meaning(b):
         return
     differences = list(_differences(a, b))
     sizes = [size for _, _, size in differences if not math.isnan(size)]
@@ -164,12 +164,20 @@ def _compare(
         topic.first = FieldDifference(number=number, seq=seq, field=path, values=values)
 
 
+def _meaning(message: StoredMessage) -> tuple[object, ...]:
+    """All that two messages may differ in."""
+    topic = message.topic
+    return message.stamp_ns, topic.type, topic.definition, message.cdr
+
+
 def _differences(
     a: StoredMessage, b: StoredMessage
 ) -> Iterator[tuple[str, tuple[str, str], float]]:
     """Path, values and size of every difference; the size is NaN for non-numeric values."""
     if a.stamp_ns != b.stamp_ns:
         yield 'log time', (f'{a.stamp_ns} ns', f'{b.stamp_ns} ns'), math.nan
+    if a.topic.type != b.topic.type:
+        yield 'type', (a.topic.type, b.topic.type), math.nan
     one = dict(_leaves('', decode(a.topic, a.cdr)))
     other = dict(_leaves('', decode(b.topic, b.cdr)))
     # Defaults of fields that older recordings lack.
@@ -191,10 +199,12 @@ def _array_difference(
     if x.shape != y.shape:
         yield path, (f'{x.size} values', f'{y.size} values'), math.nan
         return
+    floating = np.issubdtype(x.dtype, np.floating)
     away = ~((x == y) | ((x != x) & (y != y)))
+    if floating and np.issubdtype(y.dtype, np.floating):
+        away |= (x == 0) & (np.signbit(x) != np.signbit(y))
     if away.any():
         place = int(np.flatnonzero(away)[0])
-        floating = np.issubdtype(x.dtype, np.floating)
         size = float(np.abs(x[away].astype(np.float64) - y[away].astype(np.float64)).max())
         values = (repr(x[place].item()), repr(y[place].item()))
         # For integers, such as pixels, there is no tolerance.

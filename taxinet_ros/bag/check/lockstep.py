@@ -6,7 +6,7 @@ The verdict is recomputed from the recorded truth and must match bit for bit.
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,8 +14,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import StoredMessage
-from taxinet_ros.bag.run.judging import readings_of
-from taxinet_ros.bag.run.message_values import scenario_of, stamp_of
+from taxinet_ros.bag.run.message_values import scenario_of, stamp_of, verdict_values
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.samples import RunSamples, same_bits
 from taxinet_ros.bag.run.topics import (
@@ -34,11 +33,14 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
     is_topic,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.loop import MAX_GAP_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.judge import Judge, Judgement
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
@@ -316,32 +318,38 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
         Number of steps judged, and findings where the result differs from the recorded one.
     """
     try:
-        last_step(scenario_of(record.scenario))
+        judge = _judge(record)
         samples = _whole(recording.samples, last_seq(record) + 1)
-        judged = {
-            spec.name: readings_of(samples, spec, samples.assumptions)
-            for spec in map(parse_spec, samples.specs)
-        }
+        pairs = zip(samples.stamps_ns, samples.samples, strict=True)
+        readings = [judge.push(stamp_ns, sample) for stamp_ns, sample in pairs]
     except (BagError, UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
         what = str(error).removeprefix(f'{recording.path}: ')
         return 0, [Finding(where=f'/{SCENARIO}', what=f'cannot be judged: {what}')]
-    steps = len(samples.stamps_ns)
+    steps, specs = len(readings), Judging.from_message(record.scenario).parsed_specs
     found = []
-    for name, readings in judged.items():
+    for number, spec in enumerate(specs):
         wrong = ranges(
-            step for step, reading in enumerate(readings[:steps])
-            if (told := record.robustness.get(step, {}).get(name)) is not None
-            and not same_bits(told, (reading.lower, reading.upper))
+            step for step, now in enumerate(readings)
+            if (told := record.robustness.get(step, {}).get(spec.name)) is not None
+            and not same_bits(told, now[number].interval)
         )
         if wrong:
             found.append(Finding(
-                where=f'step {wrong}', what=f'{name}: the recorded interval differs'))
+                where=f'step {wrong}', what=f'{spec.name}: the recorded interval differs'))
     if steps <= last_seq(record):
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
     elif steps:
-        last = {name: all_[-1].interval for name, all_ in judged.items()}
-        found += _verdict_troubles(record, last)
+        found += _verdict_troubles(record, specs, judge.judgement)
     return steps, found
+
+
+def _judge(record: RunRecord) -> Judge:
+    """The judge of the recorded run, before its first sample."""
+    scene, judging = scenario_of(record.scenario), Judging.from_message(record.scenario)
+    return Judge(
+        judging.parsed_specs, last_step(scene) * CONTROL_PERIOD_NS, MAX_GAP_NS, judging.stop_on,
+        judging.assumptions, scene.line.half_width_m,
+    )
 
 
 def _whole(samples: RunSamples, most: int) -> RunSamples:
@@ -358,23 +366,43 @@ def _whole(samples: RunSamples, most: int) -> RunSamples:
     )
 
 
-def _verdict_troubles(record: RunRecord, readings: dict[str, RobustnessInterval]) -> list[Finding]:
+def _verdict_troubles(
+    record: RunRecord, specs: Sequence[Spec], judgement: Judgement
+) -> list[Finding]:
     """Findings where the recorded judgement differs from the one computed here."""
     verdict = next(iter(record.once.get(VERDICT, ())), None)
     if verdict is None:
         return []
-    found = []
-    for spec in verdict.specs:
-        here = readings.get(str(spec.spec))
-        told = RobustnessInterval(float(spec.rho_lower), float(spec.rho_upper))
-        if here is None or not same_bits(told, here):
-            text = f'{spec.spec}: recorded {_words(told)}, from the truth {_words(here)}'
-            found.append(Finding(where=VERDICT, what=text))
+    told = {
+        str(spec.spec): RobustnessInterval(float(spec.rho_lower), float(spec.rho_upper))
+        for spec in verdict.specs
+    }
+    here = {
+        spec.name: now.interval for spec, now in zip(specs, judgement.readings, strict=True)
+    }
+    texts = [
+        f'{name}: recorded {_words(told.get(name))}, from the truth {_words(here.get(name))}'
+        for name in dict.fromkeys((*here, *told))
+        if not (name in told and name in here and same_bits(told[name], here[name]))
+    ]
+    texts += [
+        f'{name}: recorded {recorded!r}, from the messages {value!r}'
+        for name, value in verdict_values(judgement, str(record.scenario.run_id)).items()
+        # An older bag lacks some.
+        if _exactly(recorded := getattr(verdict, name, value)) != _exactly(value)
+    ]
+    found = [Finding(where=VERDICT, what=text) for text in texts]
     outcome = record.ending.outcome if record.ending is not None else ''
-    satisfied = all(interval.satisfied for interval in readings.values())
-    if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
+    if outcome in (Outcome.PASS, Outcome.FAIL) and (
+        judgement.satisfied is not (outcome == Outcome.PASS)
+    ):
         found.append(Finding(where=RUN_STATUS, what=f'{outcome}, which contradicts the truth'))
     return found
+
+
+def _exactly(value: Any) -> object:
+    """A value that equals another of the same bits only; NaN equals NaN."""
+    return struct.pack('<d', value) if isinstance(value, float) else value
 
 
 def _words(interval: RobustnessInterval | None) -> str:

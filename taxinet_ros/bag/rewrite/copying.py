@@ -6,22 +6,34 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-from mcap.records import Attachment
+from mcap.records import Attachment, Metadata
 
 from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import BagInfo
+from taxinet_ros.bag.reader import BagInfo, StoredMessage
 from taxinet_ros.bag.run.topics import ONCE, is_topic
 from taxinet_ros.bag.storage.scan import scan
 from taxinet_ros.bag.topics import TopicInfo, check_topics, qos_profiles
-from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter
+from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter, is_own_manifest
 from taxinet_ros.errors import UsageError
 
-NamedMessage = tuple[str, int, bytes]
-"""Name of the topic, log time [ns], serialised bytes."""
+
+class NamedMessage(NamedTuple):
+    """A message to be written: name of its topic, log time, bytes, publish time [ns]."""
+
+    topic: str
+    stamp_ns: int
+    cdr: bytes
+    published_ns: int
+
+
+def named_message(stored: StoredMessage) -> NamedMessage:
+    """A recorded message, to be written as it is."""
+    return NamedMessage(stored.topic.name, stored.stamp_ns, stored.cdr, stored.published_ns)
 
 
 @contextmanager
@@ -40,14 +52,16 @@ def copy_of(
         UsageError, BagWriteError: as :class:`BagWriter`.
     """
     words = info.metadata.get(RUN_METADATA, {})
+    attachments, metadata = _beside_messages(info.path)
     with BagWriter(
-        folder, topics, metadata=words, attachments=_attachments(info.path),
-        min_free_bytes=min_free_bytes, beside=words_beside(info.path, words),
+        folder, topics, metadata=words, attachments={}, min_free_bytes=min_free_bytes,
+        beside=words_beside(info.path, words),
     ) as bag:
+        for attachment in attachments:
+            bag.copy_attachment(attachment)
         yield bag
-        for name, values in info.metadata.items():
-            if name not in ('rosbag2', RUN_METADATA):
-                bag.add_metadata(name, values)
+        for record in metadata:
+            bag.add_metadata(record.name, record.metadata)
 
 
 def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[int]:
@@ -57,13 +71,13 @@ def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[
         Stamp of each completed step [ns].
     """
     before: int | None = None
-    for topic, stamp_ns, cdr in messages:
+    for topic, stamp_ns, cdr, published_ns in messages:
         now = None if any(is_topic(topic, name) for name in ONCE) else stamp_ns
         if before is not None and now != before:
             bag.flush()
             yield before
         before = now
-        bag.write(topic, cdr, stamp_ns)
+        bag.write(topic, cdr, stamp_ns, published_ns)
     if before is not None:
         yield before
 
@@ -90,11 +104,18 @@ def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicI
     return topic
 
 
-def _attachments(source: Path) -> dict[str, bytes]:
-    """Intact attachments of the bag, except the manifest, which the writer creates."""
-    found: dict[str, bytes] = {}
+def _beside_messages(source: Path) -> tuple[list[Attachment], list[Metadata]]:
+    """Intact attachments and metadata of the bag, except those that the writer creates.
+
+    Names may be repeated: another recorder's may mean a sequence by that.
+    """
+    attachments, metadata = [], []
     for file in storage_files(source):
         for record in scan(file, lambda error: None):
-            if isinstance(record, Attachment) and record.name != MANIFEST:
-                found[record.name] = record.data
-    return found
+            if isinstance(record, Attachment) and not (
+                record.name == MANIFEST and is_own_manifest(record.data)
+            ):
+                attachments.append(record)
+            elif isinstance(record, Metadata) and record.name not in ('rosbag2', RUN_METADATA):
+                metadata.append(record)
+    return attachments, metadata

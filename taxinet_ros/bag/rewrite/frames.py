@@ -16,12 +16,12 @@ from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
-from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, written_steps
+from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, named_message, written_steps
 from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 
@@ -147,7 +147,7 @@ def _with_frames(recording: Recording) -> Iterator[NamedMessage]:
     """All messages, with each frame before its camera info."""
     frames = _Frames(recording)
     for message in stored_messages(recording.path):
-        topic, stamp_ns = message.topic.name, message.stamp_ns
-        if topic == CAMERA_INFO and (frame := frames.missing(message)) is not None:
-            yield IMAGE, stamp_ns, frame
-        yield topic, stamp_ns, message.cdr
+        copied = named_message(message)
+        if copied.topic == CAMERA_INFO and (frame := frames.missing(message)) is not None:
+            yield copied._replace(topic=IMAGE, cdr=frame)
+        yield copied

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import read_info, stored_messages
-from taxinet_ros.bag.rewrite.copying import copy_of, storable_topic, write_steps
+from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.rewrite.copying import copy_of, named_message, storable_topic, write_steps
 from taxinet_ros.bag.storage.summary import read_statistics
+from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagSummary
 
 
@@ -56,9 +59,34 @@ def recover(source: Path, folder: Path) -> Recovery:
     sound = stored_messages(
         source, names.__contains__, lambda error: damage.append(str(error))
     )
+    other: Counter[tuple[str, str]] = Counter()
+    declared = {topic.name: topic for topic in info.topics}
+
+    def fits(stored: StoredMessage) -> bool:
+        """Whether a message is of its topic's type; a bag of ours has one type for each."""
+        topic = stored.topic
+        if not _alike(topic, declared[topic.name]):
+            other[topic.name, topic.type] += 1
+            return False
+        return True
+
     with copy_of(info, folder, topics, size) as bag:
-        write_steps(bag, ((topic.name, stamp_ns, cdr) for topic, stamp_ns, cdr in sound))
+        write_steps(bag, map(named_message, filter(fits, sound)))
+    damage += [
+        f'left out: topic {name!r}: {count} messages of type {kind}, as it is declared with '
+        f'another: {declared[name].type}' for (name, kind), count in other.items()
+    ]
     return Recovery(bag=bag.summary, damage=tuple(damage), declared=_declared(source))
+
+
+def _alike(one: TopicInfo, other: TopicInfo) -> bool:
+    """Whether messages of one topic can be read as those of the other."""
+    if one.type != other.type or one.definition == other.definition:
+        return one.type == other.type
+    try:
+        return definition_hash(one) == definition_hash(other)
+    except BagError:
+        return False
 
 
 def _declared(source: Path) -> int | None:

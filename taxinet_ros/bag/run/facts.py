@@ -27,13 +27,13 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.provenance import NAMES, Provenance
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.bag.run.samples import RecordedReading, RunSamples, same_bits
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import MAX_GAP_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import (
     Assumptions,
     Monitor,
@@ -104,10 +104,15 @@ def judge_spec(
 
 
 def readings_of(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
-    """Reading after each sample, as during the run; the initial reading if there are none."""
+    """Reading after each sample, as during the run; the initial reading if there are none.
+
+    A formula holds at the first step. If that is lost, nothing is known, whatever came after it.
+    """
     monitor = Monitor(
         spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
     )
+    if samples.stamps_ns and samples.stamps_ns[0] > 0:
+        return [monitor.reading] * len(samples.stamps_ns)
     pairs = zip(samples.stamps_ns, samples.samples, strict=True)
     return [monitor.push(stamp, sample) for stamp, sample in pairs] or [monitor.reading]
 

@@ -11,10 +11,8 @@ import math
 from typing import Any
 
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
@@ -27,6 +25,8 @@ from taxinet_ros.core.scenario_fields import (
     ScenarioField,
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.judge import Judgement
+from taxinet_ros.core.verdict.outcome import RunRequest
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
 _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)

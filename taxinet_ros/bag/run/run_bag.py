@@ -42,14 +42,14 @@ from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.core import topics
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import Step
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Spec
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.verdict.judge import Judgement
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
 from taxinet_ros.version import __version__

@@ -168,7 +168,7 @@ def messages_of_runs(
         place += 1
         if owner != _NO_RUN and wanted(owner, relative):
             stamp_ns = 0 if relative in (SCENARIO, NODE_STATUS) else stamp_of_cdr(cdr)
-            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, cdr)
+            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, cdr, stamp_ns)
 
 
 class _RunsReader:
@@ -249,7 +249,7 @@ class _RunsReader:
         """Whether a message of a once-only topic belongs in the bag of its run."""
         run = self.runs[number]
         if relative == SCENARIO:
-            run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
+            run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr, 0)
         elif relative == NODE_STATUS:
             node, reports = str(getattr(message, 'node', '')), self._ready.setdefault(number, {})
             if getattr(message, 'state', None) != NODE_READY or node in reports:

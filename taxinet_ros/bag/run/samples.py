@@ -32,8 +32,8 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     Assumptions,
@@ -45,8 +45,8 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.specs import OF_OTHERS
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
 from taxinet_ros.core.place.track import Track
-from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:

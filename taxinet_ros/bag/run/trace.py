@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.reader import decode_of
-from taxinet_ros.bag.run.message_values import clearance_in, clearance_of, stamp_of, track_of
+from taxinet_ros.bag.run.message_values import (
+    clearance_in,
+    clearance_of,
+    error_of,
+    stamp_of,
+    track_of,
+)
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -23,8 +29,8 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
@@ -174,7 +180,7 @@ class _TraceColumns:
 
 def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
     table.track = track_of(message)
-    if getattr(message, TRAFFIC.attribute, NOBODY) != NOBODY:
+    if getattr(message, TRAFFIC.attribute, '') not in ('', NOBODY):
         table.clearance = clearance_in(message)
 
 
@@ -195,10 +201,9 @@ def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
 
 
 def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    if message.valid:
-        table.put(
-            message.seq, est_cte_m=message.cross_track_error, est_he_rad=message.heading_error
-        )
+    estimate = error_of(message)
+    if estimate.usable:
+        table.put(message.seq, est_cte_m=estimate.cte_m, est_he_rad=estimate.he_rad)
 
 
 def _command(table: _TraceColumns, stamp_ns: int, message: Any) -> None:

@@ -71,8 +71,10 @@ def read_statistics(path: Path) -> dict[str, int]:
         raise type(error)(f'{path}: {error}', path=path) from error
     if statistics is None:
         raise BagCorrupt(f'{path}: no statistics in the summary', path=path)
-    counts = statistics.channel_message_counts
-    return {name: counts.get(channel, 0) for channel, name in names.items()}
+    counts = dict.fromkeys(names.values(), 0)
+    for channel, name in names.items():  # Another recorder's topic may have several.
+        counts[name] += statistics.channel_message_counts.get(channel, 0)
+    return counts
 
 
 def check_summary(tail: bytes, start: int) -> tuple[Statistics | None, dict[int, str]]:

@@ -176,8 +176,10 @@ class ChunkBuilder:
         """Whether there is no message yet."""
         return not self._entries
 
-    def add(self, channel: int, number: int, data: bytes, stamp_ns: int) -> None:
-        """Append message ``number`` of a channel; its stamp is both log and publish time [ns]."""
+    def add(
+        self, channel: int, number: int, data: bytes, stamp_ns: int, published_ns: int
+    ) -> None:
+        """Append message ``number`` of a channel, with its log time and publish time [ns]."""
         entry = stamp_ns, len(self.data)
         entries = self._entries.get(channel)
         if entries is None:
@@ -185,7 +187,7 @@ class ChunkBuilder:
         else:
             entries.append(entry)
         length = _MESSAGE.size - _HEAD + len(data)
-        self.data += _MESSAGE.pack(_MESSAGE_CODE, length, channel, number, stamp_ns, stamp_ns)
+        self.data += _MESSAGE.pack(_MESSAGE_CODE, length, channel, number, stamp_ns, published_ns)
         self.data += data
 
     def packed(self, compressor: zstandard.ZstdCompressor, offset: int) -> PackedChunk:
@@ -259,13 +261,13 @@ class StorageFile:
         # Repeated under the first chunk's checksum, so that damage to the copy above is detected.
         self._chunk = ChunkBuilder(self._declarations())
 
-    def add_message(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Append one message; its stamp is both log and publish time."""
+    def add_message(self, topic: str, data: bytes, stamp_ns: int, published_ns: int) -> None:
+        """Append one message, with its log time and publish time [ns]."""
         self.output.check()
         if len(self._chunk.data) + len(data) > CHUNK_BYTES and not self._chunk.empty:
             self.finish_chunk()
         number = self.counts[topic]
-        self._chunk.add(self._channels[topic].id, number, data, stamp_ns)
+        self._chunk.add(self._channels[topic].id, number, data, stamp_ns, published_ns)
         if stamp_ns < self.start_ns or not self._started:
             self.start_ns, self._started = stamp_ns, True
         if stamp_ns > self.end_ns:
@@ -274,15 +276,13 @@ class StorageFile:
         if len(self._chunk.data) > CHUNK_BYTES:
             self.finish_chunk()
 
-    def add_attachment(self, name: str, data: bytes, *, media_type: str) -> None:
-        """Append an attachment, stamped with the latest message's time."""
-        record = encode(Attachment(
-            create_time=self.end_ns, log_time=self.end_ns, name=name, media_type=media_type,
-            data=data,
-        ))
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Append an attachment."""
+        record = encode(attachment)
         index = AttachmentIndex(
-            offset=self.output.size, length=len(record), log_time=self.end_ns,
-            create_time=self.end_ns, data_size=len(data), name=name, media_type=media_type,
+            offset=self.output.size, length=len(record), log_time=attachment.log_time,
+            create_time=attachment.create_time, data_size=len(attachment.data),
+            name=attachment.name, media_type=attachment.media_type,
         )
         self.output.put(record)
         self._attachments.append(index)

@@ -20,14 +20,14 @@ from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.bench.measure import Figure, Subject
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import SteeringGains, steer
-from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.motion.controller import SteeringGains, steer
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judge import Judge
 from taxinet_ros.core.world import last_step
 
 SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
@@ -155,7 +155,7 @@ class _Recorded:
                 scratch / 'run', self._topics, metadata={}, attachments={}, min_free_bytes=0
             )
             for stamp_ns, step in self._steps:
-                for topic, _, cdr in step:
+                for topic, _, cdr, _ in step:
                     writer.write(topic.name, self._canonical.message(topic.name, cdr), stamp_ns)
                 writer.flush()
             writer.close()

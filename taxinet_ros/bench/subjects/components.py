@@ -15,9 +15,9 @@ from taxinet_ros.bench.measure import Subject
 from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import ground_atlas
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model

@@ -27,8 +27,8 @@ from taxinet_ros.bench.measure import Clock, Subject
 from taxinet_ros.bench.processes import Amounts, folder_bytes, peak_memory, processor_time_ns
 from taxinet_ros.bench.subjects import closed_loop
 from taxinet_ros.bench.subjects.closed_loop import tick_subject
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import Graph, GraphOptions, composed_graph, process_graph

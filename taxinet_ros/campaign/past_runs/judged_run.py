@@ -19,12 +19,12 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, WORLD, recorded_world
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import STEERING, SteeringGains
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
 

@@ -28,18 +28,15 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.controller import (
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.controller import (
     STEERING,
     Controller,
     SteeringGains,
     check_controller,
     make_controller,
 )
-from taxinet_ros.core.judge import Judgement
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -53,6 +50,9 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
+from taxinet_ros.core.verdict.judge import Judgement
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import sync_folder
@@ -115,7 +115,7 @@ class Trial:
         exact: whether its scene was bit-exact, so that it must reproduce the recorded result.
         robustness: robustness of the headline; exact unless the run was stopped early.
         max_cross_track_m, settle_time_s, left_runway: statistics of the path, see
-            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None if unknown.
+            :class:`~taxinet_ros.core.verdict.run_statistics.RunStatistics`; None if unknown.
     """
 
     run_id: str

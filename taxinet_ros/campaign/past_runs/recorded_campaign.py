@@ -13,9 +13,9 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:

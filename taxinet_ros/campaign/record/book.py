@@ -36,14 +36,14 @@ from taxinet_ros.campaign.record.facts import (
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.judging import StopOn
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.verdict.judging import StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path
 from taxinet_ros.registry import KMWH

@@ -18,8 +18,8 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_present_keys
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import CATALOGUES
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal

@@ -15,8 +15,8 @@ from taxinet_ros.campaign.record.facts import ARMS
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.sampler import LAG
-from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_words
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 
 PERCEPTION_KEYS = ('perception', 'perception_sha256', 'timing')

@@ -12,9 +12,9 @@ from typing import Any, Self
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS, by_key
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -55,8 +55,8 @@ class RunRow:
         stopped_early, stopped_s: whether the run was stopped when its verdict was decided, and when
             [s]; judged runs only. Its figures then cover the time until the stop.
         left_runway, max_cross_track_m, settle_time_s: figures of the true path, see
-            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. After an
-            early stop it is unknown whether the run would have left the runway or settled later.
+            :class:`~taxinet_ros.core.verdict.run_statistics.RunStatistics`; judged runs only. After
+            an early stop it is unknown whether the run would have left the runway or settled later.
         cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
             he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
         unusable_estimates: frames without an estimate; judged runs only.

@@ -23,8 +23,8 @@ from taxinet_ros.campaign.record.facts import (
     seal_facts,
 )
 from taxinet_ros.campaign.record.row import ON_DISK, RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import make_atomically, write_atomically
 

@@ -46,10 +46,13 @@ from taxinet_ros.campaign.scenes.values import (
     behavior_arguments,
     check_level,
     is_ground_object,
+    objects_document,
+    placed_objects,
     plain_value,
     scenario_parameters,
-    traffic_document,
 )
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.track import runway_track
 from taxinet_ros.core.scenario_fields import (
     CLOUDS,
     HUMAN_KEYS,
@@ -404,7 +407,8 @@ class Constructs:
             if thing.behavior is not None:
                 behavior_arguments(thing.behavior)
             if not needsSampling(thing):
-                typed_traffic(traffic_document([thing]))
+                line = runway_track(default_runway())
+                typed_traffic(placed_objects(objects_document([thing]), line))
         except (ProgramError, UsageError) as error:
             text = str(error).removeprefix('traffic: objects[0].').removeprefix('path[0].')
             raise ProgramError(text, given.get('behavior', place)) from error

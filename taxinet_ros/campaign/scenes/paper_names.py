@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from taxinet_ros.campaign.scenes.values import placed_objects
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     CLOUDS,
@@ -25,6 +27,8 @@ from taxinet_ros.core.scenario_fields import (
     SHORT_FORMS,
     SKY,
     TIME_OF_DAY,
+    TRACK,
+    TRAFFIC,
     WIND_DIRECTION,
     WIND_SPEED,
 )
@@ -162,7 +166,8 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
 
     Args:
         values: by key or name of the paper.
-        overrides: by key, which replace drawn ones: of place and date, on which local time depends.
+        overrides: by key, which replace drawn ones: of place and date, on which local time depends,
+            and of the track, along which a program places others on the ground.
 
     Raises:
         UsageError: a value of the paper is outside its range.
@@ -176,4 +181,8 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
             found[name] = value
         elif meant.key not in overrides:
             found[meant.key] = our_value(name, value, place, date)
+    if TRAFFIC.key in found and TRAFFIC.key not in overrides:
+        track = str({**values, **overrides}.get(TRACK.key, RUNWAY_TRACK))
+        line = typed_place(place).track(track)
+        found[TRAFFIC.key] = placed_objects(str(found[TRAFFIC.key]), line)
     return found

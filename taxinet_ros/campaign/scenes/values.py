@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key, other_form
 from taxinet_ros.core.traffic.traffic import KINDS
 
@@ -78,9 +79,11 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
             raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
         values[name] = value
     if others := [one for one in scene.objects if is_ground_object(one)]:
-        values['traffic'] = traffic_document(others)
+        values['traffic'] = objects_document(others)
     return {name: plain_value(name, value) for name, value in values.items()}
 
+
+_AHEAD = 'ahead_m'
 
 KIND, COLOUR = 'kind', 'colour'
 """Properties of the world model's ground objects, besides Scenic's own."""
@@ -98,13 +101,49 @@ def is_ground_object(thing: Any) -> bool:
     return hasattr(thing, KIND) and hasattr(thing, COLOUR)
 
 
-def traffic_document(things: Iterable[Any]) -> str:
-    """The ground objects of a scene as JSON, as the key ``traffic`` takes it.
+_ALONG = 'objects_along_track'
+"""Key of ground objects as a program places them."""
+
+
+def objects_document(things: Iterable[Any]) -> str:
+    """The ground objects of a scene as JSON; :func:`placed_objects` makes a key ``traffic`` of it.
+
+    Their x_m and y_m are along the track and left of it, and the heading is from its direction,
+    as a program means them: which track the scene has, the command line may say later.
 
     Raises:
         ProgramError: one is not on the ground, or moves in another way than there is.
     """
-    return json.dumps({'objects': [_ground_object(one) for one in things]})
+    return json.dumps({_ALONG: [_ground_object(one) for one in things]})
+
+
+def placed_objects(traffic: str, line: Track) -> str:
+    """The key ``traffic`` of a scene that follows a line, its objects in ``map``.
+
+    Any text but that of :func:`objects_document` is returned as it is.
+    """
+    if not traffic.startswith(f'{{"{_ALONG}"'):
+        return traffic
+    return json.dumps({'objects': [_placed(one, line) for one in json.loads(traffic)[_ALONG]]})
+
+
+def _placed(values: dict[str, Any], line: Track) -> dict[str, Any]:
+    heading_deg = values['heading_deg']
+    x_m, y_m, yaw_rad = line.pose(values['x_m'], values['y_m'], math.radians(heading_deg))
+    placed = {**values, 'x_m': x_m, 'y_m': y_m}
+    if not line.is_runway:
+        placed['heading_deg'] = math.degrees(yaw_rad)
+    if 'path' in values:
+        placed['path'] = legs = []
+        for leg in values['path']:
+            if _AHEAD in leg:
+                far_m = leg[_AHEAD]
+                end = x_m + far_m * math.cos(yaw_rad), y_m + far_m * math.sin(yaw_rad)
+            else:
+                end = line.pose(leg['x_m'], leg['y_m'])[:2]
+            rest = {key: one for key, one in leg.items() if key not in (_AHEAD, 'x_m', 'y_m')}
+            legs.append({'x_m': end[0], 'y_m': end[1], **rest})
+    return placed
 
 
 def _ground_object(thing: Any) -> dict[str, Any]:
@@ -142,17 +181,15 @@ def behavior_arguments(behavior: Any) -> dict[str, Any]:
 
 def _motion(thing: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     speed = plain_value('speed', given['speed'])
-    x, y = float(thing.position.x), float(thing.position.y)
     wait = plain_value('wait', given['wait'])
+    points: list[dict[str, Any]]
     if 'path' in given:
         points = [_map_place(point) for point in _points(given['path'])]
     elif 'distance' in given:
-        far = plain_value('distance', given['distance'])
-        assert isinstance(far, float)
-        ahead = (x - far * math.sin(thing.heading), y + far * math.cos(thing.heading))
-        points = [_map_place(ahead)]
+        # Straight ahead also where the track bends.
+        points = [{_AHEAD: plain_value('distance', given['distance'])}]
     else:
-        points = [_map_place((0 - x, y))]
+        points = [_map_place((0 - thing.position.x, thing.position.y))]
     legs = [{**point, 'speed_mps': speed} | ({'wait_s': wait} if wait else {}) for point in points]
     return {'wait_s': plain_value('delay', given['delay']), 'path': legs}
 
@@ -164,7 +201,7 @@ def _points(path: Any) -> list[Any]:
 
 
 def _map_place(point: Any) -> dict[str, float]:
-    """A Scenic point (x to the right, y ahead) in ``map``."""
+    """A Scenic point (x to the right, y ahead) along the track and left of it."""
     try:
         right, ahead = (float(point[axis]) for axis in (0, 1))
     except (TypeError, ValueError, IndexError, KeyError):

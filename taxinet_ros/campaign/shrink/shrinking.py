@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
@@ -19,21 +18,18 @@ from typing import Any, Self
 from rich.table import Table
 from rich.text import Text
 
-from taxinet_ros.campaign.options import DEFAULT_SPECS
 from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
 from taxinet_ros.campaign.record.facts import facts_of_runs
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
 from taxinet_ros.campaign.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
 from taxinet_ros.campaign.summary import participants_words, scene_words
-from taxinet_ros.core.controller import controller_options
-from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
-from taxinet_ros.core.world import world_options
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 
 
 class Shrinking:
@@ -364,16 +360,7 @@ def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: floa
 
 def run_command(options: ShrinkOptions, program: str) -> str:
     """Shell command to run the shrunk scenario."""
-    campaign = options.campaign
-    words = ['taxinet', 'run', program, '--perception', campaign.perception]
-    words += controller_options(campaign.controller)
-    words += world_options(campaign.world)
-    specs = campaign.judging.parsed_specs
-    if specs != tuple(parse_spec(text) for text in DEFAULT_SPECS):
-        words += [word for text in campaign.judging.specs for word in ('--spec', text)]
-    words += [word for name, value in campaign.gains.items()
-              for word in ('--set', f'steering.{name}={value!r}')]
-    return shlex.join([*words, *campaign.timing.options])
+    return RunSettings.of_options(options.campaign).command(program)
 
 
 def _rho(value: float | None) -> str:

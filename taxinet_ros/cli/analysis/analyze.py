@@ -12,8 +12,8 @@ from rich.table import Table
 from taxinet_ros.analysis.campaign.findings import Findings, analyse
 from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_text, write_analysis
 from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
-from taxinet_ros.analysis.causes.program import confirmation_command
-from taxinet_ros.analysis.runs.campaign import Weighting, distinct_labels, read_runs
+from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
+from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -37,7 +37,7 @@ def run_analyze(
 
     Returns:
         Exit code: 0, or 3 if the campaign yields no failure rate (its shares refer to the runs
-        made).
+        made, or decided).
 
     Raises:
         UsageError: bad input.
@@ -58,7 +58,7 @@ def run_analyze(
     else:
         _print(console, findings, folder)
         console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
-    return ExitCode.INCOMPLETE if runs.weighting is Weighting.UNKNOWN else ExitCode.OK
+    return ExitCode.OK if runs.weighting.rated else ExitCode.INCOMPLETE
 
 
 def _print(console: Console, findings: Findings, folder: Path) -> None:
@@ -74,6 +74,9 @@ def _print(console: Console, findings: Findings, folder: Path) -> None:
             if (command := confirmation_command(findings.runs, cause, folder)) is not None:
                 console.print(f'test cause {cause.rank} on fresh scenes: {command}',
                               soft_wrap=True, markup=False)
+        if why := why_no_program(findings.runs):
+            console.print(f'no program to test the causes on fresh scenes: {why}',
+                          soft_wrap=True, markup=False)
 
 
 def _causes(findings: Findings) -> Table:

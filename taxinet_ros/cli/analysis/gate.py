@@ -9,15 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.analysis.gate import GateOptions, GateResult, Verdict, gate_result, junit_xml
+from taxinet_ros.analysis.gate import (
+    GateOptions,
+    GateResult,
+    Verdict,
+    gate_result,
+    junit_xml,
+    rerun_documents,
+)
 from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.table import check_tables
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import differences
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 
@@ -48,10 +55,12 @@ def run_gate(
     if junit is not None:
         document = junit_xml(
             campaign.rows, answer, folder, campaign.facts,
-            inconclusive_passes=inconclusive == 'pass',
+            inconclusive_passes=inconclusive == 'pass', documents=junit.parent,
         )
         if not junit.parent.is_dir():
             raise UsageError(f'--junit {junit}: no such folder: {junit.parent}')
+        for name, text in rerun_documents(campaign.rows, campaign.facts).items():
+            write_atomically(junit.parent / name, text)
         write_atomically(junit, document)
     print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
     codes = {Verdict.PASS: ExitCode.OK, Verdict.FAIL: ExitCode.VIOLATED}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import re
@@ -20,7 +21,12 @@ from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict, judge_spec, signals_of_specs
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
-from taxinet_ros.campaign.options import check_assumptions, read_specs, split_settings
+from taxinet_ros.campaign.options import (
+    check_assumptions,
+    check_assumptions_read,
+    read_specs,
+    split_settings,
+)
 from taxinet_ros.campaign.past_runs.added_requirements import (
     add_requirements,
     addable,
@@ -30,11 +36,11 @@ from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs, signal_ranges
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judge import SpecCheck, check_specs, describe_specs, signal_ranges
 from taxinet_ros.errors import ExitCode, UsageError
 
 
@@ -261,6 +267,8 @@ def _judged(
     """Judge all bags and print each verdict as soon as it is available."""
     console = Console(highlight=False, stderr=as_json)
     chosen = None if run is None else open_recording(bags[0]).choose(run).name
+    if vouched is not None and not specs:
+        _check_own_read(vouched, bags, chosen)
     judged: list[JudgedBag] = []
     places = BagPlaces()
     with stage_bars(console) as show:
@@ -281,6 +289,22 @@ def _judged(
     if not judged:
         raise UsageError(f'--run {run}: no step of it in {bags[0]}')
     return judged
+
+
+def _check_own_read(vouched: Assumptions, bags: Sequence[Path], run: str | None) -> None:
+    """Check that the own requirements of some bag read the signals of the assumptions.
+
+    Raises:
+        UsageError: none does.
+    """
+    own: dict[str, Spec] = {}
+    for bag in bags:
+        with contextlib.suppress(BagError):
+            for samples in run_samples(open_recording(bag), ()):
+                if run is None or samples.run in ('', run):
+                    own |= {text: parse_spec(text) for text in samples.specs}
+    if own:
+        check_assumptions_read(vouched, list(own.values()))
 
 
 class _RequirementNotes:

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.bag.limits import read_within_limits
-from taxinet_ros.cli.options import OwnControllerOption, RunOption
+from taxinet_ros.cli.options import OwnControllerOption, RunOption, refuse_given
 
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
@@ -168,6 +168,7 @@ def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
 
 @bag_app.command()
 def doctor(
+    context: typer.Context,
     bag: RecordedBagArgument,
     as_json: JsonOption = False,
     images: Annotated[
@@ -179,10 +180,12 @@ def doctor(
     """Check a bag; report each problem, where it is and how to repair it.
 
     Checks checksums, indexes, counts, stamps, type hashes, the completeness of every step, and the
-    verdict against the recorded truth.
+    verdict, with every figure in it, against the recorded truth.
     """
     from taxinet_ros.cli.bag.doctor import run_bag_doctor
 
+    if not images:
+        refuse_given(context, ('run_id',), 'all runs are checked; it selects one for --images only')
     with contextlib.nullcontext() if images else read_within_limits(bag):
         raise typer.Exit(run_bag_doctor(bag, as_json=as_json, images=images, run=run_id))
 

@@ -40,6 +40,11 @@ def run_export(
     kind = _format(out, file_format, topics)
     _check_new(out)
     if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.
+        if run is not None:
+            raise UsageError(
+                f'--run {run}: has no effect on --topics {topics[0]}, which belongs to no run; '
+                'leave it out'
+            )
         return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
     def export() -> int:

@@ -16,7 +16,7 @@ from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
-from taxinet_ros.core.controller import STEERING, check_controller
+from taxinet_ros.core.motion.controller import STEERING, check_controller
 from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
 from taxinet_ros.errors import ExitCode, UsageError

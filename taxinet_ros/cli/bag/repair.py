@@ -19,7 +19,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.campaign.options import check_new
 from taxinet_ros.cli.bag.input import exit_code_of, one_run
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.version import __version__
@@ -153,6 +153,10 @@ def _render(recording: Recording, out: Path | None) -> int:
     missing = missing_frames(info)
     if not missing and not info.trouble:
         frames = info.counts[IMAGE]
+        if out is not None:
+            raise UsageError(
+                f'--out {out}: nothing to render for it: all {frames} frames are in {bag}'
+            )
         console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
         return ExitCode.OK
     steps = (

@@ -34,10 +34,10 @@ from taxinet_ros.cli.bag.input import (
     readable_bags,
     warn_of_stacks,
 )
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.processes.interrupts import ToldInterrupt

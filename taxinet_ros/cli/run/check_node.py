@@ -14,7 +14,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
 from taxinet_ros.errors import ExitCode, UsageError

@@ -55,6 +55,7 @@ from taxinet_ros.cli.options import (
     WorldOption,
     airport_place,
     given_options,
+    refuse_given,
     scene_settings,
     word_of,
 )
@@ -393,6 +394,8 @@ def up(
     """
     from taxinet_ros.cli.run.up import make_up_options, run_up
 
+    if not record:
+        refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
     options = make_up_options(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
@@ -403,6 +406,7 @@ def up(
 
 
 def check_node(
+    context: typer.Context,
     command: Annotated[
         str | None,
         typer.Argument(
@@ -447,6 +451,8 @@ def check_node(
     """
     from taxinet_ros.cli.run.check_node import run_check
 
+    if external:
+        refuse_given(context, ('log',), 'the output of a node that you start is not seen here')
     raise typer.Exit(run_check(
         command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
         log=log, as_json=as_json,

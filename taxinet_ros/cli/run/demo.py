@@ -20,8 +20,8 @@ from taxinet_ros.campaign.options import (
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import scene_words
 from taxinet_ros.cli.run.campaign import campaign_rows
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome
 
 PROGRAM = 's_falsif'
 PERCEPTIONS = ('original', 'taxinet', 'truth')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from taxinet_ros.analysis.camera.place_map import plot_place
 from taxinet_ros.cli.training.camera import new_picture, write_picture
 from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
 from taxinet_ros.core.place.place import Place
+from taxinet_ros.core.place.runway import SURFACES
 
 
 def print_places() -> None:
@@ -80,3 +82,19 @@ def _lines(place: Place) -> Iterator[tuple[str, str]]:
             f'{len(place.pavements)} pavements, {len(place.lines)} painted lines, '
             f'{len(place.routes)} taxi routes'
         )
+    if unseen := _unseen(place):
+        yield 'not seen', f'{unseen}: the camera does not show them'
+
+
+def _unseen(place: Place) -> str:
+    # Imported here because it loads libraries that few commands need.
+    from taxinet_ros.core.camera.ground.taxiway import LINES
+
+    words = [
+        f'{number} lines of type {style}'
+        for style, number in sorted(Counter(line.style for line in place.lines).items())
+        if style not in LINES
+    ]
+    if others := sum(area.surface not in SURFACES for area in place.pavements):
+        words.append(f'{others} pavements of other surfaces')
+    return ', '.join(words)

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from taxinet_ros.campaign.samplers.registry import SAMPLERS
-from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world

@@ -55,7 +55,7 @@ from taxinet_ros.campaign.shrink.shrinking import (
 from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_words
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed

@@ -26,7 +26,7 @@ from taxinet_ros.campaign.options import (
     new_folder,
     split_settings,
 )
-from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.world import find_world

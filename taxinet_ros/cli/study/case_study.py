@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,6 +122,7 @@ def _config(options: CaseStudyOptions) -> StudyConfig:
 
 
 def _report(options: CaseStudyOptions) -> int:
+    _check_alone(options, '--report-only', taken=('out',))
     if options.out is None:
         raise UsageError('--report-only: name the case study with --out')
     config = read_study(options.out, '--report-only')
@@ -133,14 +135,7 @@ def _report(options: CaseStudyOptions) -> int:
 
 def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
     """Write the report of the tables to a new folder."""
-    sizes = {
-        '--scale': options.scale, '--runs': options.runs, '--images': options.images,
-        '--workers': options.workers, '--until': options.until, '--resume': options.resume,
-        '--list': options.listed, '--report-only': options.report_only,
-    }
-    for name, value in sizes.items():
-        if value not in (None, False):
-            raise UsageError(f'--tables {tables}: runs nothing; leave {name} out')
+    _check_alone(options, f'--tables {tables}', taken=('out', 'config'))
     config = read_config(options.config or shipped_config())
     out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
     check_new(out)
@@ -149,6 +144,19 @@ def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
     for line in write_study_report(config, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
     return ExitCode.OK
+
+
+def _check_alone(options: CaseStudyOptions, what: str, *, taken: Collection[str]) -> None:
+    """Refuse options other than those taken by one that only writes a report."""
+    given = {
+        '--config': options.config, '--scale': options.scale, '--runs': options.runs,
+        '--images': options.images, '--workers': options.workers, '--until': options.until,
+        '--resume': options.resume, '--list': options.listed,
+        '--report-only': options.report_only and not what.startswith('--report-only'),
+    }
+    for name, value in given.items():
+        if value not in (None, False) and name.removeprefix('--') not in taken:
+            raise UsageError(f'{what}: runs nothing; leave {name} out')
 
 
 def stage_command() -> list[str]:

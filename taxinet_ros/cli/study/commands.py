@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.options import VariedOption
+from taxinet_ros.cli.options import VariedOption, given_options, refuse_given
 
 
 def case_study(
@@ -64,6 +64,7 @@ def case_study(
 
 
 def improve(
+    context: typer.Context,
     program: Annotated[
         str, typer.Argument(metavar='[SCENARIO]', help='program whose scenes the network should '
         'handle')
@@ -119,6 +120,9 @@ def improve(
     from taxinet_ros.cli.study.improve import run_improve
     from taxinet_ros.study.improve.options import ImproveOptions
 
+    if resume:
+        others = given_options(context).keys() - {'out', 'workers', 'resume'}
+        refuse_given(context, others, 'is taken from the folder that --resume continues')
     options = None if resume else ImproveOptions(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
         validation=validation, counterexamples=counterexamples, add=tuple(add or ()),

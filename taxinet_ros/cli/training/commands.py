@@ -19,11 +19,13 @@ from taxinet_ros.cli.options import (
     ScenarioArgument,
     SeedOption,
     VariedOption,
+    refuse_given,
     scene_settings,
 )
 
 
 def train(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help='weights file to write, NAME.safetensors')],
     program: PicturesArgument = None,
     data: Annotated[
@@ -86,6 +88,12 @@ def train(
     from taxinet_ros.training.data.portions import parse_portion
     from taxinet_ros.training.options import TrainOptions
 
+    if data and program is None:
+        why = 'for rendered scenes; with --data every image is used, leave it out'
+        refuse_given(context, ('images', 'sampler'), why)
+    if validation_data is not None:
+        why = 'with --validation-data all of its images are used; leave one out'
+        refuse_given(context, ('validation',), why)
     run_train(TrainOptions(
         program=program, data=tuple(data or ()), validation_data=validation_data, out=out,
         sampler=sampler, validation_program=validation_program, start=start,
@@ -124,6 +132,7 @@ def dataset(
 
 
 def evaluate(
+    context: typer.Context,
     program: PicturesArgument = None,
     data: Annotated[
         Path | None, typer.Option(help='folder of labelled images instead of a program')
@@ -142,6 +151,9 @@ def evaluate(
     """
     from taxinet_ros.cli.training.network import run_evaluate
 
+    if data is not None and program is None:
+        why = 'for rendered scenes; with --data every image is read in order, leave it out'
+        refuse_given(context, ('images', 'seed', 'workers'), why)
     run_evaluate(
         program, data, perception=perception, images=images, seed=seed, workers=workers,
         as_json=as_json,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from taxinet_ros.analysis.camera.rig_pictures import draw_aircraft, draw_camera
 from taxinet_ros.cli.training.camera import new_picture, write_picture
-from taxinet_ros.core.aircraft import checked_aircraft, full_steering_rad
+from taxinet_ros.core.motion.aircraft import checked_aircraft, full_steering_rad
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import cv2
@@ -88,12 +89,16 @@ _GLARE_STRENGTH = 120.0
 _LEAST_GLARE = 1.0
 _GLARE_HALF_WIDTH_RAD = math.radians(16.0)
 _GLARE_TINT = (1.0, 0.84, 0.58)
+_ROWS_IN_STRIP = 0.5
+"""Rows by which the horizon may fall across a strip with a common haze."""
 
 
 class Atmosphere:
     """Renders the ground in a scenario's light, haze, water and sky."""
 
-    def __init__(self, light: Light, height: int, width: int, focal_px: float) -> None:
+    def __init__(
+        self, light: Light, height: int, width: int, focal_px: float, *, in_strips: bool = False
+    ) -> None:
         """Prepare for images in one scenario's light.
 
         Args:
@@ -101,8 +106,10 @@ class Atmosphere:
             height: of the images [px].
             width: of the images [px], a multiple of :data:`SPARSE_PX`.
             focal_px: focal length along a row [px].
+            in_strips: compute haze, water and glare for strips of columns where the horizon
+                is tilted; else for rows, at their middle.
         """
-        self._size = height, width
+        self._size, self._in_strips = (height, width), in_strips
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
         glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)
@@ -153,8 +160,25 @@ class Atmosphere:
             height_m: camera height above ground [m].
             picture: output image, (height, width, 3).
         """
-        pixels.develop(ground, curve, *self._air.veil(rays, height_m, *self._size), picture)
-        shine = self._air.shine(rays, *self._size) if self._glares else None
-        if shine is not None:
-            pixels.add_shine(picture, *shine, _GLARE_TINT)
+        for strip, aimed in self._strips(rays):
+            part = picture[:, strip]
+            size = part.shape[0], part.shape[1]
+            pixels.develop(
+                ground[:, strip], curve, *self._air.veil(aimed, height_m, *size), part
+            )
+            shine = self._air.shine(aimed, *size) if self._glares else None
+            if shine is not None:
+                pixels.add_shine(part, *shine, _GLARE_TINT)
         self._skyline.lay_over(picture, rays)
+
+    def _strips(
+        self, rays: NDArray[np.float64]
+    ) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+        """Strips of columns, each with the rays of its own pixels."""
+        width = self._size[1]
+        tilt = abs(float(rays[2, 0] / rays[2, 1])) if self._in_strips else 0.0
+        step = width if tilt * width <= _ROWS_IN_STRIP else max(1, int(_ROWS_IN_STRIP / tilt))
+        for first in range(0, width, step):
+            aimed = rays.copy()
+            aimed[:, 2] += first * rays[:, 0]
+            yield slice(first, min(first + step, width)), aimed

@@ -162,12 +162,18 @@ class Camera:
         hidden = parts.hidden if parts else np.zeros(height, np.int32)
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
-            ground = ground_atlas(runway, track, crossing=scenario.crossing)
+            ground = ground_atlas(
+                runway, track, scenario.airport, crossing=scenario.crossing
+            )
         self._ground = GroundView(
             ground, grain_atlas(), gain, hidden, width, ground_layout(runway, track)
         )
         self._clouds = CloudShade(self._light, height, width)
-        self._atmosphere = Atmosphere(self._light, height, width, float(self._intrinsics[0, 0]))
+        # The wing camera is level enough for whole rows, and keeps the bytes of older versions.
+        self._atmosphere = Atmosphere(
+            self._light, height, width, float(self._intrinsics[0, 0]),
+            in_strips=model.view != WING.view,
+        )
         self._rain = RainSheet(self._light, height, width) if self._light.rain > 0 else None
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
         casts = sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD

@@ -25,7 +25,10 @@ Vectors = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 _NEAREST_M = 0.3
-_FARTHEST_PX = 4000.0
+_FARTHEST_PX = 1e7
+"""Beyond this, coordinates are limited one by one, as they are integers; polygons that near ones
+have beside the camera are cut off beside the picture before."""
+_BESIDE_PX = 4000.0
 _FARTHEST_M = 3000.0
 _SHIFT = 4
 _FINENESS = ((2500, 8), (20_000, 4))
@@ -200,7 +203,16 @@ class ObjectsView:
         if faces:
             image = optical @ self._intrinsics.T
             points = np.clip(image[:, :2] / image[:, 2:], -_FARTHEST_PX, _FARTHEST_PX)
-            _draw_faces(picture, points, faces, codes * kept + added, self._size)
+            if np.abs(points).max() > _BESIDE_PX:
+                polygons = [beside_picture(points[face], self._size) for face in faces]
+                ends = np.cumsum([len(one) for one in polygons]).tolist()
+                faces = [
+                    np.arange(end - len(one), end)
+                    for one, end in zip(polygons, ends, strict=True)
+                ]
+                points = np.concatenate(polygons)
+            if len(points):
+                _draw_faces(picture, points, faces, codes * kept + added, self._size)
 
     def _coverage(
         self, parts: Sequence[Vectors], blur_px: float = 0.0
@@ -218,8 +230,12 @@ class ObjectsView:
             np.concatenate(parts), starts, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
         )
         polygons = [
-            np.asarray(cv2.convexHull(part)[:, 0], np.float64) / (1 << _SHIFT) for part in found
+            beside_picture(
+                np.asarray(cv2.convexHull(part)[:, 0], np.float64) / (1 << _SHIFT), self._size
+            )
+            for part in found
         ]
+        polygons = [one for one in polygons if len(one)]
         margin = min(1 + 2 * math.ceil(0.5 * blur_px), 31)
         area = _area(polygons, self._size, margin + 1)
         if area is None:
@@ -306,6 +322,26 @@ def _draw_faces(
         if len(face):
             cv2.fillConvexPoly(canvas, corners[face], code, shift=_SHIFT)
     behind[:] = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def beside_picture(polygon: Vectors, size: tuple[int, int]) -> Vectors:
+    """Cut a convex polygon of pixels (n, 2) off far beside a picture (Sutherland and Hodgman)."""
+    if not len(polygon) or np.abs(polygon).max() <= _BESIDE_PX:
+        return polygon
+    height, width = size
+    for axis, sign, most in (
+        (0, 1, width + _BESIDE_PX), (0, -1, _BESIDE_PX), (1, 1, height + _BESIDE_PX),
+        (1, -1, _BESIDE_PX),
+    ):
+        kept = []
+        for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            over, next_over = sign * here[axis] - most, sign * there[axis] - most
+            if over <= 0:
+                kept.append(here)
+            if (over <= 0) != (next_over <= 0):
+                kept.append(here + over / (over - next_over) * (there - here))
+        polygon = np.array(kept).reshape(-1, 2)
+    return polygon
 
 
 def _area(

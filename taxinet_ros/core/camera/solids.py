@@ -209,9 +209,18 @@ def hull_faces(part: Part) -> tuple[tuple[Vectors, Vectors], ...]:
 
 
 def _around(corners: Vectors, normal: Vectors) -> Vectors:
-    """Sort the corners of a flat face around its centre."""
+    """Sort the corners of a flat face around its centre; points within it or its edges go."""
     middle = corners.mean(axis=0)
-    along = corners[0] - middle
+    along = corners[np.linalg.norm(corners - middle, axis=1) > _FLAT_M][0] - middle
     aside = np.cross(normal, along)
     angles = np.arctan2((corners - middle) @ aside, (corners - middle) @ along)
-    return np.asarray(corners[np.argsort(angles, kind='stable')])
+    around = list(corners[np.argsort(angles, kind='stable')])
+    at, unbent = 0, 0
+    while unbent < len(around) > 3:
+        before, here, after = (around[(at + step) % len(around)] for step in (-1, 0, 1))
+        if np.cross(here - before, after - here) @ normal > _FLAT_M**2:
+            at, unbent = (at + 1) % len(around), unbent + 1
+        else:
+            del around[at % len(around)]
+            at, unbent = (at - 1) % len(around), 0
+    return np.array(around)

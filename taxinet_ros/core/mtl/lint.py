@@ -25,6 +25,7 @@ from taxinet_ros.core.mtl.units import (
     dimension_of,
     multiplied,
     rooted,
+    si_unit,
     value_words,
 )
 from taxinet_ros.core.types import NS_PER_S
@@ -73,6 +74,12 @@ def atom_words(atom: ast.Compare, units: Units) -> str:
 def compared_dimension(atom: ast.Compare, units: Units) -> Dimension | None:
     """Dimension of both sides of a comparison; None if unknown."""
     return added(quantity_of(atom.left, units), quantity_of(atom.right, units)).dimension
+
+
+def rho_unit(formula: ast.Formula, units: Units) -> str:
+    """SI unit of a formula's robustness; '' if it has none, or predicates have several."""
+    found = {compared_dimension(atom, units) for atom in ast.atoms(formula)}
+    return si_unit(found.pop()) if len(found) == 1 else ''
 
 
 def range_words(name: str, ends: Range, units: Units) -> str:

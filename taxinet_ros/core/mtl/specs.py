@@ -14,6 +14,7 @@ from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
+from taxinet_ros.core.mtl.units import dimension_of
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.errors import UsageError
 
@@ -130,10 +131,11 @@ def parse_spec(
             bare formula. A bare formula is named ``spec_`` and a hash of its parenthesised text, so
             its name does not depend on spacing or aliases.
         predicates: formulas by name that the formula may use.
-        signals: names that the formula may read.
+        signals: names that the formula may read; a mapping gives their units too.
 
     Raises:
-        UsageError: an unknown name, a bad name, or a bad formula.
+        UsageError: an unknown name, a bad name, a bad formula, or a shipped or provided formula
+            about signals in other units.
     """
     word = text.strip()
     if word in SHIPPED:
@@ -178,6 +180,12 @@ def _readable(spec: Spec, signals: Collection[str]) -> Spec:
         raise UsageError(
             f'spec {spec.name}: reads {missing[0]}, which is no signal; known: {", ".join(signals)}'
         )
+    units = signals if isinstance(signals, Mapping) else SIGNALS
+    for name in ast.signal_names(spec.formula):
+        if dimension_of(units[name]) not in (None, dimension_of(SIGNALS[name])):
+            raise UsageError(
+                f'spec {spec.name}: reads {name} in {SIGNALS[name]}, here it is in {units[name]}'
+            )
     return spec
 
 

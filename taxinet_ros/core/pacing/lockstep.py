@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.verdict.judging import StopOn
 
 WINDOW = 8
 """Maximum lag [frames] of a participant outside the control loop; below the queue depth."""

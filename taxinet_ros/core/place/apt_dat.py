@@ -13,7 +13,7 @@ import math
 import mmap
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -63,6 +63,15 @@ class _RunwayRow:
     width_m: float
     surface: int
     ends: tuple[_End, _End]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Node:
+    """A node of a contour, with its control point and the type of the line after it."""
+
+    at: Point
+    control: Point | None
+    style: int
 
 
 @dataclass(slots=True)
@@ -244,30 +253,30 @@ class _Reader:
     def _take_shape(self, airport: _Airport, shape: tuple[_Row, list[_Row]] | None) -> None:
         if shape is None:
             return
-        head, nodes = shape
-        contours = list(self._contours(nodes))
-        if head.code == 110:
-            outlines = [points for points, _, closed in contours if closed and len(points) > 2]
-            if outlines:
-                airport.areas.append((self._code(head, 0, 'surface'), outlines))
-            return
-        for points, style, closed in contours:
-            if len(points) > 1:
-                airport.lines.append((style, [*points, points[0]] if closed else points))
+        head, rows = shape
+        outlines = []
+        for contour, closed in self._contours(rows):
+            airport.lines += _lines(contour, closed=closed)
+            nodes = [(node.at, node.control) for node in contour]
+            if closed and len(outline := _flattened(nodes, closed=True)) > 2:
+                outlines.append(outline)
+        if head.code == 110 and outlines:
+            airport.areas.append((self._code(head, 0, 'surface'), outlines))
 
-    def _contours(self, rows: list[_Row]) -> Iterator[tuple[list[Point], int, bool]]:
-        """Contours of node rows: points, paint style, and whether the contour is closed."""
-        nodes: list[tuple[Point, Point | None]] = []
-        style = 0
+    def _contours(self, rows: list[_Row]) -> Iterator[tuple[list[_Node], bool]]:
+        """Contours of node rows, and whether each is closed."""
+        nodes: list[_Node] = []
         for row in rows:
             curved = row.code in (112, 114, 116)
-            nodes.append((self._position(row, 0), self._position(row, 2) if curved else None))
-            more = row.words[4 if curved else 2:]
-            style = style or (int(more[0]) if more and more[0].isdecimal() else 0)
+            # Line types are below 100, types of lights above.
+            more = [int(word) for word in row.words[4 if curved else 2:][:2] if word.isdecimal()]
+            nodes.append(_Node(
+                at=self._position(row, 0), control=self._position(row, 2) if curved else None,
+                style=next((one for one in more if one < 100), 0),
+            ))
             if row.code in (113, 114, 115, 116):
-                closed = row.code in (113, 114)
-                yield _flattened(nodes, closed=closed), style, closed
-                nodes, style = [], 0
+                yield nodes, row.code in (113, 114)
+                nodes = []
 
     def _position(self, row: _Row, at: int) -> Point:
         latitude, longitude = (self._number(row, at + k, 'a coordinate') for k in (0, 1))
@@ -312,6 +321,16 @@ def _chained(
 ) -> Iterator[tuple[int, bytes]]:
     yield first
     yield from others
+
+
+def _lines(nodes: list[_Node], *, closed: bool) -> Iterator[tuple[int, list[Point]]]:
+    """Painted lines of a contour: type and points. A node has the type of what follows it."""
+    pairs = list(pairwise([*nodes, nodes[0]] if closed else nodes))
+    for style, group in groupby(pairs, key=lambda pair: pair[0].style):
+        ends = [pair for pair in group if pair[0].at != pair[1].at]
+        if style and ends:
+            line = [ends[0][0], *(end for _, end in ends)]
+            yield style, _flattened([(node.at, node.control) for node in line], closed=False)
 
 
 def _flattened(nodes: list[tuple[Point, Point | None]], *, closed: bool) -> list[Point]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -33,8 +34,10 @@ class Places(Catalogue[Place]):
             UsageError: none of these, or an invalid file.
         """
         if airport := _OF_AIRPORT.fullmatch(text):
-            return _place_of_airport(*airport.groups(default=''))
+            path, icao, runway, zone = airport.groups(default='')
+            return _place_of_airport(path, icao, runway, zone, _version(path))
         return super().typed(text)
+
 
 PLACES = Places(
     'place', shipped=('kmwh_04', 'bikf_10', 'nzqn_05'), read=read_place, make=make_place,
@@ -74,11 +77,22 @@ def load_place(word: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def _place_of_airport(path: str, icao: str, runway: str, zone: str) -> Place:
+def _place_of_airport(
+    path: str, icao: str, runway: str, zone: str, version: tuple[int, ...]
+) -> Place:
     # Imported here because it loads a library that is not needed for looking up places.
     from taxinet_ros.core.place.apt_dat import read_airport_place
 
     return find_place(read_airport_place(Path(path), icao, runway, zone).text)
+
+
+def _version(path: str) -> tuple[int, ...]:
+    """What changes when a file is written again; empty if it cannot be read."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return ()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
 def default_runway() -> Runway:

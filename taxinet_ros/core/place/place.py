@@ -7,6 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby, pairwise
 
 from taxinet_ros.core.documents import NamedDocument
@@ -51,6 +52,14 @@ class PaintedLine:
     points: Polygon
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AirportGround:
+    """Pavement and paint beside the runway, compared by identity."""
+
+    pavements: tuple[Pavement, ...]
+    lines: tuple[PaintedLine, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaxiRoute:
     """An edge of the taxi route network.
@@ -86,6 +95,13 @@ class Place(NamedDocument):
     routes: tuple[TaxiRoute, ...] = ()
     tracks: tuple[Track, ...] = ()
 
+    @cached_property
+    def ground(self) -> AirportGround | None:
+        """Its pavements and lines; None if it has neither."""
+        if not (self.pavements or self.lines):
+            return None
+        return AirportGround(pavements=self.pavements, lines=self.lines)
+
     @property
     def track_names(self) -> tuple[str, ...]:
         """All tracks: the runway's centreline, its own, and the names of its taxi routes."""
@@ -95,6 +111,8 @@ class Place(NamedDocument):
 
     def track(self, word: str) -> Track:
         """A track by its name, or along taxi routes: ``A``, or ``A+B`` from A into B.
+
+        Where the place has painted lines of its own, a taxi route gets no other.
 
         Raises:
             UsageError: there is none, or the routes cannot be followed.
@@ -109,12 +127,14 @@ class Place(NamedDocument):
                 f'at {self.reference}'
             )
         try:
-            return _track_of_routes(word, self.routes, names)
+            return _track_of_routes(word, self.routes, names, painted=not self.lines)
         except ValueError as error:
             raise UsageError(f'scenario: track {word} at {self.reference}: {error}') from None
 
 
-def _track_of_routes(word: str, routes: Sequence[TaxiRoute], names: Sequence[str]) -> Track:
+def _track_of_routes(
+    word: str, routes: Sequence[TaxiRoute], names: Sequence[str], *, painted: bool
+) -> Track:
     """The longest way along routes of these names, in this order.
 
     Of one name alone it begins at the end nearer to the runway.
@@ -131,29 +151,33 @@ def _track_of_routes(word: str, routes: Sequence[TaxiRoute], names: Sequence[str
                     roads[stop].setdefault(start, route.name)
     found: list[tuple[float, float, tuple[_Point, ...]]] = []
     for start in list(roads):
-        for length_m, way in _shortest_ways(roads, start):
+        for way in _shortest_ways(roads, start):
             passed = [name for name, _ in groupby(roads[a][b] for a, b in pairwise(way))]
             if passed == list(names):
+                # The sum is exact, so a way is as long backwards.
+                length_m = math.fsum(math.dist(*ends) for ends in pairwise(way))
                 found.append((-round(length_m, 1), abs(start[1]), way))
     if not found:
         raise ValueError('the taxi routes of these names do not meet in this order')
     points = _simplified(min(found)[2])
-    track = make_track(word, f'taxi route {word}', ROUTE_WIDTH_M, points, _radii(points))
+    track = make_track(
+        word, f'taxi route {word}', ROUTE_WIDTH_M, points, _radii(points), painted=painted
+    )
     check_room(track)
     return track
 
 
 def _shortest_ways(
     roads: defaultdict[_Point, dict[_Point, str]], start: _Point
-) -> list[tuple[float, tuple[_Point, ...]]]:
-    """Length [m] and points of the shortest way to every point (Dijkstra)."""
-    ways: dict[_Point, tuple[float, tuple[_Point, ...]]] = {}
+) -> list[tuple[_Point, ...]]:
+    """Points of the shortest way to every point (Dijkstra)."""
+    ways: dict[_Point, tuple[_Point, ...]] = {}
     waiting: list[tuple[float, tuple[_Point, ...]]] = [(0.0, (start,))]
     while waiting:
         length_m, way = heapq.heappop(waiting)
         if way[-1] in ways:
             continue
-        ways[way[-1]] = length_m, way
+        ways[way[-1]] = way
         for point in roads.get(way[-1], ()):
             if point not in ways:
                 heapq.heappush(waiting, (length_m + math.dist(way[-1], point), (*way, point)))

@@ -17,7 +17,7 @@ from taxinet_ros.core.rig.model_files import MODEL_NAME, check_model_files, coll
 from taxinet_ros.core.rig.outline import Part, read_outline
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
-_OWN_MODELS = Path(__file__).parent.parent / 'aircraft_models'
+_OWN_MODELS = Path(__file__).parent / 'models'
 _BARE_MODELS = ('caravan', 'c172p')
 """Models used as installed; scenarios contain the files of all others."""
 _KEYS = (

@@ -64,6 +64,8 @@ def read_outline(top: Section) -> tuple[Part, ...]:
                 raise entry.wrong(f'unknown key of a {kind}; known: {", ".join(keys)}', key)
         colour = _colour(entry)
         made = list(make(entry))
+        if any(_is_line(points) for points, _ in made):
+            raise entry.wrong(f'this {kind} is a line or a point, which nobody would see')
         if 'mirror' in entry and entry.switch('mirror'):
             made += [(points * (1.0, -1.0, 1.0), caps) for points, caps in made]
         only = entry.word('only', _ONLY, '')
@@ -77,6 +79,11 @@ def read_outline(top: Section) -> tuple[Part, ...]:
     if len(parts) > MOST_PARTS:
         raise top.wrong(f'makes {len(parts)} convex parts, more than {MOST_PARTS}', 'outline')
     return tuple(parts)
+
+
+def _is_line(points: Points) -> bool:
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extents[1] < _LEAST_M / 2)
 
 
 def _colour(entry: Section) -> tuple[int, int, int]:

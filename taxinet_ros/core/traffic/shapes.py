@@ -7,6 +7,7 @@ and two ends. Coordinates: x forward, y left, z up from the ground below the mid
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ PAINT = 'paint'
 """Stands for the colour of the object."""
 UNSEEN = ''
 """Stands for a part that is not drawn: what can be hit, of a body of many small parts."""
+_OUTSIDE_M = 0.05
 _COLOURS = {
     'white': (232, 232, 226), 'yellow': (222, 186, 36), 'orange': (232, 92, 24),
     'red': (176, 34, 30), 'blue': (44, 74, 148), 'green': (56, 112, 62), 'grey': (124, 127, 130),
@@ -224,7 +226,41 @@ def _wing(side: int, root: tuple[float, ...], tip: tuple[float, ...], colour: st
 
 def _with(part: Part, *details: Part) -> tuple[Part, ...]:
     """A part with others on it, in the order in which they cover each other."""
-    return part, *(dataclasses.replace(one, detail=True) for one in details)
+    below = part, *details
+    return part, *(
+        dataclasses.replace(_outside(one, below[:count]), detail=True)
+        for count, one in enumerate(details, 1)
+    )
+
+
+def _outside(part: Part, others: Sequence[Part]) -> Part:
+    """A part without the faces that look into others: it would be seen through these."""
+    return dataclasses.replace(part, faces=tuple(
+        face for face in part.faces
+        if not any(_holds(other, _ahead(part, face)) for other in others)
+    ))
+
+
+def _ahead(part: Part, face: tuple[int, ...]) -> Vectors:
+    """A point a little outside the middle of a face."""
+    points = part.corners[list(face)]
+    return np.asarray(points.mean(axis=0) + _OUTSIDE_M * face_normal(points))
+
+
+def _holds(part: Part, point: Vectors) -> bool:
+    """Whether a point is within a part, by the solid angle of its faces (van Oosterom, Strackee).
+
+    A part without ends holds nothing.
+    """
+    angle = 0.0
+    for face in part.faces:
+        first, *rest = part.corners[list(face)] - point
+        for second, third in itertools.pairwise(rest):
+            a, b, c = (math.sqrt(float(one @ one)) for one in (first, second, third))
+            volume = float(first @ np.cross(second, third))
+            angle += 2 * math.atan2(volume, a * b * c + c * float(first @ second)
+                                    + b * float(first @ third) + a * float(second @ third))
+    return angle > 3 * math.pi
 
 
 @cache
@@ -275,10 +311,14 @@ def _aircraft() -> tuple[Part, ...]:
 @cache
 def _vehicle() -> tuple[Part, ...]:
     """An airport's van, 5.4 m by 2.1 m by 2.2 m."""
+    body = _box((-2.65, 2.65), (-1.02, 1.02), (0.3, 1.12), PAINT)
     return (
-        *(_wheel(x, y, 0.37, 0.26) for x in (-1.7, 1.75) for y in (-0.92, 0.92)),
+        *(
+            _outside(_wheel(x, y, 0.37, 0.26), [body])
+            for x in (-1.7, 1.75) for y in (-0.92, 0.92)
+        ),
         *_with(
-            _box((-2.65, 2.65), (-1.02, 1.02), (0.3, 1.12), PAINT),
+            body,
             _box((-2.68, 2.68), (-1.03, 1.03), (0.42, 0.6), 'rubber', ends=False),
             _box((2.6, 2.69), (0.6, 0.95), (0.72, 0.92), 'white'),
             _box((2.6, 2.69), (-0.95, -0.6), (0.72, 0.92), 'white'),

@@ -19,7 +19,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from taxinet_ros.core import topics
-from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.user_code import (
     COMMAND,
     find_user_code,

@@ -24,13 +24,14 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun, gains_text
+from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
@@ -264,11 +265,10 @@ def _columns(answer: Topic, answers: dict[int, dict[str, list[Any]]]) -> Columns
 
 
 def _numbers(message: Any) -> dict[str, float]:
-    """Values of one answer, named as in a trace; none for an invalid estimate."""
+    """Values of one answer, named as in a trace; none for an unusable estimate."""
     if isinstance(message, interface.ESTIMATE.type):
-        if not message.valid:
-            return {}
-        return {'est_cte_m': message.cross_track_error, 'est_he_rad': message.heading_error}
+        seen = error_of(message)
+        return {'est_cte_m': seen.cte_m, 'est_he_rad': seen.he_rad} if seen.usable else {}
     if isinstance(message, interface.COMMAND.type):
         return {'steering_rad': message.steering_angle, 'speed_cmd_mps': message.speed}
     return {

@@ -18,10 +18,10 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing
 from taxinet_ros.core.user_code import is_node_elsewhere, node_command
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.node_process import NodeProcess, command_processes

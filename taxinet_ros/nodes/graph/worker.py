@@ -21,7 +21,7 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
-    from taxinet_ros.core.outcome import RunRequest, RunResult
+    from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 
 _BEAT_S = 1.0

@@ -58,15 +58,21 @@ def robustness_messages(
 
 
 def verdict_message(results: Sequence[Robustness]) -> Verdict:
-    """Verdict over all formulas; statistics of a taxi run are NaN here."""
+    """Verdict over all formulas; statistics of a taxi run are NaN here.
+
+    A formula whose windows hold no sample has the verdict UNKNOWN: the stretch is not complete.
+    """
     newest = results[0]
-    complete = all(result.final and result.valid for result in results)
+    complete = all(
+        result.final and result.valid and result.verdict != Robustness.UNKNOWN
+        for result in results
+    )
     return Verdict(
         header=newest.header,
         run_id=newest.run_id,
         specs=list(results),
         complete=complete,
-        satisfied=complete and all(result.rho_lower > 0 for result in results),
+        satisfied=complete and all(result.verdict == Robustness.SATISFIED for result in results),
         **dict.fromkeys(_FIGURES, math.nan),
     )
 

@@ -14,16 +14,16 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import check_free
-from taxinet_ros.core.judge import check_specs
-from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import LateCommands, rolling_on
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.core.verdict.judge import check_specs
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import SimulatedWorld, WorldMaker
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface

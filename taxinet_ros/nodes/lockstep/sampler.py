@@ -15,8 +15,8 @@ from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import Gid
@@ -90,6 +90,7 @@ class ScenarioSampler(Node):
         self._dead: set[Gid] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
+        self._active = self._aborted = self._cancelled = False
         self.interrupted = self.one_simulator = False
         self._request: RunRequest | None = None
         self.seq = 0
@@ -111,23 +112,23 @@ class ScenarioSampler(Node):
         """
         self._executor = executor
         self._finished = Future(executor=executor)
+        self._active, self._aborted = True, False
         self._requests, self._on_result = iter(requests), on_result
         executor.create_task(self._guarded(self._begin_next))
         return self._finished
 
+    # Signal handlers call the next two. The code that they interrupt may hold locks of rclpy, so
+    # they only leave word for :meth:`_watch`.
+
     def interrupt(self) -> None:
-        """Cancel the current run, take its result, and request no more."""
+        """Cancel the current run soon, take its result, and request no more."""
         self.interrupted = True
         self._silent_looks = 0
-        if self._goal is not None:
-            self._goal.cancel_goal_async()
 
     def abort(self) -> bool:
-        """End the campaign now with KeyboardInterrupt. False if none is active."""
-        if self._finished is None or self._finished.done():
-            return False
-        self._finished.set_exception(KeyboardInterrupt())
-        return True
+        """End the campaign soon with KeyboardInterrupt. False if none is active."""
+        self._aborted = True
+        return self._active
 
     def report_death(self, node: str, detail: str) -> None:
         """Report a dead node process: its run ends at once with the reason."""
@@ -168,6 +169,7 @@ class ScenarioSampler(Node):
             try:
                 action(*what, *came)
             except BaseException as error:
+                self._active = False
                 finished.set_exception(error)
 
         return guarded
@@ -177,7 +179,7 @@ class ScenarioSampler(Node):
         if request is None:
             self._finish()
             return
-        self._request, self.seq = request, 0
+        self._request, self.seq, self._cancelled = request, 0, False
         self._asked, self._last_heard = time.monotonic(), 0.0
         self._answer = Future(executor=self._executor)
         self._answer.add_done_callback(self._guarded(self._take_answer, request))
@@ -197,6 +199,7 @@ class ScenarioSampler(Node):
 
     def _finish(self) -> None:
         assert self._finished is not None
+        self._active = False
         if not self._finished.done():
             self._finished.set_result(None)
 
@@ -230,9 +233,13 @@ class ScenarioSampler(Node):
             )
             return
         self._goal = handle
-        if self.interrupted:
-            handle.cancel_goal_async()
+        self._cancel_if_interrupted()
         self._ask_result(handle, answer)
+
+    def _cancel_if_interrupted(self) -> None:
+        if self.interrupted and self._goal is not None and not self._cancelled:
+            self._cancelled = True
+            self._goal.cancel_goal_async()
 
     def _ask_result(self, handle: Any, answer: Future) -> None:
         handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
@@ -261,9 +268,14 @@ class ScenarioSampler(Node):
         self.seq = message.feedback.seq
 
     def _watch(self) -> None:
+        if self._aborted and self._active:
+            assert self._finished is not None
+            self._active = False
+            self._finished.set_exception(KeyboardInterrupt())
         answer = self._answer
         if answer is None or answer.done():
             return
+        self._cancel_if_interrupted()
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
         self._silent_looks += 1

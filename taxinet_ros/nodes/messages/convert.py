@@ -15,13 +15,13 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.run.message_values import reading_values, scenario_values
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
-from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
-from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
+from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import InfraError, InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import MAP_FRAME

@@ -9,6 +9,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 
+from taxinet_ros.processes.interrupts import interrupts_delayed
+
 
 class NodeExecutor:
     """Spins nodes on a ROS domain; a context manager that removes them from the graph at its end.
@@ -35,16 +37,18 @@ class NodeExecutor:
         return self
 
     def __exit__(self, *error: object) -> None:
-        try:
-            while self.nodes:
-                node = self.nodes.pop()
-                if hasattr(node, 'close'):  # other nodes have nothing to finish
-                    node.close()
-                self.executor.remove_node(node)
-                node.destroy_node()
-            self.executor.shutdown()
-        finally:
-            rclpy.try_shutdown(context=self.context)
+        # Half closed, rclpy would release the rest in an order in which C++ aborts the process.
+        with interrupts_delayed():
+            try:
+                while self.nodes:
+                    node = self.nodes.pop()
+                    if hasattr(node, 'close'):  # other nodes have nothing to finish
+                        node.close()
+                    self.executor.remove_node(node)
+                    node.destroy_node()
+                self.executor.shutdown()
+            finally:
+                rclpy.try_shutdown(context=self.context)
 
     def add(self, node: Any) -> None:
         """Add a node."""

@@ -32,7 +32,7 @@ from taxinet_ros.analysis.runs.features import (
 from taxinet_ros.campaign.rates import rate, share_bounds
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 
 INCUMBENT, CANDIDATE = 'incumbent', 'candidate'
 MARGIN, PLACE_MARGIN = 0.01, 0.05
@@ -155,7 +155,7 @@ def _refusal(
                 f'the margin is {100 * margin:g}')
     if more_off >= margin:
         return (f'may leave the runway up to {100 * more_off:.1f} points more often on '
-                f'{satisfied.pairs} scenes; the margin is {100 * margin:g}')
+                f'{off.pairs} scenes; the margin is {100 * margin:g}')
     if worse:
         most = max(worse, key=lambda name: worse[name])
         others = f', and in {len(worse) - 1} more places' if len(worse) > 1 else ''

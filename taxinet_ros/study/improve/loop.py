@@ -24,8 +24,8 @@ from taxinet_ros.analysis.causes.region import Region, part_of
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import card_path, load_model
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.journal import JournalOwner, open_journal

@@ -280,6 +280,11 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
             f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
             'evaluate with --sampler random'
         )
+    if runs.uncounted:
+        raise UsageError(
+            f'{path}: {runs.uncounted} of its runs follow one without a result; end the campaign '
+            'with --resume'
+        )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []
     some = ids[:: max(1, -(-len(ids) // SETTLED_RUNS))]

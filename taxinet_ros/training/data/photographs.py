@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
+from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
@@ -55,17 +56,20 @@ def photograph(
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth
     variation = draw_variation(np.random.default_rng((seed, index, 1)))
-    ground = _varied_ground(seed, block, scene.runway, scene.line, crossing=scene.crossing)
+    ground = _varied_ground(
+        seed, block, scene.runway, scene.line, scene.airport, crossing=scene.crossing
+    )
     camera = Camera(scene, ground)
     return variation.develop(camera.render(variation.misplaced(state), 0)), truth
 
 
 @lru_cache(maxsize=1)
 def _varied_ground(
-    seed: int, block: int, runway: Runway, track: Track, *, crossing: bool
+    seed: int, block: int, runway: Runway, track: Track, airport: AirportGround | None, *,
+    crossing: bool,
 ) -> NDArray[np.uint8]:
     style = varied_style(np.random.default_rng((seed, block, 2)))
-    return make_ground_atlas(dataclasses.replace(style, crossing=crossing), runway, track)
+    return make_ground_atlas(dataclasses.replace(style, crossing=crossing), runway, track, airport)
 
 
 _CHUNK = 16

@@ -15,15 +15,17 @@ from planted_runs import planted_runs, planted_table
 
 from taxinet_ros.analysis.campaign.cause_figures import clusters_picture
 from taxinet_ros.analysis.campaign.figures import clouds_picture, rho_picture
-from taxinet_ros.analysis.campaign.findings import analyse
+from taxinet_ros.analysis.campaign.findings import analyse, compare
 from taxinet_ros.analysis.campaign.folder import check_folder, write_analysis
 from taxinet_ros.analysis.campaign.report import campaign_report
+from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.causes.clusters import find_clusters, principal_axes
 from taxinet_ros.analysis.causes.predictors import grow_tree, holm, rank_features
+from taxinet_ros.analysis.experiment.pairs import paired_rates
 from taxinet_ros.analysis.report import page as report_page
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT
 from taxinet_ros.analysis.runs.bins import bins, medians
-from taxinet_ros.analysis.runs.campaign import distinct_labels
+from taxinet_ros.analysis.runs.campaign import difference, distinct_labels
 from taxinet_ros.analysis.runs.features import PAPER_FEATURES, TIME_OF_DAY
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed
@@ -91,6 +93,69 @@ def test_given_the_same_scenes_then_changes_are_counted_in_pairs(findings):
     assert one.changed.p < 0.001
     assert one.difference.low > 0
     assert len(one.in_causes) == len(findings.causes.found)
+
+
+def compared(folder, here, there, count=60, **columns):
+    """Comparison of campaigns of the same scenes, which fail in these runs."""
+    def table(failing, **more):
+        return planted_table(count, 1, lambda t: t['index'].isin(failing) * 1.0, **more)
+
+    one, other = (
+        planted_runs(frame, make(folder / name)) for name, frame in
+        (('one', table(here)), ('other', table(there, perception='better', **columns)))
+    )
+    return one, other, lambda: compare(one, other, find_causes(one))
+
+
+def make(folder):
+    folder.mkdir()
+    return folder
+
+
+def test_given_the_same_scenes_then_the_difference_and_its_significance_are_paired(tmp_path):
+    # 20 and 12 of 60 fail: of independent groups it would be chance, of pairs it is not.
+    runs, baseline, comparison = compared(tmp_path, range(20), range(12))
+    one = comparison()
+    pairs = paired_rates(baseline.failed.tolist(), runs.failed.tolist())
+    assert (one.paired, one.changed) == (True, (60, 8, 0, pytest.approx(2 * 0.5**8)))
+    assert one.difference == pytest.approx(pairs.difference)
+    assert not difference(runs.rate(), baseline.rate()).clear
+    words = one.sentence('network', runs.rate())
+    assert 'in the same scenes' in words
+    assert 'chance' not in words
+    assert '(p = 0.008)' in words
+
+
+def test_given_as_many_changes_to_either_side_then_they_may_be_chance(tmp_path):
+    runs, _, comparison = compared(tmp_path, range(20), range(5, 24))
+    assert ', which may be chance' in comparison().sentence('network', runs.rate())
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('wind_speed_mps', 5.0), ('place', 'bikf_10'), ('gust_seed', 3.0), ('traffic', '1_objects@0'),
+    ('camera', 'nose'), ('duration_s', 60.0), ('slope_percent', 1.0), ('shadows', False),
+])
+def test_given_scenes_that_differ_in_any_key_then_they_are_not_the_same(tmp_path, key, value):
+    _, _, comparison = compared(tmp_path, range(20), range(12), **{key: value})
+    one = comparison()
+    assert (one.paired, one.changed) == (False, None)
+
+
+def test_given_other_settings_then_the_comparison_names_them(tmp_path):
+    runs, baseline, comparison = compared(tmp_path, range(20), range(12))
+    same = {'specs': {'phi': 'always((cte <= 1))'}, 'gains': {}, 'world': 'kmwh'}
+    runs.facts.update(same, perception_sha256='0a')
+    baseline.facts.update(same, perception_sha256='0b')
+    assert comparison().differing == (), 'another network has other weights'
+    baseline.facts.update(
+        gains={'heading_gain': 1.0}, world='salt_lake', bounds=['cte=-25:25'],
+        specs={'phi': 'always((cte <= 2))'}, timing='latency perception=0.2',
+    )
+    one = comparison()
+    assert one.differing == ('gains', 'world', 'timing', 'assumed bounds', 'the formula phi')
+    assert 'Not known to be the same: gains, world' in one.sentence('network', runs.rate())
+    baseline.facts.clear()
+    assert 'no record' in comparison().sentence('network', runs.rate())
 
 
 def test_given_findings_then_every_table_has_its_columns_and_names_are_unique(findings):

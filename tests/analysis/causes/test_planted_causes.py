@@ -6,6 +6,7 @@ A cause's program draws scenes of the cause, and nothing else.
 from __future__ import annotations
 
 import itertools
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,14 @@ from hypothesis import strategies as st
 from planted_runs import planted_runs, planted_table
 from scipy.stats import hypergeom
 
-from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes
-from taxinet_ros.analysis.causes.program import cause_program, confirmation_command, program_name
+from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes, round_limits
+from taxinet_ros.analysis.causes.program import (
+    cause_program,
+    confirmation_command,
+    program_documents,
+    program_name,
+    why_no_program,
+)
 from taxinet_ros.analysis.causes.region import (
     Either,
     Interval,
@@ -344,6 +351,27 @@ def test_given_values_then_each_lies_in_its_own_cell(values, most):
     assert ends == sorted(ends), 'cells do not overlap'
 
 
+@pytest.mark.parametrize(('feature', 'low', 'high', 'rounded'), [
+    # Whole steps of 5 min; a gap of less than a step must not become the region.
+    ('time_of_day_h', 23.02, 0.99, (23.0, 1.0)), ('time_of_day_h', 12.03, 12.01, (12.03, 12.01)),
+    ('time_of_day_h', 12.05, 11.95, (12.05, 11.95)),
+    ('time_of_day_h', 12.02, 11.9, (12.0, 11 + 11 / 12)),
+    ('wind_direction_deg', 350.6, 9.2, (350.0, 10.0)),
+    ('wind_direction_deg', 90.7, 90.4, (90.7, 90.4)),
+])
+def test_given_an_interval_over_midnight_when_rounded_then_it_is_not_turned_inside_out(
+    feature, low, high, rounded,
+):
+    values = np.linspace(0.0, 359.0 if feature.startswith('wind') else 24.0, 2000)
+    region = Region(parts=(Interval(feature=feature, low=low, high=high),))
+    frame = pd.DataFrame({feature: values})
+    found = round_limits(region, frame)
+    (part,) = found.parts
+    assert (part.low, part.high) == pytest.approx(rounded)
+    assert (found.mask(frame) >= region.mask(frame)).all(), 'it holds at least what it held'
+
+
+FACTS = {'runs': 40, 'specs': {'phi': 'always((abs(cte) <= 8))'}}
 PARTS = (
     Slant(feature='cross_track_m', other='heading_deg', factor=-0.27, low=1.0, high=None),
     Kinds(feature='clouds', kinds=('overcast', 'stratus')),
@@ -356,6 +384,7 @@ PARTS = (
 def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path, form):
     table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
     runs = planted_runs(table, tmp_path)
+    runs.facts.update(FACTS)
     if form == 'short forms':  # the recorded program is of before keys had units
         text = find_program('s_falsif').read_text(encoding='utf-8')
         for short, key in SHORT_FORMS.items():
@@ -378,6 +407,68 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
     assert '--controller mine.py:steer' in confirmation_command(runs, cause, tmp_path)
 
 
+SETTINGS = {
+    'seed': 4, 'runs': 40, 'controller': 'steering', 'world': 'salt_lake',
+    'gains': {'cte_gain_rad_per_m': 0.25, 'heading_gain': 1.25},
+    'overrides': {'clouds': 'clear'}, 'laid_over': {'shadows': False},
+    'specs': {'other': 'always((speed <= 9))', 'phi': 'always((abs(cte) <= 8))'},
+    'stop_on': 'decided', 'bounds': ['cte=-25:25', 'speed=0:9'], 'rates': ['cte=3'],
+    'timing': 'latency perception=0.2',
+}
+
+
+def test_given_any_setting_then_the_command_of_a_cause_has_it(tmp_path):
+    table = planted_table(40, 1, lambda t: 0.5).assign(
+        program='s_falsif.scenic', perception='taxinet')
+    runs = planted_runs(table, tmp_path)
+    runs.facts.update(SETTINGS)
+    command = confirmation_command(runs, cause_of(PARTS[1]))
+    _, name, program, *words = shlex.split(command)
+    assert (name, program) == ('run', 'cause-1.scenic')
+    assert dict.fromkeys(zip(words[::2], words[1::2], strict=True)) == dict.fromkeys([
+        ('--runs', '100'), ('--seed', '1000007'), ('--images', 'none'),
+        ('--perception', 'taxinet'), ('--world', 'salt_lake'),
+        ('--spec', 'phi=always((abs(cte) <= 8))'), ('--stop-on', 'decided'),
+        # Of the speed no bound: without the requirement that reads it, it would be refused.
+        ('--bound', 'cte=-25:25'), ('--rate', 'cte=3'),
+        ('--set', 'clouds=clear'), ('--set', 'shadows=off'),
+        ('--set', 'steering.cte_gain_rad_per_m=0.25'), ('--set', 'steering.heading_gain=1.25'),
+        ('--latency', 'perception=0.2'),
+    ])
+
+
+def test_given_a_document_of_ones_own_then_the_command_of_a_cause_names_a_file_of_it(tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())
+    place = catalogue.typed_place(str(mine))
+    table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
+    runs = planted_runs(table, tmp_path)
+    runs.facts.update(FACTS, overrides={'place': place.reference})
+    words = shlex.split(confirmation_command(runs, cause_of(PARTS[1]), Path('analysis')))
+    name = f'place-{place.reference}.json'
+    assert f'place=analysis/{name}' in words
+    assert program_documents(runs) == {name: place.document}
+
+
+@pytest.mark.parametrize(('facts', 'perception', 'why'), [
+    ({}, 'taxinet', 'there is no campaign.json beside the table'),
+    (FACTS, '', 'was started before the campaign'),
+    ({**FACTS, 'program_text': '# --- a.scenic ---\n# --- b.scenic ---\n'}, 'taxinet', 'program'),
+    ({**FACTS, 'overrides': {'place': 'mine@0123456789ab'}}, 'taxinet', 'mine@0123456789ab'),
+])
+def test_given_settings_that_are_not_known_then_there_is_no_command(
+    tmp_path, facts, perception, why,
+):
+    table = planted_table(40, 1, lambda t: 0.5).assign(
+        program='s_falsif.scenic', perception=perception)
+    runs = planted_runs(table, tmp_path)
+    runs.facts.clear()
+    runs.facts.update(facts)
+    assert why in why_no_program(runs)
+    assert confirmation_command(runs, cause_of(PARTS[1])) is None
+    assert cause_program(runs, cause_of(PARTS[1])) is None
+
+
 PAPERS = """model runway_world
 param zulu_time = Range(6, 18) * 3600 + 8 * 3600
 weather = Options({(Uniform(0, 1, 2, 3, 4, 5), 0): 2, (Uniform(3, 4, 5), Range(0.25, 1)): 1})
@@ -396,7 +487,9 @@ def cause_of(*parts):
 @pytest.mark.parametrize('overrides', [{}, {'place': 'bikf_10'}])
 def test_given_a_program_in_the_papers_names_then_a_causes_program_speaks_them(tmp_path, overrides):
     runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
-    runs.facts.update(program_text=f'# --- mine.scenic ---\n{PAPERS}', overrides=overrides)
+    runs.facts.update(
+        FACTS, program_text=f'# --- mine.scenic ---\n{PAPERS}', overrides=overrides,
+    )
     cause = cause_of(
         Kinds(feature='clouds', kinds=('overcast', 'stratus')),
         Interval(feature='rain_percent', low=30.0, high=None),
@@ -417,7 +510,8 @@ def test_given_a_place_of_ones_own_then_a_causes_program_knows_it(tmp_path):
     mine.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())
     runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
     text = f'model runway_world\nparam place = Uniform("kmwh_04", "{mine}")\n'
-    runs.facts['program_text'] = f'# --- mine.scenic ---\n{text}ego = new Plane at (0, 400)\n'
+    text = f'# --- mine.scenic ---\n{text}ego = new Plane at (0, 400)\n'
+    runs.facts.update(FACTS, program_text=text)
     reference = catalogue.typed_place(str(mine)).reference
     assert reference != 'bikf_10'
     cause = cause_of(Kinds(feature='place', kinds=(reference,)))

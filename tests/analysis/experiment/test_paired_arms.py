@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from itertools import product
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.experiment.arms import PairedArms, paired_arms, pairs_frame
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates, paired_shift
@@ -22,8 +24,8 @@ from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.campaign.experiment import Arm, Experiment
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 
 COUNTS = st.integers(0, 40)
 RATES = st.builds(PairedRates, both=COUNTS, only_first=COUNTS, only_second=COUNTS, neither=COUNTS)
@@ -41,7 +43,7 @@ def test_given_newcombes_example_then_the_interval_is_his():
 def test_given_two_arms_when_exchanged_then_everything_is_mirrored(rates):
     other = PairedRates(both=rates.both, only_first=rates.only_second,
                         only_second=rates.only_first, neither=rates.neither)
-    assert other.p_value == pytest.approx(rates.p_value)
+    assert other.p_value == pytest.approx(rates.p_value, nan_ok=True)
     if rates.pairs:
         one, two = rates.difference, other.difference
         assert (two.value, two.low, two.high) == pytest.approx((-one.value, -one.high, -one.low))
@@ -55,7 +57,8 @@ def test_given_pairs_that_differ_then_the_test_counts_all_ways_that_are_as_uneve
     uneven = abs(one - other)
     ways = sum(math.comb(total, k) for k in range(total + 1) if abs(2 * k - total) >= uneven)
     rates = PairedRates(both=same, only_first=one, only_second=other, neither=same)
-    assert rates.p_value == pytest.approx(ways / 2**total)
+    expected = ways / 2**total if rates.pairs else math.nan
+    assert rates.p_value == pytest.approx(expected, nan_ok=True)
 
 
 def test_given_pairs_that_are_all_equal_then_zero_is_within_and_nothing_is_proven():
@@ -124,6 +127,48 @@ def test_given_figures_that_an_arm_does_not_have_then_the_pair_is_left_out():
     assert (shift.change.value, shift.p_value) == (0.5, 1.0)
     assert math.isnan(shift.change.low)
     assert math.isnan(paired_shift([], []).change.value)
+
+
+def test_given_no_pair_then_no_p_value_is_stated():
+    assert math.isnan(paired_shift([], []).p_value)
+    assert math.isnan(paired_rates([], []).p_value)
+    rates = experiment_json(found([None], [None]))['comparisons'][0]
+    assert rates['satisfied']['mcnemar_p'] is None
+    assert rates['rho']['wilcoxon_p'] is None
+
+
+def test_given_runs_that_were_stopped_then_what_is_not_known_of_them_is_in_no_rate():
+    on = [row(0, -1.0, shadows=True), row(1, -20.0, shadows=True), row(2, -1.0, shadows=True)]
+    stopped = dataclasses.replace(
+        row(1, -1.0, shadows=False), stopped_early=True, left_runway=None, settle_time_s=None)
+    off = [row(0, 1.0, shadows=False), stopped, row(2, -20.0, shadows=False)]
+    arms = paired_arms(ASKED, {'on': on, 'off': off})
+    (one,) = arms.comparisons
+    assert one.satisfied.pairs == 3
+    assert one.off_runway == PairedRates(both=0, only_first=0, only_second=1, neither=1)
+    assert one.settled == PairedRates(both=0, only_first=0, only_second=1, neither=1)
+    words = ' '.join(experiment_sentences(arms))
+    assert 'In 1 pairs a run was stopped before it was known' in words
+    lines = experiment_report(arms).sections[0].tables[0].rows
+    assert [line[4] for line in lines] == [1, None]
+
+
+@pytest.mark.parametrize(('formula', 'unit', 'axis'), [
+    ('always(abs(cte) <= 2)', ' m', ' [m]'), ('always(abs(he) <= 5 deg)', ' rad', ' [rad]'),
+    ('always(speed <= 9)', ' m/s', ' [m/s]'), ('always(unusable_share <= 0.1)', '', ''),
+    ('always(cte <= 2 and he <= 1)', '', ''), ('always(estimate_gap <= 2)', ' s', ' [s]'),
+])
+def test_given_a_formula_then_its_robustness_has_its_own_unit(formula, unit, axis):
+    asked = dataclasses.replace(ASKED, specs=(f'own={formula}',))
+    arms = dataclasses.replace(WORSE, experiment=asked)
+    words = ' '.join(experiment_sentences(arms))
+    assert f'rho typically changes by +1.50{unit} (95' in words
+    figure = Figure()
+    experiment_report(arms).sections[1].pictures[0].draw(figure, LIGHT)
+    assert figure.axes[0].get_ylabel() == f'change of ρ{axis}'
+    figure = Figure()
+    experiment_report(arms).sections[0].pictures[0].draw(figure, LIGHT)
+    assert figure.axes[0].get_ylabel() == f'ρ of own{axis}'
 
 
 ASKED = Experiment(

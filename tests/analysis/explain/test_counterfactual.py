@@ -18,13 +18,13 @@ from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.camera.camera import WING, Camera
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import SimulatedWorld
 
 GAINS = SteeringGains()

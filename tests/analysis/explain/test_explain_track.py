@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from taxinet_ros.analysis.explain.explain import error_words, misled_words
 from taxinet_ros.analysis.explain.track import APART_NS, Track, choose_rows
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import TrackingError

@@ -11,7 +11,7 @@ from taxinet_ros.analysis.explain.occlusion import (
     patches,
 )
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH
-from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.types import TrackingError
 
@@ -58,6 +58,23 @@ def test_given_a_network_that_reads_one_part_then_the_map_finds_it(frame, rows, 
     assert not found.he_rad.any()
     assert found.weight_rad.max() == pytest.approx(
         -found.cte_m.min() * GAINS.cte_gain_rad_per_m)
+
+
+@pytest.mark.parametrize(('cte_m', 'effect'), [(0.0, 1.0), (8.4, 0.35 / 0.8), (12.0, 0.0)])
+def test_given_an_estimate_at_the_intercept_limit_then_only_what_turns_counts(
+    frame, cte_m, effect,
+):
+    """Covers move the cross-track estimate by 0.8 m; beyond 8.75 m none changes the command."""
+    def look(image):
+        covered = not np.array_equal(image, frame)
+        return TrackingError(cte_m=cte_m + 0.8 * covered, he_rad=0.0)
+
+    found = occlusion_map(look, frame, GAINS)
+    limit_m = GAINS.max_intercept_rad / GAINS.cte_gain_rad_per_m
+    assert limit_m == pytest.approx(8.75)
+    assert found.cte_m.max() == pytest.approx(0.8)
+    assert found.weight_rad.max() == pytest.approx(
+        effect * 0.8 * GAINS.cte_gain_rad_per_m, abs=1e-12)
 
 
 def test_given_a_network_that_does_not_look_then_nothing_matters(frame):

@@ -6,6 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -88,9 +89,71 @@ def test_given_a_search_without_draws_then_there_is_no_rate(sampler, tmp_path):
 
 
 def test_given_a_group_in_which_nothing_was_drawn_then_it_has_no_interval():
-    found = group_rate(np.array([True] * 7 + [False]), np.zeros(8))
-    assert found.rate == 7 / 8
-    assert math.isnan(found.low)
+    failed = np.array([True] * 7 + [False])
+    unknown = group_rate(failed, np.full(8, math.nan))
+    assert unknown.rate == 7 / 8
+    assert math.isnan(unknown.low)
+    # Other runs of the campaign were drawn, so a share of these would pass for a rate.
+    of_others = group_rate(failed, np.zeros(8))
+    assert (of_others.runs, of_others.failures) == (8, 7)
+    assert math.isnan(of_others.rate)
+    assert math.isnan(of_others.low)
+    assert of_others.words() == 'no rate, as the program itself drew none of them'
+
+
+def test_given_undecided_runs_then_there_are_bounds_and_no_rate(tmp_path):
+    """Runs stop when the headline fails; the other formula fails always along with it."""
+    failed = np.arange(200) % 2 == 0
+    frame = table(200).assign(
+        outcome=np.where(failed, 'FAIL', 'PASS'), rho_phi=np.where(failed, math.nan, 1.0),
+        rho_other=np.where(failed, math.nan, 1.0), stopped_early=failed,
+        left_runway=pd.array([None if one else False for one in failed], dtype='boolean'),
+    )
+    frame['rho_lower.phi'] = np.where(failed, -3.0, 1.0)
+    frame['rho_upper.phi'] = np.where(failed, -1.0, 1.0)
+    frame['rho_lower.other'] = np.where(failed, -5.0, 1.0)
+    frame['rho_upper.other'] = np.where(failed, 4.0, 1.0)
+    runs = planted_runs(frame, tmp_path, 'other')
+    assert (runs.undecided, runs.weighting) == (100, Weighting.UNDECIDED)
+    assert not runs.weighting.rated
+    assert runs.bounds == (rate(0, 200).low, rate(100, 200).high)
+    assert math.isnan(runs.rate().low)
+    assert runs.off_runway() is None, 'half of the runs were stopped before it was known'
+    words = rate_sentences(runs)[0]
+    assert 'no failure rate of it' in words
+    assert f'at most {100 * rate(100, 200).high:.1f} %' in words
+    headline = planted_runs(frame, tmp_path)
+    assert headline.weighting is Weighting.DRAWN
+    assert headline.rate()[2:5] == rate(100, 200)
+
+
+def test_given_an_interrupted_campaign_then_runs_after_a_gap_do_not_count(tmp_path):
+    frame = table(60)
+    frame = frame[~frame['index'].isin([50, 52])].reset_index(drop=True)
+    (tmp_path / 'campaign.json').write_text('{"runs": 60}')
+    frame.to_parquet(tmp_path / 'runs.parquet')
+    runs = read_runs(tmp_path)
+    assert (runs.weighting, runs.anytime, runs.uncounted) == (Weighting.DRAWN, True, 8)
+    failures = int((frame['outcome'] == 'FAIL')[:50].sum())
+    assert runs.rate()[2:5] == rate(failures, 50, anytime=True)
+    assert 'chosen by' not in rate_sentences(runs)[0]
+    assert any('8 of the runs are in no rate' in line for line in runs.warnings)
+
+
+def test_given_a_table_alone_then_what_is_assumed_is_said(tmp_path):
+    frame = table(60)
+    path = tmp_path / 'mine.parquet'
+    frame.to_parquet(path)
+    runs = read_runs(path)
+    assert not runs.anytime
+    assert 'their number was fixed beforehand' in runs.unrecorded
+    assert 'their program drew them' not in runs.unrecorded
+    frame.drop(columns=['sampler']).to_parquet(path)
+    assert 'their program drew them' in read_runs(path).unrecorded
+    frame[frame['index'] != 20].to_parquet(path)
+    gap = read_runs(path)
+    assert (gap.anytime, gap.uncounted) == (True, 39)
+    assert planted_runs(frame, tmp_path).unrecorded == ''
 
 
 def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_any(tmp_path):

@@ -16,7 +16,6 @@ from taxinet_ros.analysis.runs.features import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     DURATION,
@@ -25,7 +24,9 @@ from taxinet_ros.core.scenario_fields import (
     GUST_SEED,
     PUSHING_FIELDS,
     SCENARIO_FIELDS,
+    TRAFFIC,
 )
+from taxinet_ros.core.verdict.outcome import Outcome
 
 PUSHED = {
     'wind_speed_mps': 8.0, 'wind_direction_deg': 270.0, 'gust_mps': 2.0, 'gust_seed': 3.0,
@@ -50,10 +51,11 @@ FAILING = {
 }
 
 
-def test_given_the_rows_then_each_is_a_feature_but_length_and_seeds():
+def test_given_the_rows_then_each_is_a_feature_but_length_seeds_and_traffic():
     sources = {feature.source for feature in ALL_FEATURES}
     assert sources == {
-        field.key for field in SCENARIO_FIELDS if field not in (DURATION, GUST_SEED, FAULT_SEED)
+        field.key for field in SCENARIO_FIELDS
+        if field not in (DURATION, GUST_SEED, FAULT_SEED, TRAFFIC)
     }
 
 

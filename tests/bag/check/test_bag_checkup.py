@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 from bag_faults import chunks_of
-from bag_samples import Sample
+from bag_samples import Sample, serialise, store
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
-from whole_runs import PER_STEP, STEPS, run_messages, run_topics, write_run
+from whole_runs import PER_STEP, SPECS, STEPS, TYPES, run_messages, run_topics, write_run
 
 from taxinet_ros.bag.check.doctor import Checkup, check_bag
 from taxinet_ros.bag.check.findings import ranges
@@ -111,6 +111,51 @@ def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_p
     assert set(found) == {'verdict'}
     assert any(text.startswith(f'step {STEPS - 1}: phi_eventually') for text in found['verdict'])
     assert any('monitor/verdict' in text for text in found['verdict'])
+
+
+@pytest.mark.parametrize(('name', 'other'), [
+    ('left_runway', True), ('max_cross_track_error', 99.0), ('settle_time', 0.7),
+    ('estimate_he_error_mean', 1.0), ('unusable_estimates', 9), ('satisfied', False),
+    ('complete', False), ('stopped_early', True), ('run_id', 'other'),
+])
+def test_given_a_verdict_with_another_figure_when_checked_then_it_is_named(
+    tmp_path: Path, name: str, other: object
+) -> None:
+    def forged(messages: list[Sample]) -> list[Sample]:
+        return [_with_verdict(sample, **{name: other}) for sample in messages]
+
+    found = wrong(rewritten(tmp_path, forged))
+    assert set(found) == {'verdict'}
+    (text,) = found['verdict']
+    assert text.startswith(f'monitor/verdict: {name}: recorded {other!r}, from the messages ')
+
+
+@pytest.mark.parametrize('kept', [0, 1])
+def test_given_a_verdict_without_a_formula_when_checked_then_it_is_named(
+    tmp_path: Path, kept: int
+) -> None:
+    def forged(messages: list[Sample]) -> list[Sample]:
+        return [_with_verdict(sample, kept=kept) for sample in messages]
+
+    found = wrong(rewritten(tmp_path, forged))
+    starts = [
+        f'monitor/verdict: {name}: recorded nothing, from the truth [' for name in SPECS[kept:]
+    ]
+    assert len(found['verdict']) == len(starts)
+    assert all(map(str.startswith, found['verdict'], starts))
+
+
+def _with_verdict(sample: Sample, kept: int = 2, **values: object) -> Sample:
+    """The sample; if it is the verdict, with the first formulas only and with other values."""
+    name, stamp, cdr = sample
+    if name != '/monitor/verdict':
+        return sample
+    kind = TYPES[name]
+    verdict = store().deserialize_cdr(cdr, kind)
+    verdict.specs = verdict.specs[:kept]
+    for field, value in values.items():
+        setattr(verdict, field, value)
+    return name, stamp, serialise(verdict)
 
 
 def test_given_time_that_goes_back_when_checked_then_it_is_told(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from bag_edits import GOLDEN, SEEN, altered, unaltered
 from bag_samples import STEP_NS, samples, serialise, step_messages, topics, write_bag
+from mcap.writer import Writer
 
 from taxinet_ros.bag.check.compare import (
     STACK_FILE,
@@ -86,6 +87,36 @@ def test_given_minus_zero_against_zero_then_it_differs_unless_tolerated(tmp_path
     assert struct.pack('<d', -0.0) != struct.pack('<d', 0.0)
     assert list(differing(compare_bags(*pair))) == ['/ground_truth/tracking_error']
     assert not differing(compare_bags(*pair, tolerance=1e-12))
+
+
+def foreign(path: Path, numbers, kind='x_msgs/msg/A') -> Path:
+    """A bag of another recorder, with one message that holds an array of numbers."""
+    with path.open('wb') as file:
+        bag = Writer(file)
+        bag.start(profile='ros2')
+        schema = bag.register_schema(kind, 'ros2msg', b'float64[3] v')
+        channel = bag.register_channel('/a', 'cdr', schema)
+        bag.add_message(channel, 10, b'\0\1\0\0' + struct.pack('<3d', *numbers), 10)
+        bag.finish()
+    return path
+
+
+def test_given_minus_zero_against_zero_in_an_array_then_it_differs_unless_tolerated(tmp_path):
+    pair = [foreign(tmp_path / f'{x}.mcap', (1.0, x, math.nan)) for x in (0.0, -0.0)]
+    (found,) = differing(compare_bags(*pair)).values()
+    assert (found.first.field, found.first.values) == ('v[1]', ('0.0', '-0.0'))
+    assert not differing(compare_bags(*pair, tolerance=1e-12))
+    assert not differing(compare_bags(pair[0], pair[0]))
+
+
+@pytest.mark.parametrize('tolerance', [0.0, 1e9])
+def test_given_the_same_bytes_of_another_type_then_the_types_are_named(tmp_path, tolerance):
+    pair = [
+        foreign(tmp_path / f'{kind}.mcap', (0.0, 1.0, 2.0), f'x_msgs/msg/{kind}')
+        for kind in ('A', 'B')
+    ]
+    (found,) = differing(compare_bags(*pair, tolerance=tolerance)).values()
+    assert (found.first.field, found.first.values) == ('type', ('x_msgs/msg/A', 'x_msgs/msg/B'))
 
 
 @pytest.mark.parametrize('tolerance', [0.0, 1e9])

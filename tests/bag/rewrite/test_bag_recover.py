@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import bag_samples
 import pytest
 from bag_faults import PER_STEP, STEPS, chunk, chunks_of, declarations, file_with, read_all
 from bag_samples import samples
+from mcap.reader import make_reader
 from mcap.records import Channel, Message
+from mcap.writer import Writer
 from whole_runs import run_messages, write_run
 
 from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty
-from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
+from taxinet_ros.bag.reader import read_attachment, read_info, read_messages, stored_messages
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.storage.records import encode
 
@@ -110,3 +113,59 @@ def test_given_an_older_recorders_bag_when_recovered_then_what_it_did_not_note_i
     (topic,) = info.topics
     assert topic.type_hash == definition_hash(topic)
     assert topic.qos == '[]\n'
+
+
+def _foreign(path: Path, *, other_type: bool) -> Path:
+    """A bag as no recorder of ours writes it: names come twice, published is not logged."""
+    with path.open('wb') as file:
+        bag = Writer(file)
+        bag.start(profile='ros2')
+        text = bag.register_schema('std_msgs/msg/String', 'ros2msg', b'string data\n')
+        number = bag.register_schema('std_msgs/msg/Int32', 'ros2msg', b'int32 data\n')
+        same = bag.register_schema('std_msgs/msg/String', 'ros2msg', b'# a remark\nstring data\n')
+        channels = [bag.register_channel('/a', 'cdr', schema) for schema in (text, same, number)]
+        for k, channel in enumerate(channels[:2 + other_type]):
+            data = struct.pack('<i', 7) if channel == channels[2] else b'\2\0\0\0x\0'
+            bag.add_message(channel, 10 * k + 10, b'\0\1\0\0' + data, 3 + k)
+        for k in (1, 2):
+            bag.add_attachment(k, k + 5, 'n', 'text/markdown', b'%d' % k)
+            bag.add_attachment(k, k, 'manifest.json', 'text/plain', b'%d' % k)
+            bag.add_metadata('m', {'a': str(k)})
+        bag.finish()
+    return path
+
+
+def _beside_messages(path: Path) -> list[object]:
+    with path.open('rb') as file:
+        reader = make_reader(file)
+        own = ('rosbag2', 'taxinet')
+        attachments = [one for one in reader.iter_attachments() if b'taxinet_ros' not in one.data]
+        return [*attachments, *(m for m in reader.iter_metadata() if m.name not in own)]
+
+
+def test_given_another_recorders_bag_when_recovered_then_times_and_repeated_names_are_kept(
+    tmp_path: Path,
+) -> None:
+    source = _foreign(tmp_path / 'foreign.mcap', other_type=False)
+    outcome = recover(source, tmp_path / 'saved')
+    assert outcome.damage == ()
+    assert [tuple(m)[1:] for m in stored_messages(outcome.bag.mcap)] == [
+        tuple(m)[1:] for m in stored_messages(source)
+    ]
+    assert [m.published_ns for m in stored_messages(outcome.bag.mcap)] == [3, 4]
+    expected = _beside_messages(source)
+    assert len(expected) == 6
+    assert _beside_messages(outcome.bag.mcap) == expected
+    again = recover(tmp_path / 'saved', tmp_path / 'again')
+    assert _beside_messages(again.bag.mcap) == expected
+
+
+def test_given_a_topic_of_two_types_when_recovered_then_what_is_left_out_is_told(
+    tmp_path: Path,
+) -> None:
+    outcome = recover(_foreign(tmp_path / 'foreign.mcap', other_type=True), tmp_path / 'saved')
+    assert outcome.damage == (
+        "left out: topic '/a': 1 messages of type std_msgs/msg/Int32, as it is declared with "
+        'another: std_msgs/msg/String',
+    )
+    assert (outcome.declared, outcome.saved) == (3, 2)

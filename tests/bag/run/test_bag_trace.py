@@ -28,8 +28,8 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 
 STEPS = 4
 TOPICS = {topic.name: topic for topic in topics()}

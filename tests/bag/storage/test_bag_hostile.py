@@ -218,7 +218,7 @@ def test_f8_given_a_dense_recording_of_ours_then_no_limit_is_near(tmp_path: Path
     topic = TopicInfo(name='/t', type='a/msg/B', qos='', definition='uint8 x', type_hash='')
     bag = StorageFile(tmp_path / 'dense.mcap', topics=[topic], library='x')
     for number in range(50_000):
-        bag.add_message('/t', b'\0\1\0\0\1', number * 10_000_000)
+        bag.add_message('/t', b'\0\1\0\0\1', number * 10_000_000, 0)
     bag.finish()
     bag.output.close()
     size = (tmp_path / 'dense.mcap').stat().st_size

@@ -19,7 +19,7 @@ from taxinet_ros.bench.run import SUBJECTS, run_subjects
 from taxinet_ros.bench.subjects import closed_loop, graph
 from taxinet_ros.bench.subjects.closed_loop import PARTS, TRANSPORT, WHOLE
 from taxinet_ros.bench.subjects.graph import StandingGraph
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes import interface
 

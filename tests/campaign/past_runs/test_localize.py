@@ -29,11 +29,11 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
 SPEC = 'phi_eventually'

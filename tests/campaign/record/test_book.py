@@ -18,9 +18,9 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
 from taxinet_ros.core.documents import canonical
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import RecordError, UsageError
 
 SCENE = Scenario(duration_s=1.0)

@@ -17,12 +17,12 @@ from taxinet_ros.campaign.record.ledger import Ledger, other_campaign, read_ledg
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.cli import main as cli
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS, other_form
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.errors import UsageError
 
 

@@ -20,11 +20,11 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
-from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.errors import UsageError
 
 SPECS = ('phi_eventually', 'near')

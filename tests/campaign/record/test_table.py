@@ -14,12 +14,12 @@ from scipy.stats import binom
 from taxinet_ros.campaign.rates import failure_rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table, table, write_tables
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import UsageError
 
 SPECS = ('phi_eventually', 'phi_always')

@@ -61,6 +61,33 @@ def test_given_random_places_then_they_are_dimensions_and_points_set_them(tmp_pa
         assert source.scene(5) == source.scene(5) != source.scene(6)
 
 
+@pytest.mark.parametrize('by', ['the program', 'the command line'])
+def test_given_a_track_then_objects_are_placed_along_it_as_the_aircraft_is(tmp_path, by):
+    text = """ego = new Plane at (1, 380)
+new Cone at (3, 395), facing 20 deg
+new Vehicle at (-6, 80), facing 90 deg, with behavior CrossRunway(5)
+new Vehicle at (2, 250), with behavior GoStraight(5, 60)
+new Person ahead of ego by 10
+"""
+    own, overrides = ("param track = 'exit_left'\n", {}) if by == 'the program' else (
+        '', {'track': 'exit_left'}
+    )
+    path = program(tmp_path, 'model runway_world\n' + own + text)
+    with SceneSource(path, seed=1, overrides=overrides) as source:
+        scene = source.scene(0)
+    line = scene.line
+    cone, across, straight, person = scene.others.objects
+    at = line.measure(cone.x_m, cone.y_m, math.radians(cone.heading_deg))
+    assert at == pytest.approx((395, -3, math.radians(20)))
+    ends = [line.measure(one.x_m, one.y_m)[:2] for one in (across, across.path[0])]
+    assert ends == [pytest.approx((80, 6)), pytest.approx((80, -6))]
+    # In the bend of 90 deg: straight ahead, the way it faces.
+    assert math.hypot(straight.path[0].x_m - straight.x_m, straight.path[0].y_m - straight.y_m) \
+        == pytest.approx(60)
+    assert straight.pose_at(0).heading_rad == pytest.approx(math.radians(straight.heading_deg))
+    assert line.measure(person.x_m, person.y_m)[1] == pytest.approx(-1)
+
+
 def test_given_an_override_then_the_objects_of_the_program_are_not_there_nor_searched(tmp_path):
     path = program(tmp_path, BUSY.replace('(0, 400)', '(Range(-3, 3), 400)'))
     with SceneSource(path, seed=1, overrides={'traffic': 'nobody'}) as source:

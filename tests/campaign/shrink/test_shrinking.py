@@ -36,13 +36,13 @@ from taxinet_ros.campaign.shrink.shrinking import (
     result_lines,
     run_command,
 )
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.traffic.traffic_file import load_traffic
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.errors import UsageError
 
 NAME = 'phi_eventually'

@@ -14,11 +14,11 @@ from taxinet_ros.bag.run import facts
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import SimulatedWorld
 
 pytestmark = pytest.mark.ros

@@ -202,6 +202,19 @@ def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(wh
         assert one.interval.lower < one.interval.upper
 
 
+def test_given_a_run_without_its_first_step_then_nothing_is_known(whole):
+    (samples,) = run_samples(open_recording(whole))
+    late = dataclasses.replace(
+        samples, samples=samples.samples[1:], stamps_ns=samples.stamps_ns[1:],
+        there=samples.there[1:],
+    )
+    for text in (*samples.specs, 'cte <= 99', 'always[0.1:inf](cte <= 99)'):
+        one, readings = judge_spec(late, parse_spec(text))
+        assert one.verdict is BagVerdict.INCOMPLETE
+        assert (one.interval, one.decided_s) == ((-math.inf, math.inf), None)
+        assert len(readings) == len(late.stamps_ns)
+
+
 def test_given_new_requirements_when_added_then_the_table_keeps_them_for_good(campaign, capsys):
     before = read_table(campaign)
     events = (campaign / 'ledger.jsonl').read_bytes()

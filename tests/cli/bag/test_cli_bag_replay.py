@@ -44,6 +44,10 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
     assert '11 of 11 equal re-rendered ones, bit for bit' in out
     code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
     assert (code, out.split(':')[0]) == (0, 'nothing to do')
+    code, _, err = taxinet('bag', 'render', tmp_path / 'new', '--out', 'newer')
+    assert code == 2
+    assert '--out newer: nothing to render for it: all 11 frames are in' in err
+    assert not Path('newer').exists()
     assert taxinet('bag', 'render', again, '--out', tmp_path / 'new')[0] == 2
 
 
@@ -129,7 +133,7 @@ def _with_other_commands(source: Path, folder: Path) -> None:
     with BagWriter(
         folder, info.topics, metadata={}, attachments={}, min_free_bytes=0
     ) as bag:
-        for topic, stamp_ns, cdr in stored_messages(source):
+        for topic, stamp_ns, cdr, _ in stored_messages(source):
             if topic.name == '/taxi_command' and stamp_ns == 400_000_000:
                 cdr = cdr[:-1] + bytes([cdr[-1] ^ 1])
             bag.write(topic.name, cdr, stamp_ns)

@@ -16,7 +16,7 @@ from taxinet_ros.campaign.record.resumption import facts_of_graph
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.run.commands import falsify
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 
 pytestmark = pytest.mark.ros

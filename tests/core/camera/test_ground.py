@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground import atlas as ground
 from taxinet_ros.core.camera.ground.pavement import (
@@ -21,6 +20,7 @@ from taxinet_ros.core.camera.ground.pavement import (
     varied_style,
 )
 from taxinet_ros.core.camera.texture import build_ripmap
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.scenario import Scenario

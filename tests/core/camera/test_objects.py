@@ -7,6 +7,7 @@ import pytest
 
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.camera.light import LUMINANCE
+from taxinet_ros.core.rig.catalogue import find_camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic import KINDS
 from taxinet_ros.core.traffic.traffic_file import load_traffic
@@ -120,6 +121,22 @@ def test_given_an_object_around_the_camera_then_the_picture_is_finite_and_whole(
         assert image.shape == (200, 360, 3)
 
 
+@pytest.mark.parametrize('width_m', [6, 20, 60])
+def test_given_a_mark_that_begins_behind_the_camera_then_its_edges_are_where_they_project(width_m):
+    mark = there('painted_over', 20, 0, width_m=width_m, length_m=100, colour='red')
+    camera = find_camera('nose')
+    looks = {'traffic': load_traffic([mark]), 'shadows': False, 'camera': 'nose'}
+    frame = Camera(Scenario(**looks)).render(STATE, 0).astype(float)
+    red = frame[..., 0] > 2 * frame[..., 1]
+    for left_m in (-width_m / 2, width_m / 2):
+        for ahead_m in (10, 15, 25, 40):
+            for beside_m in (-0.1, 0.1):
+                point = (400 + ahead_m, left_m * (1 + beside_m), 0)
+                [(u, v)], _ = project(STATE, np.array([point]), camera)
+                if 2 < u < 637 and 2 < v < 397:
+                    assert red[round(v), round(u)] == (beside_m < 0), point
+
+
 def test_given_equal_scenes_then_equal_bytes_whatever_was_rendered_before():
     objects = [there('aircraft', 40, -12), there('vehicle', 20, 0), there('tyre_marks', 20, -3)]
     scene = Scenario(traffic=load_traffic(objects), clouds='broken')
@@ -128,3 +145,20 @@ def test_given_equal_scenes_then_equal_bytes_whatever_was_rendered_before():
     one.render(STATE, 7 * 10**9)
     np.testing.assert_array_equal(one.render(STATE, 0), first)
     np.testing.assert_array_equal(Camera(scene).render(STATE, 0), first)
+
+
+def test_given_a_van_then_what_is_on_its_other_side_is_not_seen_through_it():
+    def counts(heading_deg):
+        near_van = changed(there('vehicle', 14, 0, heading_deg=heading_deg), **DULL)[:2]
+        red, green, blue = picture(
+            there('vehicle', 14, 0, heading_deg=heading_deg), **DULL
+        )[near_van].T
+        tail_lights = (red > 2 * green) & (red > 60) & (green < blue + 15)
+        headlights = (blue > 150) & (red < 1.15 * blue)
+        return tail_lights.sum(), headlights.sum()
+
+    (rear_red, rear_white), (front_red, front_white) = counts(0), counts(180)
+    assert rear_red > 10
+    assert rear_white == 0
+    assert front_white > 10
+    assert front_red == 0

@@ -20,8 +20,8 @@ import pytest
 from numpy.typing import NDArray
 from picture_samples import FOCAL, OPEN, Picture, at, ground_points, luminance, pixels, shot
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera, project
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import edge_stripe_y_m
 from taxinet_ros.core.scenario import Scenario

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.core.judge import Judge, check_specs
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -22,6 +21,7 @@ from taxinet_ros.core.mtl import (
     robustness,
 )
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judge import Judge, check_specs
 from taxinet_ros.errors import UsageError
 
 S = 1_000_000_000

@@ -73,6 +73,20 @@ def test_given_a_bad_requirement_when_read_then_one_line_says_why(text: str, mes
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.parametrize(('name', 'unit'), [('phi_always', 'rad'), ('usable', 'm')])
+def test_given_signals_in_other_units_when_a_shipped_formula_reads_them_then_refused(
+    name: str, unit: str
+) -> None:
+    signals = signal_names(SHIPPED[name].formula)
+    first, told = signals[0], SIGNALS[signals[0]]
+    for accepted in (told, ''):
+        assert parse_spec(name, signals=dict.fromkeys(signals, '') | {first: accepted})
+    with pytest.raises(
+        UsageError, match=f'spec {name}: reads {first} in {told}, here it is in {unit}$'
+    ):
+        parse_spec(name, signals=dict.fromkeys(signals, unit))
+
+
 def test_given_a_shipped_name_with_its_own_formula_when_read_then_it_is_accepted() -> None:
     assert parse_spec('phi_always = G abs(cte) <= 1.5') == SHIPPED['phi_always']
 

@@ -97,6 +97,28 @@ def test_given_ground_when_read_then_areas_lines_and_routes_are_in_the_runways_f
     assert (route.name, route.one_way, route.on_runway) == ('A', True, False)
 
 
+def test_given_nodes_with_types_when_read_then_each_part_is_a_line_of_its_own(tmp_path):
+    ground = """\
+110 1 0.25 0 taxiway
+111 50.001 8.002 3
+111 50.001 8.004 3 102
+111 50.002 8.004 102
+113 50.002 8.002
+120 line
+111 50.0005 8.002 1
+111 50.0005 8.003 51
+111 50.0005 8.004 51
+115 50.0005 8.005
+120 light
+111 50.0005 8.002 101
+115 50.0005 8.003
+"""
+    place = read_airport_place(written(tmp_path, HEADER + RUNWAYS + ground + AFTER), 'XTST', '09')
+    assert [(line.style, len(line.points)) for line in place.lines] == [(3, 3), (1, 2), (51, 3)]
+    assert place.lines[1].points[-1] == place.lines[2].points[0]
+    assert place.pavements[0].outline[:3] == place.lines[0].points
+
+
 def test_given_a_packed_file_when_read_then_it_is_the_same_place(tmp_path):
     path = written(tmp_path)
     packed = tmp_path / 'apt.dat.gz'
@@ -104,6 +126,16 @@ def test_given_a_packed_file_when_read_then_it_is_the_same_place(tmp_path):
     there = read_airport_place(path, 'XTST', '09')
     assert read_airport_place(packed, 'XTST', '09') == there
     assert find_place(there.document).runway == there.runway
+
+
+def test_given_a_file_that_is_written_again_then_its_new_airport_is_read(tmp_path):
+    there = typed_place(f'{written(tmp_path)}:XTST/09')
+    assert typed_place(f'{tmp_path}/apt.dat:XTST/09') is there
+    text = HEADER + OTHER + RUNWAYS.replace('100 30.00', '100 60.0') + GROUND + AFTER
+    assert typed_place(f'{written(tmp_path, text)}:XTST/09').runway.width_m == 60
+    (tmp_path / 'apt.dat').unlink()
+    with pytest.raises(UsageError, match='cannot be read'):
+        typed_place(f'{tmp_path}/apt.dat:XTST/09')
 
 
 def test_given_a_place_typed_as_file_and_runway_then_scenes_are_there(tmp_path):

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place

@@ -211,6 +211,22 @@ def test_given_taxi_routes_then_they_are_tracks_by_their_names_in_order(tmp_path
     assert place.track('A').pose(0)[:2] == (500, 0), 'from the runway on'
 
 
+@pytest.mark.parametrize('ys', [
+    (20.0, 112.85, 207.09, 273.94, 375.59, 448.45), (20.0, 131.22, 262.36, 364.32, 462.45),
+    (20.0, 84.86, 163.03, 281.22, 358.43, 465.65),
+])
+def test_given_a_route_whose_length_rounds_either_way_then_it_begins_at_the_runway_all_the_same(
+    tmp_path, ys
+):
+    values = json.loads(json.dumps(OWN))
+    values['routes'] = [
+        {'name': 'A', 'points_m': [[500, near], [500, far]]} for near, far in pairwise(ys)
+    ]
+    path = tmp_path / 'own.yaml'
+    path.write_text(yaml.safe_dump(values))
+    assert find_place(load_place(str(path))).track('A').pose(0)[:2] == (500, 20)
+
+
 def test_given_a_route_of_many_nodes_then_the_track_passes_near_them(tmp_path):
     curve = [
         [500 + 40 * math.sin(k / 10), 40 - 40 * math.cos(k / 10)] for k in range(16)

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
-from taxinet_ros.core.aircraft import Aircraft, checked_aircraft, full_steering_rad
 from taxinet_ros.core.camera.airframe import OwnShadow
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.camera.solids import hull_faces, solid_drawing
 from taxinet_ros.core.documents import canonical
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft, checked_aircraft, full_steering_rad
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.rig.aircraft_model import make_aircraft, read_aircraft
@@ -136,6 +136,10 @@ def test_given_a_limit_of_the_wheel_when_steered_then_it_turns_no_further():
      'outline[0].points: expected 4 or more lists [x, y, z], got'),
     ({'outline': [{'part': 'wing', 'sections': [[1, 2, 3, 4, 5], [1, 2]]}]},
      'outline[0].sections: expected [x_front, y, z, chord, thickness] in metres, got [1, 2]'),
+    ({'outline': [{'part': 'hull', 'points': [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]}]},
+     'outline[0]: this hull is a line or a point'),
+    ({'outline': [{'part': 'wing', 'sections': [[0, 0, 0, 0, 0], [0, 3, 0, 0, 0]]}]},
+     'outline[0]: this wing is a line or a point'),
     ({'wings': 2}, 'wings: unknown key; known: name'),
 ])
 def test_given_a_bad_value_when_read_then_one_line_names_file_and_key(tmp_path, changes, words):
@@ -175,6 +179,11 @@ def test_given_a_document_that_reaches_out_when_found_then_refused(files, words)
     ({'model': 'F450'}, 'aircraft own: no wheel of the model F450 steers'),
     ({'model': 'DHC6'}, 'aircraft own: JSBSim gives other numbers every time with the model DHC6'),
     ({'model': 'c172p', 'max_steering_deg': 30}, 'but the wheel of the model turns to 10 deg at'),
+    ({'model': 'J3Cub', 'settled': {'height_m': 2, 'pitch_deg': -12}},
+     'aircraft own: settled is not how it taxis, which is {height_m: 1.161, pitch_deg: -12.02'),
+    ({'model': 'c172p', 'settled': {'height_m': 1.328, 'pitch_deg': 2.5}, 'speed_hold': {
+        'lever_per_mps': 2.5, 'lever_per_m': 0.02, 'brake_per_lever': 1, 'rolling_lever': 0,
+    }}, 'aircraft own: settled is not how it taxis'),
     ({'model': 'c182'}, 'aircraft own: its engine does not move it, or does not run at idle'),
     ({'model': 'pa28'}, 'aircraft own: with the wheel [78] deg left it turned -'),
 ])
@@ -202,6 +211,21 @@ def test_given_a_box_when_its_faces_are_found_then_six_squares_look_outwards():
     for normal, corners in faces:
         assert len(corners) == 4
         np.testing.assert_allclose(corners @ normal, 1.0)
+
+
+def test_given_points_within_its_faces_when_they_are_found_then_only_corners_are_left():
+    box = [[x, y, z] for x in (0, 2) for y in (-1, 1) for z in (0, 1)]
+    more = [[1, 0, 1], [1.5, 0.2, 1], [1, -1, 1], [0, 0.5, 0.5], [2, 1, 1], [0.1, 0.2, 0.3]]
+
+    def faces(points):
+        outline = [{'part': 'hull', 'points': points}]
+        values = {'name': 'own', 'model': 'c172p', 'outline': outline}
+        found = hull_faces(make_aircraft(values, Path('own.yaml')).outline[0])
+        return sorted(
+            (normal.round(9).tolist(), sorted(corners.tolist())) for normal, corners in found
+        )
+
+    assert faces(box + more) == faces(box)
 
 
 def test_given_the_cessna_when_its_shadow_falls_straight_down_then_it_is_as_wide_as_its_wings():

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import WING, Camera, project
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.camera_model import make_camera, read_camera
 from taxinet_ros.core.rig.catalogue import CAMERAS, find_camera, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -102,6 +102,25 @@ def test_given_paint_on_the_ground_when_photographed_then_it_is_where_projected(
         lines.append(np.median([frame[v, u] for u, v in seen[inside]]))
     paint, *asphalt = lines
     assert paint > max(asphalt) + 60
+
+
+@pytest.mark.parametrize('hour', [7, 12], ids=['glare', 'noon'])
+def test_given_a_rolled_camera_when_photographed_then_haze_and_light_are_those_of_a_level_one(hour):
+    level, rolled = (
+        own(roll_deg=roll, yaw_deg=0, pitch_deg=0, offset_m=[6, 0, 1]) for roll in (0, 20)
+    )
+    scene = Scenario(time_of_day_s=hour * 3600.0, shadows=False)
+    # Grass on both sides, far ahead: in the rolled picture on both sides of its middle row.
+    points = np.array([
+        [STATE.x_m + ahead, STATE.y_m + side * ahead, 0.0]
+        for ahead in (80, 120, 200) for side in (-0.6, -0.5, 0.5, 0.6)
+    ])
+    seen = []
+    for camera in (level, rolled):
+        frame = cv2.blur(Camera(scene, model=camera).render(STATE, 0), (5, 5)).astype(float)
+        pixels, _ = project(STATE, points, camera)
+        seen.append([frame[v, u] for u, v in np.rint(pixels).astype(int)])
+    assert np.abs(np.subtract(*seen)).max() < 12
 
 
 def test_given_distortion_when_photographed_then_the_picture_is_the_pinholes_taken_apart():

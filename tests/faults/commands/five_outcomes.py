@@ -15,9 +15,9 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunResult
-from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 
 COUNTS = {
     Outcome.PASS: 24, Outcome.FAIL: 12, Outcome.REJECTED: 2, Outcome.INFRA_ERROR: 3,

@@ -29,7 +29,8 @@ Answer = tuple[int, str]
 Ask = Callable[[list[str], str], Answer]
 
 DOES_NOTHING = {
-    'analyze': ['nowhere'], 'bag': ['info', 'nowhere'], 'bench': ['nothing'],
+    'aircraft': ['show', 'nowhere'], 'analyze': ['nowhere'],
+    'bag': ['info', 'nowhere'], 'bench': ['nothing'],
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
     'check-node': ['no_such_program'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],

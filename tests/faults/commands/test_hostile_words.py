@@ -21,7 +21,7 @@ from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.table import read_table, write_tables
 from taxinet_ros.campaign.scenes.programs import shipped_folder
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PERCEPTION

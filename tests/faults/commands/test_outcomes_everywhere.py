@@ -23,7 +23,7 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.summary import campaign_summary, row_line
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 
 WORDS = '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED'
 UNJUDGED = '3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED, 2 REJECTED'

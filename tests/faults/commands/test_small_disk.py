@@ -12,7 +12,7 @@ from fault_runs import request, run, steps_in
 
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import RECORDER
 

@@ -28,7 +28,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.running.domain import own_domain
 

@@ -12,8 +12,8 @@ from tampering import changed, cut_short, tamper
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import COMMAND, ESTIMATE, IMAGE, TRUTH

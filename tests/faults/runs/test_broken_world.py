@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from fault_runs import request, run, steps_in
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.perception import NetworkPerception
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph

@@ -12,7 +12,7 @@ from fault_runs import request, run
 from rclpy.action import ActionClient
 from tampering import changed, tamper
 
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph

@@ -23,8 +23,8 @@ from rclpy.task import Future
 from tampering import tamper
 from waiting import wait_for
 
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import free_timing
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface, mtl_monitor
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph

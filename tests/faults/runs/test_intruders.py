@@ -24,8 +24,8 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface, simulator
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import MTL_MONITOR, PERCEPTION, RECORDER, Topic

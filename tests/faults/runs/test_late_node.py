@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from waiting import PATIENT_S, wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph, node_processes, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
 from taxinet_ros.nodes.lockstep.endpoints import missing_nodes

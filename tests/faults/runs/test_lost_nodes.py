@@ -17,7 +17,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.bag.info import show_info
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR
 

@@ -17,8 +17,8 @@ from rclpy.parameter import Parameter
 from tampering import changed, tamper
 from waiting import PATIENT_S, wait_for
 
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraKind
 from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 from taxinet_ros.nodes.interface import (

@@ -20,7 +20,7 @@ from taxinet_msgs.action import RunScenario
 from taxinet_msgs.msg import RunStatus
 from waiting import wait_for
 
-from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph, composed_graph
 from taxinet_ros.nodes.interface import CLOCK, RECORDER

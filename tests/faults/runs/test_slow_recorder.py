@@ -10,9 +10,9 @@ import pytest
 from fault_runs import grown, once, request, run, steps_in
 
 from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing
 from taxinet_ros.core.topics import RECORDER
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 
 pytestmark = pytest.mark.ros

@@ -9,9 +9,9 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 

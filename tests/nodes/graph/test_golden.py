@@ -8,7 +8,7 @@ import pytest
 
 from taxinet_ros.bag.check.compare import compare_golden, golden_bags, same_stack
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.replay import rerun
 
 pytestmark = pytest.mark.ros

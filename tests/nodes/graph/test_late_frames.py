@@ -7,9 +7,9 @@ import pytest
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE, restore_frames
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.steering_controller import SteeringController

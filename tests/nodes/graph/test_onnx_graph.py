@@ -9,12 +9,12 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 

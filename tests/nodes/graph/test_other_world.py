@@ -9,7 +9,7 @@ from plugins import lay_down
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.ros
 
 CODE = """
 from functools import partial
-from taxinet_ros.core.aircraft import Aircraft
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.world import SimulatedWorld
 
@@ -56,3 +56,32 @@ def test_given_a_world_of_a_package_when_a_graph_runs_in_it_then_its_bag_tells_a
         main()
     assert end.value.code == 2
     assert "world: 'light' is unknown" in capfd.readouterr().err
+
+
+BLIND = """
+import dataclasses
+from taxinet_ros.core.world import SimulatedWorld
+
+class Blind(SimulatedWorld):
+    def observe(self, *, picture=True):
+        return dataclasses.replace(super().observe(picture=picture), image=None)
+"""
+
+
+@pytest.mark.parametrize(('perception', 'images', 'blamed'), [
+    ('truth', 'none', ''), ('original', 'none', 'perception'), ('truth', 'all', 'recorder'),
+])
+def test_given_a_world_without_pictures_when_a_network_is_to_see_then_the_run_says_so_at_once(
+    tmp_path, monkeypatch, short_request: RunRequest, perception: str, images: str, blamed: str,
+):
+    site = tmp_path / 'site'
+    monkeypatch.syspath_prepend(str(site))
+    lay_down(site, 'blind-world', BLIND, worlds='blind = Blind')
+    options = GraphOptions(perception=perception, out=tmp_path, images=images, world='blind')
+    results: list[RunResult] = []
+    with composed_graph(options) as graph:
+        graph.run([short_request], lambda _, result: results.append(result) or True)
+    (found,) = results
+    assert found.outcome.judged is not bool(blamed)
+    detail = f'the world has no picture, which {blamed} needs'
+    assert (found.kind, found.detail) == (('sim', detail) if blamed else ('', ''))

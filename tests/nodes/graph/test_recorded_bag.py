@@ -29,9 +29,9 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS

@@ -24,8 +24,12 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 from taxinet_msgs.msg import Robustness, Verdict
 
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl.live.sample_hold import Sample
+from taxinet_ros.core.mtl.live.stretch import Stretch
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.live_monitor.node import LiveMonitor
+from taxinet_ros.nodes.live_monitor.outputs import robustness_messages, verdict_message
 from taxinet_ros.nodes.live_monitor.topic_reader import message_class
 from taxinet_ros.nodes.messages.convert import header
 from taxinet_ros.nodes.running.domain import own_domain
@@ -99,6 +103,17 @@ def odometry(at_s: float, y: float, v: float = 1.0) -> Odometry:
 
 def levels(messages) -> dict[str, bytes]:
     return {status.name: status.level for status in messages[-1].status} if messages else {}
+
+
+def test_given_a_formula_that_no_sample_decides_then_a_stretch_is_neither_complete_nor_satisfied():
+    known = parse_spec('known=always(v <= 100)', signals=['v'])
+    never = parse_spec('never=always[0.05:0.06](v <= 1)', signals=['v'])
+    for specs, passed in (([known], True), ([never], False), ([known, never], False)):
+        stretch = Stretch(specs, horizon_ns=S)
+        for tenth in range(11):
+            stretch.push(Sample(stamp_ns=tenth * S // 10, values={'v': 99.0}))
+        verdict = verdict_message(robustness_messages(specs, stretch.standings, S, 'run', 10))
+        assert (verdict.complete, verdict.satisfied) == (passed, passed)
 
 
 def test_given_two_topics_of_different_qos_then_formulas_are_judged_and_all_is_told(robot):

@@ -11,9 +11,9 @@ from rclpy.task import Future
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.messages.convert import scenario_message

@@ -10,14 +10,14 @@ import pytest
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.aircraft import TAXI_SPEED_MPS, Aircraft
-from taxinet_ros.core.controller import SteeringGains, steer
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import TAXI_SPEED_MPS, Aircraft
+from taxinet_ros.core.motion.controller import SteeringGains, steer
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_latency
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
 pytestmark = pytest.mark.ros

@@ -10,12 +10,12 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import Assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 

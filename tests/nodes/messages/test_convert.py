@@ -20,11 +20,11 @@ from taxinet_ros.bag.cdr.image import frame_of_cdr, image_cdr
 from taxinet_ros.bag.run import message_values
 from taxinet_ros.bag.run.messages import camera_info_cdr
 from taxinet_ros.core.camera.camera import Camera, intrinsics, pose, project
-from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import AircraftState, quaternion
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes.messages import convert
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.nodes.node_check.clauses import Status, judge
 from taxinet_ros.nodes.node_check.driver import CheckOptions, check_node, command_starter

@@ -10,8 +10,8 @@ from network_samples import card_of, random_weights, save_sample
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, Improvement, RoundLedger
 from taxinet_ros.study.improve.options import (

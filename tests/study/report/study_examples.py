@@ -17,8 +17,8 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.search_space import Choice, Piece
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.study.report.paper import PAPER_RULE
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config, write_study
 from taxinet_ros.study.stages.log import StageLog

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera, intrinsics, project
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.training.data import augmentation as module
 from taxinet_ros.training.data import photographs as photographs

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from training_samples import SCENES
 
-from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import InfraError, UsageError

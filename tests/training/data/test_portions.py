@@ -11,7 +11,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.portions import (
     MAX_CROSS_TRACK_M,

@@ -29,8 +29,9 @@ from taxinet_ros.core.camera.ground.pavement import (
     runway_surface,
     standard_style,
 )
-from taxinet_ros.core.camera.ground.taxiway import lay_taxiway
+from taxinet_ros.core.camera.ground.taxiway import lay_airport, paint_track, pave_track
 from taxinet_ros.core.camera.texture import Floats, build_ripmap, smooth_noise, white_noise
+from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 
@@ -81,16 +82,18 @@ class Layout:
 
 @lru_cache(maxsize=4)
 def ground_atlas(
-    runway: Runway, track: Track | None = None, *, crossing: bool = True
+    runway: Runway, track: Track | None = None, airport: AirportGround | None = None, *,
+    crossing: bool = True,
 ) -> NDArray[np.uint8]:
     """Atlas of a runway in its standard style, made once per process.
 
     Args:
         runway: the runway.
         track: that leaves the runway, if one does; shown with its paint and pavement.
+        airport: other pavement and paint, if known.
         crossing: whether crossing runways are drawn.
     """
-    return make_ground_atlas(standard_style(runway, crossing=crossing), runway, track)
+    return make_ground_atlas(standard_style(runway, crossing=crossing), runway, track, airport)
 
 
 @lru_cache(maxsize=16)
@@ -132,11 +135,12 @@ def _track_layout(runway: Runway, track: Track) -> Layout:
 
 
 def make_ground_atlas(
-    style: GroundStyle, runway: Runway, track: Track | None = None
+    style: GroundStyle, runway: Runway, track: Track | None = None,
+    airport: AirportGround | None = None,
 ) -> NDArray[np.uint8]:
     """Ripmap of the ground's daylight colours, (2 * rows, 2 * columns, 3) uint8 RGB, read-only."""
     if track is not None and not track.is_runway:
-        return _make_track_atlas(style, runway, track)
+        return _make_track_atlas(style, runway, track, airport)
     layout = ground_layout(runway)
     rows, columns, half_m = layout.rows, layout.columns, layout.fine_half_m
     base = np.empty((rows, columns, 3), np.uint8)
@@ -146,19 +150,26 @@ def make_ground_atlas(
     base[:, SIDE_COLUMNS:-SIDE_COLUMNS] = cv2.LUT(
         cv2.merge([surface] * 3), pavement_colours(style)
     )
+    blocks = [(base[:, SIDE_COLUMNS:-SIDE_COLUMNS], fine)]
     for side in (-1, 1):
         start = half_m if side > 0 else -half_m - SIDE_COLUMNS * COARSE_M
         grid = Grid(rows=rows, columns=SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
                     y0_m=start, dy_m=COARSE_M)  # fmt: skip
         target = base[:, :SIDE_COLUMNS] if side < 0 else base[:, -SIDE_COLUMNS:]
         target[:] = _field(grid, style, runway, seed=style.seed + 60 + side)
+        blocks.append((target, grid))
     _shoulders(base, fine, style, runway)
+    if airport is not None:
+        for block, grid in blocks:
+            lay_airport(block, grid, style, runway, airport)
     atlas = build_ripmap(base, ROW_LEVELS, COLUMN_LEVELS)
     atlas.flags.writeable = False
     return atlas
 
 
-def _make_track_atlas(style: GroundStyle, runway: Runway, track: Track) -> NDArray[np.uint8]:
+def _make_track_atlas(
+    style: GroundStyle, runway: Runway, track: Track, airport: AirportGround | None
+) -> NDArray[np.uint8]:
     layout = ground_layout(runway, track)
     rows, columns = layout.rows, layout.columns
     base = np.empty((rows, columns, 3), np.uint8)
@@ -179,7 +190,10 @@ def _make_track_atlas(style: GroundStyle, runway: Runway, track: Track) -> NDArr
         block[:] = cv2.resize(field, (count, rows))
         if number == 1:
             _lay_runway(block, grid, style, runway)
-        lay_taxiway(block, grid, style, runway, track)
+        pave_track(block, grid, style, runway, track)
+        if airport is not None:
+            lay_airport(block, grid, style, runway, airport)
+        paint_track(block, grid, style, runway, track)
     atlas = build_ripmap(base, ROW_LEVELS, layout.column_levels)
     atlas.flags.writeable = False
     return atlas

@@ -6,6 +6,7 @@ A style contains the shades, wear and random seed of the textures.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -78,6 +79,24 @@ def standard_style(runway: Runway, *, crossing: bool = True) -> GroundStyle:
     """Standard style of a runway's surface and surroundings, with or without crossings."""
     looks = _SURFACE_LOOKS[runway.surface] | _SURROUNDINGS_LOOKS[runway.surroundings]
     return replace(STANDARD, crossing=crossing, **looks)
+
+
+def with_surface(style: GroundStyle, runway: str, surface: str) -> GroundStyle:
+    """The style of another surface beside a runway of this one, in the same light and age.
+
+    Both are of :data:`~taxinet_ros.core.place.runway.SURFACES`.
+    """
+    of_runway, other = (replace(STANDARD, **_SURFACE_LOOKS[name]) for name in (runway, surface))
+    red, green, blue = (
+        tint * to / of
+        for tint, to, of in zip(
+            style.asphalt_tint, other.asphalt_tint, of_runway.asphalt_tint, strict=True
+        )
+    )
+    return replace(
+        style, asphalt=style.asphalt * other.asphalt / of_runway.asphalt,
+        asphalt_tint=(red, green, blue),
+    )
 
 
 def varied_style(rng: np.random.Generator) -> GroundStyle:
@@ -257,8 +276,10 @@ def _markings(style: GroundStyle, runway: Runway) -> list[Marking]:
     return [moved(marking) for marking in painted if marking.kind not in style.without]
 
 
-def coverage(polygon: Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
-    """Coverage of texels by a polygon: rows, columns and the share (0..1)."""
+def coverage(
+    polygon: Polygon, grid: Grid, holes: Sequence[Polygon] = ()
+) -> tuple[slice, slice, Floats]:
+    """Coverage of texels by a polygon less its holes: rows, columns and the share (0..1)."""
     points = np.array([(grid.column(y), grid.row(x)) for x, y in polygon])
     first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
     last = np.minimum(np.ceil(points.max(axis=0)).astype(int), (grid.columns, grid.rows))
@@ -267,8 +288,11 @@ def coverage(polygon: Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
     columns, rows = slice(first[0], last[0]), slice(first[1], last[1])
     fine = np.zeros(((last[1] - first[1]) * 4, (last[0] - first[0]) * 4), np.uint8)
     # fillPoly has integer pixel centres and includes the polygon's edge.
-    corners = np.rint(((points - first) * 4 - 0.5) * 16).astype(np.int32)
-    cv2.fillPoly(fine, [corners], (255,), lineType=cv2.LINE_8, shift=4)
+    corners = [np.rint(((points - first) * 4 - 0.5) * 16).astype(np.int32)]
+    for hole in holes:
+        inner = np.array([(grid.column(y), grid.row(x)) for x, y in hole])
+        corners.append(np.rint(((inner - first) * 4 - 0.5) * 16).astype(np.int32))
+    cv2.fillPoly(fine, corners, (255,), lineType=cv2.LINE_8, shift=4)
     size = (last[0] - first[0], last[1] - first[1])
     cover = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
     return rows, columns, cover.astype(np.float32) * np.float32(1 / 255)

@@ -159,13 +159,14 @@ class Level(enum.IntEnum):
 def standing_level(standing: Standing) -> Level:
     """Level of a state: ERROR if violated or invalid, else WARN, else OK.
 
-    WARN: the robustness can be 0 at best, or an assumption was violated.
+    WARN: the robustness can be 0 at best, nothing was evaluated, or an assumption was violated.
     """
     reading = standing.reading
     if not reading.valid or standing.decided is Verdict.VIOLATED:
         return Level.ERROR
     at_best_marginal = reading.upper == 0 or standing.decided is Verdict.MARGINAL
-    return Level.WARN if at_best_marginal or standing.breach else Level.OK
+    unclear = reading.final and standing.decided is Verdict.UNKNOWN
+    return Level.WARN if at_best_marginal or unclear or standing.breach else Level.OK
 
 
 def standing_line(standing: Standing) -> str:
@@ -182,5 +183,5 @@ def standing_line(standing: Standing) -> str:
 
 def _verdict(standing: Standing) -> str:
     if standing.decided is Verdict.UNKNOWN:
-        return 'open'
+        return 'unclear, no sample in its windows' if standing.reading.final else 'open'
     return f'{standing.decided.name.lower()} at {standing.decided_s:g} s'

@@ -34,6 +34,17 @@ def test_given_a_horizon_then_the_stretch_ends_there_with_its_robustness():
     ]
 
 
+def test_given_a_window_between_the_samples_then_the_end_is_unclear_and_no_pass():
+    never = parse_spec('never=always[0.05:0.06](v <= 1)', signals=['y', 'v'])
+    stretch = Stretch([never, NEAR], horizon_ns=S)
+    for tenth in range(11):
+        push(stretch, tenth / 10, 0.5, 99.0)
+    assert words(stretch) == [
+        ('WARN', 'unclear, no sample in its windows, rho +inf (final)'),
+        ('OK', 'satisfied at 1 s, rho +1 (final)'),
+    ]
+
+
 def test_given_no_horizon_then_always_stays_open_until_it_is_violated():
     stretch = Stretch([NEAR])
     push(stretch, 0, 1.0)

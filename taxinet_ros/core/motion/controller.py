@@ -170,7 +170,7 @@ class Controller(Protocol):
 
 
 class SteeringLaw(Controller):
-    """The shipped law of :mod:`taxinet_ros.core.controller`; stateless."""
+    """The shipped law of :mod:`taxinet_ros.core.motion.controller`; stateless."""
 
     word = STEERING
     fingerprint = ''

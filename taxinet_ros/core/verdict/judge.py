@@ -6,9 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judging import StopOn, stops
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     SIGNALS,
@@ -21,9 +20,14 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
-from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.judging import StopOn, stops
+from taxinet_ros.core.verdict.run_statistics import (
+    EstimateWatch,
+    RunStatistics,
+    RunStatisticsCollector,
+)
 from taxinet_ros.errors import UsageError
 
 _OVERSHOOT = 1.5

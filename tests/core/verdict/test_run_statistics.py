@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.core.place.catalogue import default_runway
-from taxinet_ros.core.run_statistics import RunStatistics, RunStatisticsCollector
+from taxinet_ros.core.verdict.run_statistics import RunStatistics, RunStatisticsCollector
 
 PERIOD_NS = 100_000_000
 HALF_WIDTH_M = default_runway().half_width_m

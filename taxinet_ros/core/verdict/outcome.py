@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Protocol, Self
 
-from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
-from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import MTL_MONITOR
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.errors import InfraKind
 
 

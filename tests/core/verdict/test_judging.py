@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.errors import UsageError
 
 WHOLE = Judging(

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.judge import Judge, check_specs, signal_ranges
-from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import SHIPPED, RobustnessInterval, Verdict, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.perception.perception import GroundTruth, Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.judge import Judge, check_specs, signal_ranges
+from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.errors import UsageError
 
 GAINS = SteeringGains()

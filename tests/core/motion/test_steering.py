@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.controller import GAIN_RANGES, STOP, SteeringGains, steer
+from taxinet_ros.core.motion.controller import GAIN_RANGES, STOP, SteeringGains, steer
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 

@@ -8,8 +8,8 @@ import math
 
 import pytest
 
-from taxinet_ros.core.aircraft import FRICTION, M_PER_FT, Aircraft
-from taxinet_ros.core.controller import SteeringGains, SteeringLaw
+from taxinet_ros.core.motion.aircraft import FRICTION, M_PER_FT, Aircraft
+from taxinet_ros.core.motion.controller import SteeringGains, SteeringLaw
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.rig.aircraft_model import SpeedGains
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.core.gusts import SCALE_LENGTH_M, Gusts
+from taxinet_ros.core.motion.gusts import SCALE_LENGTH_M, Gusts
 
 SIGMA_MPS = 2.0
 RUNS = 2000

@@ -8,14 +8,14 @@ import pickle
 
 import pytest
 
-from taxinet_ros.core.judge import Judge
-from taxinet_ros.core.judging import StopOn, parse_stop_on
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import Verdict, parse_spec
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.lockstep import Lockstep, reports_progress
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.judge import Judge
+from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, UsageError
 
 

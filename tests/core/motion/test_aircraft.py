@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.aircraft import (
+from taxinet_ros.core.motion.aircraft import (
     CONTROL_PERIOD_NS,
     TAXI_SPEED_MPS,
     Aircraft,
     SpeedHold,
 )
-from taxinet_ros.core.controller import STOP, SteeringGains, steer
+from taxinet_ros.core.motion.controller import STOP, SteeringGains, steer
 from taxinet_ros.core.rig.aircraft_model import SpeedGains
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -30,7 +30,7 @@ GAINS = SteeringGains()
 STRAIGHT = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
 CORNERS = tuple(itertools.product((-8, -4, 0, 4, 8), (-30, -15, 0, 15, 30)))
 KINDS = AIRCRAFT.shipped
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def start(

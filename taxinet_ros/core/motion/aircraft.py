@@ -9,7 +9,7 @@ import math
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +17,7 @@ from statistics import fmean
 
 import jsbsim
 
-from taxinet_ros.core.gusts import M_PER_FT, Gusts
+from taxinet_ros.core.motion.gusts import M_PER_FT, Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.rig.aircraft_model import (
@@ -298,16 +298,18 @@ class Aircraft:
         return all(run() for _ in self._wind.gusts(self._fdm, self._steps))
 
     def _load(self, name: str, *, scenario: Scenario) -> jsbsim.FGFDMExec:
-        with captured_log() as log, tempfile.TemporaryDirectory() as scratch:
+        with captured_log() as log, ExitStack() as used:
             fdm = jsbsim.FGFDMExec(None)
             fdm.set_debug_level(0)
             folder = self.model.folder
-            if self.model.files:
-                folder = write_model_files(Path(scratch), name, self.model.files)
             windy, sloping = self._wind is not None, bool(scenario.slope_fraction)
+            if self.model.files or windy or sloping:  # else no folder is written
+                scratch = Path(used.enter_context(tempfile.TemporaryDirectory()))
+            if self.model.files:
+                folder = write_model_files(scratch, name, self.model.files)
             if windy or sloping:
                 models = folder or Path(fdm.get_aircraft_path())
-                folder = _adapted(models, name, Path(scratch), windy=windy, sloping=sloping)
+                folder = _adapted(models, name, scratch, windy=windy, sloping=sloping)
             if folder is not None:
                 fdm.set_aircraft_path(str(folder))
             self._attempt(lambda: fdm.load_model(name), f'loading {name}', log)
@@ -449,6 +451,7 @@ _BRAKING_MPS2 = 3.5
 """Typical deceleration with full brakes on dry pavement."""
 _LOOSEST_MPS = 0.5
 _LEAST_TURN_RAD = math.radians(0.5)
+_MOST_OFF_M, _MOST_OFF_DEG = 0.05, 1.0
 
 
 def checked_aircraft(model: AircraftModel) -> AircraftModel:
@@ -459,10 +462,12 @@ def checked_aircraft(model: AircraftModel) -> AircraftModel:
     """
     try:
         complete = Aircraft(Scenario(), model=model).model
-        _check_turn(complete)
+        if complete is model:  # nothing was measured
+            _check_settled(model, _driven(model, _SETTLE_S)[0])
+            _check_turn(model)
         return complete
     except InfraError as error:
-        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+        raise _unusable(model, error) from None
 
 
 @lru_cache(maxsize=16)
@@ -489,11 +494,33 @@ def measured_model(model: AircraftModel) -> AircraftModel:
             )
         if model.speed_gains is None:
             gains = replace(gains, rolling_lever=round(lever, 4))
+        _check_settled(model, settled)
         found = replace(model, settled=model.settled or settled, speed_gains=gains)
         _check_turn(found)
     except InfraError as error:
-        raise UsageError(f'aircraft {model.name}: {error.detail}') from None
+        raise _unusable(model, error) from None
     return found
+
+
+def _unusable(model: AircraftModel, error: InfraError) -> UsageError:
+    doubt = ' (is it at rest with the values of settled?)' if model.settled else ''
+    return UsageError(f'aircraft {model.name}: {error.detail}{doubt}')
+
+
+def _check_settled(model: AircraftModel, driven: Attitude) -> None:
+    """Refuse a stated attitude other than that in which it taxis."""
+    stated = model.settled
+    if stated is None:
+        return
+    off_deg = math.degrees(max(
+        abs(stated.pitch_rad - driven.pitch_rad), abs(stated.roll_rad - driven.roll_rad)
+    ))
+    if abs(stated.z_m - driven.z_m) > _MOST_OFF_M or off_deg > _MOST_OFF_DEG:
+        raise UsageError(
+            f'aircraft {model.name}: settled is not how it taxis, which is '
+            f'{{height_m: {driven.z_m:.3f}, pitch_deg: {math.degrees(driven.pitch_rad):.2f}, '
+            f'roll_deg: {math.degrees(driven.roll_rad):.2f}}}; leave it out to have it measured'
+        )
 
 
 def _rough_attitude(model: AircraftModel) -> Attitude:

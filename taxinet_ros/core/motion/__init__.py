@@ -1,0 +1,1 @@
+"""What moves the aircraft: flight dynamics, gusts and the steering law."""

@@ -1,0 +1,1 @@
+"""How runs are judged: requirements, stop rules, outcomes and statistics."""
