@@ -251,7 +251,7 @@ def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str
     rates = one.satisfied
     yield (
         f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
-        f"only (McNemar's exact test: p = {_p(rates.p_value)})."
+        f"only (McNemar's exact test: p = {_p(rates.p_value)}{_adjusted(found, one.satisfied_p)})."
     )
     yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, ' m', 2)
     if one.settle_time_s.pairs:
@@ -271,6 +271,12 @@ def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str
             f'In {len(one.pairs) - off.pairs} pairs a run was stopped before it was known whether '
             'it leaves the runway.'
         )
+
+
+def _adjusted(found: PairedArms, p_value: float) -> str:
+    """Display text of the adjusted p value that the verdict uses, if there are several arms."""
+    arms = len(found.comparisons)
+    return f', {_p(p_value)} after Holm over {arms} arms' if arms > 1 else ''
 
 
 def _verdict(one: ArmComparison) -> str:
@@ -440,8 +446,9 @@ def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
 def _comparison_json(one: ArmComparison) -> dict[str, Any]:
     return {
         'arm': one.arm, 'base': one.base, 'pairs': len(one.pairs), 'unpaired': one.unpaired,
-        'satisfied': _rates_json(one.satisfied), 'off_runway': _rates_json(one.off_runway),
-        'settled': _rates_json(one.settled), 'rho': _shift_json(one.rho),
+        'satisfied': {**_rates_json(one.satisfied), 'p_holm': one.satisfied_p},
+        'off_runway': _rates_json(one.off_runway), 'settled': _rates_json(one.settled),
+        'rho': {**_shift_json(one.rho), 'p_holm': one.rho_p},
         'max_cross_track_m': _shift_json(one.max_cross_track_m),
         'settle_time_s': _shift_json(one.settle_time_s),
     }
