@@ -16,15 +16,15 @@ from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.place.track import RUNWAY_TRACK
-from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
+from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, DEFAULT_CAMERA
 from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.registry import KMWH
 
 _MOST_NAMED = 5
-_USUAL = ('', DEFAULT_PLACE, DEFAULT_CAMERA)
 """Maximum number of runs named in one line."""
+_USUAL = ('', DEFAULT_PLACE, DEFAULT_AIRCRAFT, DEFAULT_CAMERA)
 
 ON_STANDING_GRAPH = 'on the graph that runs'
 """Text for nodes that were started externally."""
@@ -97,7 +97,8 @@ def scene_words(row: RunRow) -> str:
     if row.time_of_day_h is None or row.rain_percent is None:
         return ''
     rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
-    where = ''.join(f'  {word}' for word in (row.place, row.camera) if word not in _USUAL)
+    words = row.place, row.aircraft, row.camera
+    where = ''.join(f'  {word}' for word in words if word not in _USUAL)
     track = '' if row.track in ('', RUNWAY_TRACK) else f' {along_words(row.track)}'
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '

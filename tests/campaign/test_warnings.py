@@ -131,6 +131,11 @@ def test_people2_given_rain_of_less_than_a_percent_when_told_then_it_is_not_zero
     assert 'rain 50 %' in scene_words(row(0, clouds='broken', rain_fraction=0.5))
 
 
+def test_given_an_unusual_aircraft_when_told_then_the_line_names_it_and_the_camera() -> None:
+    assert scene_words(row(0, aircraft='c172p', camera='strut')).endswith('  c172p  strut')
+    assert 'caravan' not in scene_words(row(0))
+
+
 def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_so(
     tmp_path: Path,
 ) -> None:

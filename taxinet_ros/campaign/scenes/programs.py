@@ -22,6 +22,8 @@ _SHARE = Path('share', 'taxinet_ros', 'scenarios')
 _IMPORT = re.compile(
     r'^[ \t]*(?:(?:model|from)[ \t]+([\w.]+)|import[ \t]+([\w., \t]+))', re.MULTILINE
 )
+_DATA = ('.yaml', '.yml', '.json')
+_DOCUMENT = re.compile(r"""['"]([^'"\n]+\.(?:ya?ml|json))['"]""")
 
 
 def shipped_folder() -> Path:
@@ -80,10 +82,12 @@ def find_program(word_or_path: str | Path) -> Path:
 
 
 def program_text(path: Path) -> str:
-    """Source of a program and of every module it imports from its own or the shipped folder.
+    """Source of a program, of its modules, and of the YAML files it names.
 
-    Stored in the campaign record. Each file is headed by its name, not its path, so that a checkout
-    and an installed copy give the same text. Imports made at run time are not included.
+    Modules are those that it imports from its own or the shipped folder; YAML files hold places,
+    aircraft, cameras, others on the ground. Stored in the campaign record. Each file is headed by
+    its name, not its path, so that a checkout and an installed copy give the same text. Imports
+    made at run time are not included.
 
     Raises:
         UsageError: a file cannot be read.
@@ -106,8 +110,18 @@ def _with_imports(path: Path) -> dict[str, str]:
         if name in sources:
             continue
         sources[name] = _read(file)
-        waiting += _imports(sources[name], folders)
+        if file.suffix not in _DATA:
+            waiting += _imports(sources[name], folders)
+            waiting += _documents(sources[name])
     return sources
+
+
+def _documents(text: str) -> Iterator[tuple[str, Path]]:
+    """The YAML files that a program names, from the current folder as in its parameters."""
+    for match in _DOCUMENT.finditer(text):
+        path = Path(match[1]).expanduser()
+        if path.is_file():
+            yield match[1], path
 
 
 def _imports(text: str, folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:

@@ -87,6 +87,8 @@ class OwnShadow:
         margin = self._penumbra_px
         rows = slice(max(top - margin, 0), min(top + height + margin, self._size[0]))
         columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
+        if rows.start >= rows.stop or columns.start >= columns.stop:
+            return None  # it only seemed to be in view
         soft = cv2.blur(mask[rows, columns], (margin, margin))
         return rows, columns, np.asarray(soft, np.uint8)
 

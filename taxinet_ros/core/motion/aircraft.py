@@ -281,7 +281,7 @@ class Aircraft:
 
         Raises:
             ValueError: the command is not finite, or its speed is negative.
-            InfraError: JSBSim failed, or the state is no longer finite.
+            InfraError: JSBSim failed, the state is no longer finite, or the aircraft flies.
         """
         if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
             raise ValueError(f'not a command that an aircraft can follow: {command}')
@@ -387,6 +387,12 @@ class Aircraft:
         read = {name: self._fdm[name] for name in _OUTPUTS}
         if not all(map(math.isfinite, read.values())):
             raise self._failure(f'JSBSim is not finite: {read}')
+        lifted_m = self._fdm['position/h-agl-ft'] * M_PER_FT - self._settled.z_m
+        if lifted_m > _MOST_LIFTED_M:
+            raise self._failure(
+                f'{self.model.name} is {lifted_m:.1f} m above its wheels: the wind lifts it, which '
+                'is no taxiing; limit it by most_wind_mps in the file of the aircraft'
+            )
         pose = self._frame.to_map(
             GeodeticPose(
                 latitude_rad=read['position/lat-geod-rad'],
@@ -451,6 +457,7 @@ _BRAKING_MPS2 = 3.5
 """Typical deceleration with full brakes on dry pavement."""
 _LOOSEST_MPS = 0.5
 _LEAST_TURN_RAD = math.radians(0.5)
+_MOST_LIFTED_M = 0.5
 _MOST_OFF_M, _MOST_OFF_DEG = 0.05, 1.0
 
 

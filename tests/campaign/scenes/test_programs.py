@@ -180,6 +180,19 @@ def test_given_a_program_when_its_text_is_taken_then_all_it_imports_is_in_it(
     assert program_digest(program) != digest
 
 
+def test_given_a_program_that_names_a_file_then_its_digest_changes_with_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / 'own.scenic'
+    path.write_text("model runway_world\nparam camera = 'mine.yaml'\nego = new Plane at (0, 400)\n")
+    (tmp_path / 'mine.yaml').write_text('name: mine\npitch_deg: 5\n')
+    before = program_digest(path)
+    assert '# --- mine.yaml ---\nname: mine\npitch_deg: 5\n' in program_text(path)
+    (tmp_path / 'mine.yaml').write_text('name: mine\npitch_deg: 7\n')
+    assert program_digest(path) != before
+
+
 def test_given_the_shipped_folder_when_listed_then_every_program_is_known() -> None:
     assert known_programs() == (
         'crossing', 'halton_time_of_day', 'nominal', 'runway_position', 's_falsif', 's_falsif_ce',

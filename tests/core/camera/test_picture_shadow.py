@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from picture_samples import OPEN, at, ground_points, luminance, placed, shot
 from scipy.spatial import ConvexHull
 
+from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import sun_direction, sun_position
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -162,3 +163,14 @@ def test_given_cloud_before_the_sun_when_photographed_then_the_penumbra_is_wider
     assert widths['scattered'] == pytest.approx(widths['clear'], rel=0.25)
     assert widths['cirrus'] > 1.5 * widths['clear']
     assert widths['broken'] > 1.2 * widths['cirrus']
+
+
+def test_given_a_shadow_that_passes_beside_a_corner_of_the_picture_then_it_is_not_in_view():
+    tilted = AircraftState(
+        x_m=500.0, y_m=0.0, z_m=1.55, roll_rad=0.11735950829596825, pitch_rad=0.0968148956779738,
+        yaw_rad=0.886338758312271,
+        speed_mps=5.0, yaw_rate_radps=0.0,
+    )
+    for clock in (17.75, 18.0):
+        scene = Scenario(time_of_day_s=clock * 3600, camera='nose')
+        assert Camera(scene).render(tilted, 0).any()

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+import taxinet_ros as tx
 from taxinet_ros.core.camera.airframe import OwnShadow
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.camera.solids import hull_faces, solid_drawing
@@ -27,7 +28,7 @@ from taxinet_ros.core.rig.aircraft_model import make_aircraft, read_aircraft
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft, find_camera, load_aircraft
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, UsageError
 
 MODELS = Path(jsbsim.__file__).parent / 'aircraft'
 OWN = {
@@ -109,6 +110,14 @@ def test_given_a_model_of_ones_own_then_it_follows_wind_and_slope_too(cub):
         return moving.state.x_m
 
     assert len({after(), after(slope_fraction=0.04), after(wind_speed_mps=10.0)}) == 3
+
+
+def test_given_wind_that_lifts_it_then_the_run_is_no_taxiing_and_has_no_verdict(cub):
+    windy = Scenario(
+        aircraft=cub, wind_speed_mps=30.0, wind_direction_rad=math.radians(54.0), duration_s=3.0
+    )
+    with pytest.raises(InfraError, match='above its wheels: the wind lifts it'):
+        tx.run(windy, perception='truth')
 
 
 def test_given_a_limit_of_the_wheel_when_steered_then_it_turns_no_further():
