@@ -240,7 +240,9 @@ def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
         f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
         f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
     )
-    yield _shift_words(one, 'rho', one.rho, _unit(found.experiment), 2)
+    yield _shift_words(
+        one, 'rho', one.rho, _unit(found.experiment), 2, _adjusted(found, one.rho_p)
+    )
     yield from _where_words(found, one)
 
 
@@ -292,7 +294,9 @@ def _verdict(one: ArmComparison) -> str:
     return f'No difference between {one.base} and {one.arm} is proven.'
 
 
-def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int) -> str:
+def _shift_words(
+    one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int, adjusted: str = ''
+) -> str:
     if not shift.pairs:
         return f'No pair has {name} in both arms.'
     if not shift.more + shift.less:
@@ -304,7 +308,7 @@ def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, d
     return (
         f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f}{unit}'
         f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
-        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}).'
+        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}{adjusted}).'
     )
 
 

@@ -161,7 +161,7 @@ def same_fact(name: str, one: Any, other: Any) -> bool:
     if name in _TYPED and isinstance(one, dict) and isinstance(other, dict):
         return by_value(one) == by_value(other)
     if name == 'sampler_options' and isinstance(one, dict) and isinstance(other, dict):
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, TypeError):
             one, other = ({key: float(each[key]) for key in each} for each in (one, other))
     return bool(one == other)
 
