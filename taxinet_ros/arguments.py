@@ -26,6 +26,25 @@ T = TypeVar('T')
 _TOLD_CHARACTERS = 40
 
 
+def can_be_called(function: Callable[..., Any], *values: str, **named: Any) -> bool:
+    """Whether a function can be called with such arguments; True if it does not say.
+
+    Args:
+        function: any callable, a user's too.
+        values: the arguments by position; only their number counts.
+        named: the arguments by name.
+    """
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return True
+    try:
+        signature.bind(*values, **named)
+    except TypeError:
+        return False
+    return True
+
+
 class Kind(NamedTuple):
     """Kind of value that a parameter accepts.
 

@@ -358,7 +358,7 @@ def rerun_command(
 def rerun_documents(rows: Sequence[RunRow], facts: Mapping[str, Any]) -> dict[str, str]:
     """Text by file name of the documents that the commands of :func:`junit_xml` read."""
     return {
-        name: text for row in rows if row.outcome is Outcome.FAIL and not row.bag
+        name: text for row in rows if row.outcome is Outcome.FAIL and row.perception and not row.bag
         for name, text in _settings(row, facts).documents().items()
     }
 

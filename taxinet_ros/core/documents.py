@@ -130,7 +130,8 @@ class Catalogue(Generic[_T]):
             try:
                 return self.find(Path(text).read_text(encoding='utf-8'))
             except (OSError, UnicodeDecodeError) as error:
-                raise UsageError(f'{self.key}: {text}: cannot be read: {error}') from None
+                why = error.strerror if isinstance(error, OSError) else 'not UTF-8'
+                raise UsageError(f'{self.key} {text}: cannot be read: {why}') from None
         if text.lower().endswith(_SUFFIXES):
             return self.find(self._read(Path(text), False).text)
         if _REFERENCE.fullmatch(text):

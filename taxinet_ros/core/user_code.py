@@ -26,6 +26,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, TypeGuard, TypeVar
 
+from taxinet_ros.arguments import can_be_called
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.processes.interrupts import RECEIVED_STOPS, refuse_exits
 from taxinet_ros.registry import Extension
@@ -139,7 +140,20 @@ class UserCode:
                 f'{self.where}: {self.name}() returned {type(made).__name__}, which cannot be '
                 'called; expected a function of one argument'
             )
+        self._check_call(made)
         return made
+
+    def _check_call(self, made: Callable[..., Any]) -> None:
+        """Check that what answers takes one argument.
+
+        Raises:
+            UsageError: it takes more, or none.
+        """
+        if not can_be_called(made, 'seen'):
+            raise UsageError(
+                f'{self.where}: {self.name} cannot be called with one argument; expected a '
+                'function of one argument'
+            )
 
     @contextlib.contextmanager
     def running(self, failed: type[UsageError | UserCodeError]) -> Iterator[None]:
@@ -224,6 +238,8 @@ class PluginCode(UserCode):
                 f'{self.where}: {self.extension.target} is {type(found).__name__}; expected a '
                 'function or class'
             )
+        if not _is_maker(found):
+            self._check_call(found)
         function: Callable[..., Any] = found
         return function
 

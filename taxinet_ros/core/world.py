@@ -16,6 +16,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
@@ -219,6 +220,11 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
         raise UsageError(
             f'{extension.words}: {extension.target} is {type(made).__name__}; expected a function '
             'that creates a world from a scenario'
+        )
+    if not can_be_called(made, 'scenario', pictures=True):
+        raise UsageError(
+            f'{extension.words}: {extension.target} cannot be called as {extension.target}('
+            'scenario, pictures=True), which makes the world of a run'
         )
     now = extension.fingerprint
     if fingerprint and now != fingerprint:

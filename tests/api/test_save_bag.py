@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from own_place import OWN_PLACE
 
 import taxinet_ros as tx
 from taxinet_ros.bag.reader import read_info, read_messages
@@ -160,18 +160,6 @@ def test_given_a_disk_that_refuses_amid_the_bag_then_nothing_of_it_stays(
     monkeypatch.undo()
     assert len(written) > 5
     assert list(tmp_path.iterdir()) == []
-
-
-OWN_PLACE = json.dumps({
-    'name': 'own_09', 'time_zone': 'UTC+01:00',
-    'runway': {
-        'ends': [
-            {'designation': '09', 'latitude_deg': 50.0, 'longitude_deg': 8.0},
-            {'designation': '27', 'latitude_deg': 50.0, 'longitude_deg': 8.03},
-        ],
-        'width_m': 45, 'elevation_m': 100, 'category': 'visual', 'surface': 'concrete',
-    },
-}, sort_keys=True, separators=(',', ':'))
 
 
 def test_given_a_place_of_ones_own_when_saved_then_the_bag_alone_shows_and_judges_it(tmp_path):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from bag_samples import QOS, Sample, make, serialise, store
 
-from taxinet_ros.bag.run.message_values import verdict_values
+from taxinet_ros.bag.run.message_values import reading_values, verdict_values
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.core.loop import Step, run_closed_loop
@@ -168,10 +168,7 @@ def _error(error: Any, named: dict[str, Any]) -> Any:
 
 
 def _robustness(step: Step, number: int, specs: list[Any]) -> Any:
-    reading = step.readings[number]
     return make(
-        'taxinet_msgs/msg/Robustness', **_stamped(step), run_id=RUN_ID, seq=step.observation.seq,
-        spec=specs[number].name, formula=str(specs[number].formula), rho_lower=reading.lower,
-        rho_upper=reading.upper, verdict=int(reading.verdict), final=reading.final,
-        valid=reading.valid, samples=reading.samples, rejected=reading.rejected,
+        'taxinet_msgs/msg/Robustness', **_stamped(step),
+        **reading_values(specs[number], step.readings[number], RUN_ID, step.observation.seq),
     )

@@ -292,7 +292,7 @@ def _cell(
 def _meaning(campaigns: Sequence[CampaignRuns]) -> str:
     kinds = {runs.weighting for runs in campaigns}
     if Weighting.UNKNOWN in kinds:
-        return '; shares of the runs chosen by the sampler, without intervals'
+        return '; shares of the runs made, without intervals'
     if Weighting.UNDECIDED in kinds:
         return '; shares of the decided runs, without intervals'
     return '; of the runs drawn by the program itself' if Weighting.WEIGHTED in kinds else ''

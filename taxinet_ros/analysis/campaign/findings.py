@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,16 +33,12 @@ from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.record.facts import recorded_world
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 
 _DIGITS = 6
 _SIGNIFICANT = 0.05
-_SETTINGS = {
-    'program_sha256': 'program', 'perception_sha256': 'weights', 'controller': 'controller',
-    'controller_sha256': 'controller', 'gains': 'gains', 'world': 'world', 'timing': 'timing',
-    'stop_on': 'stop rule', 'bounds': 'assumed bounds', 'rates': 'assumed rates',
-}
-"""Facts that a comparison depends on beside the scenes, by display name."""
 
 
 class ChangedScenes(NamedTuple):
@@ -52,8 +48,8 @@ class ChangedScenes(NamedTuple):
         scenes: how many there are; of the runs that count in rates, where both have rates.
         worse: number failed here but satisfied by the baseline.
         better: number satisfied here but failed by the baseline.
-        p: p value of the hypothesis that both fail equally often (McNemar's exact test); NaN
-            without rates, as scenes chosen by results say nothing of others.
+        p: p value of the hypothesis that both fail equally often (McNemar's exact test); NaN if
+            results influenced which scenes there are: without rates, or at an open number of runs.
     """
 
     scenes: int
@@ -70,7 +66,7 @@ class BaselineComparison:
         baseline: the other campaign.
         rate: its failure rate.
         difference: the campaign's failure rate minus the baseline's; where all scenes of either
-            were run in both, in these.
+            were run in both, and their number was fixed beforehand, in these.
         paired: whether it is that of the same scenes.
         changed: changes in common scenes, or None if there are none.
         differing: display names of settings that differ, or are not recorded.
@@ -126,13 +122,14 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
     elsewhere = ~np.logical_or.reduce([np.zeros(len(baseline.frame), dtype=bool), *masks])
     pairs = _pairs(runs, baseline)
     rated = runs.weighting.rated and baseline.weighting.rated
-    paired = rated and pairs.pairs >= min(runs.rate().effective, baseline.rate().effective)
+    tested = rated and not (runs.anytime or baseline.anytime)
+    paired = tested and pairs.pairs >= min(runs.rate().effective, baseline.rate().effective)
     return BaselineComparison(
         baseline=baseline, rate=rate, paired=paired,
         difference=Difference(*pairs.difference) if paired else difference(runs.rate(), rate),
         changed=None if not pairs.pairs else ChangedScenes(
             pairs.pairs, worse=pairs.only_second, better=pairs.only_first,
-            p=pairs.p_value if rated else math.nan,
+            p=pairs.p_value if tested else math.nan,
         ),
         differing=_differing(runs, baseline),
         in_causes=tuple(baseline.rate(mask) for mask in masks),
@@ -156,16 +153,31 @@ def _pairs(runs: CampaignRuns, baseline: CampaignRuns) -> PairedRates:
 
 
 def _differing(runs: CampaignRuns, baseline: CampaignRuns) -> tuple[str, ...]:
+    """Settings that a comparison depends on beside scenes and network."""
     if not (runs.facts and baseline.facts):
         return ('the settings, of which there is no record',)
-    found = [
-        name for key, name in _SETTINGS.items()
-        if (runs.facts.get(key) or None) != (baseline.facts.get(key) or None)
-        and (key != 'perception_sha256' or runs.perception == baseline.perception)
+    one, other = (_settings(some) for some in (runs, baseline))
+    found = [name for name in one if one[name] != other[name]]
+    hashes = {'program_sha256': 'program', 'controller_sha256': 'controller'}
+    if runs.perception == baseline.perception:
+        hashes['perception_sha256'] = 'weights'
+    found += [
+        name for key, name in hashes.items()
+        if runs.facts.get(key, '') != baseline.facts.get(key, '')
     ]
-    one, other = (some.facts.get('specs', {}).get(runs.spec) for some in (runs, baseline))
-    found += [f'the formula {runs.spec}'] * (one != other)
     return tuple(dict.fromkeys(found))
+
+
+def _settings(runs: CampaignRuns) -> dict[str, Any]:
+    settings = RunSettings.from_facts(runs.facts)
+    judging = settings.judging
+    return {
+        'controller': settings.controller, 'gains': settings.gains,
+        'world': recorded_world(runs.facts), 'timing': settings.timing,
+        'stop rule': judging.stop_on, 'assumed bounds': judging.bounds,
+        'assumed rates': judging.rates,
+        f'the formula {runs.spec}': runs.facts.get('specs', {}).get(runs.spec),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,6 +79,7 @@ def _campaign(runs: CampaignRuns) -> dict[str, Any]:
         'stacks': [dict(stack) for stack in runs.stacks],
         'weighting': runs.weighting.value, 'judged': len(runs.frame),
         'without_verdict': dict(runs.others), 'undecided': runs.undecided,
+        'uncounted': runs.uncounted, 'rate_bounds': list(runs.bounds),
         'stopped_early': runs.stopped, 'warnings': list(runs.warnings),
         'failed': _rate(runs.rate()),
         'left_runway': None if off is None else _rate(off),

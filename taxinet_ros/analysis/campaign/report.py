@@ -86,6 +86,12 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 f'confidence it is at least {low:.1f} % and at most {high:.1f} %, if all of those '
                 'satisfy or violate it. All shares refer to the decided runs.'
             )
+        case Weighting.UNKNOWN if runs.uncounted:
+            first = (
+                f'{count}: {rate.failures:,} violate {runs.spec}. There is no failure rate: the '
+                'runs that the program itself drew follow one without a result. All shares refer '
+                'to the runs made.'
+            )
         case Weighting.UNKNOWN:
             first = (
                 f'{count}, chosen by the sampler {runs.sampler or "(unknown)"}: {rate.failures:,} '

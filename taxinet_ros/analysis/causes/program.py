@@ -7,6 +7,7 @@ the region, whatever sampler chose the analysed runs.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,6 +40,7 @@ _VALUES = {
 _SCENE = re.compile(r'\bscene_(\w+)')
 _STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
 _PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
+_NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
 _SWITCHES = {'on': True, 'off': False}
 
 
@@ -75,7 +77,7 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
     required = [f'require {_condition(part)}' for part in cause.region.parts]
     required = _adapted(required, source, _settings(runs).values)
     return '\n'.join([
-        source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
+        _whole(source, runs).rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
     ])
 
@@ -105,11 +107,7 @@ def _settings(runs: CampaignRuns) -> RunSettings:
     """Settings of the runs, with the analysed requirement alone."""
     facts = dict(runs.facts)
     settings = RunSettings.from_facts(facts)
-    documents = any(
-        key in CATALOGUES and value not in CATALOGUES[key].shipped
-        for key, value in settings.values.items()
-    )
-    told = runs.spec in facts.get('specs', {}) and not documents
+    told = runs.spec in facts.get('specs', {}) and _documents_known(settings)
     if not told and (runs.folder / LEDGER_NAME).is_file():
         # The ledger has the requirements added later, and the documents in full.
         added = open_campaign(runs.folder).content.added
@@ -120,6 +118,31 @@ def _settings(runs: CampaignRuns) -> RunSettings:
         for key, value in settings.values.items()
     }
     return replace(settings.judged_by(runs.spec), perception=runs.perception, values=values)
+
+
+def _whole(source: str, runs: CampaignRuns) -> str:
+    """The program with files of documents replaced by those that the runs had."""
+    if not (_NAMED_FILE.search(source) and (runs.folder / LEDGER_NAME).is_file()):
+        return source
+    recorded = open_campaign(runs.folder).content.documents
+
+    def document(found: re.Match[str]) -> str:
+        for key, catalogue in CATALOGUES.items():
+            with contextlib.suppress(UsageError):
+                named = catalogue.typed(found[2])
+                if (key, named.reference) in recorded:
+                    return repr(named.text)
+        return found[0]
+
+    return _NAMED_FILE.sub(document, source)
+
+
+def _documents_known(settings: RunSettings) -> bool:
+    try:
+        settings.documents()
+    except UsageError:
+        return False
+    return True
 
 
 def _source(runs: CampaignRuns) -> str | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -147,7 +147,8 @@ class Weighting(Enum):
     WEIGHTED = 'partly drawn'
     """A sampler chose most runs, the program itself drew some: rates are of those alone."""
     UNKNOWN = 'unknown'
-    """A sampler chose all runs: there is no rate, shares are of these runs only."""
+    """No run counts, as a sampler chose all, or the first one has no result: there is no rate,
+    shares are of these runs only."""
     UNDECIDED = 'undecided'
     """Runs were stopped before the formula was decided, which depends on their results: there is no
     rate, only bounds of it; shares are of the decided runs only."""
@@ -197,6 +198,7 @@ class CampaignRuns:
     facts: Mapping[str, Any]
     stacks: tuple[Provenance, ...]
     frame: pd.DataFrame
+    scenes: pd.DataFrame
     others: Mapping[str, int]
     kinds: Mapping[str, int]
     undecided: int
@@ -206,7 +208,6 @@ class CampaignRuns:
     anytime: bool = False
     blind: int = 0
     unrecorded: str = ''
-    scenes: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -291,6 +292,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     decided = ~frame['failed'].isna()
     _check(judged, decided, count_words(others, kinds), path, name)
     bounds = _bounds(frame, anytime=anytime)
+    weighting = _weighting(drawn, frame['weight'], decided)
     if not decided.all():
         frame['weight'] = math.nan
     frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
@@ -302,7 +304,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
         spec=name, facts=facts, stacks=_stacks(table, path), frame=frame, anytime=anytime,
         others=others, kinds=kinds,
-        undecided=int((~decided).sum()), weighting=_weighting(drawn, decided), bounds=bounds,
+        undecided=int((~decided).sum()), weighting=weighting, bounds=bounds,
         uncounted=int((drawn & (judged['index'] >= counted)).sum()), blind=_blind(judged),
         unrecorded=_unrecorded(table, facts),
         scenes=scene_columns(judged)[decided].reset_index(drop=True),
@@ -431,8 +433,10 @@ def _check(
             raise UsageError(f'{path}: run {run} was judged, but has no {name}; a damaged table?')
 
 
-def _weighting(drawn: pd.Series[bool], decided: pd.Series[bool]) -> Weighting:
-    if not drawn.any():
+def _weighting(
+    drawn: pd.Series[bool], weight: pd.Series[float], decided: pd.Series[bool]
+) -> Weighting:
+    if not (weight == 1).any():
         return Weighting.UNKNOWN
     if not decided.all():
         return Weighting.UNDECIDED

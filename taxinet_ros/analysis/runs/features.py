@@ -234,12 +234,14 @@ def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def scene_columns(table: pd.DataFrame) -> pd.DataFrame:
-    """A column for every scenario key of a campaign's table, in human units."""
-    return pd.DataFrame({
-        field.key: table[field.key].to_numpy() if field.key in table.columns
-        else np.full(len(table), _BEFORE.get(field.key, math.nan), dtype=object)
-        for field in fields.SCENARIO_FIELDS
-    })
+    """A column for every scenario key of a campaign's table: human units, else text."""
+    def column(field: ScenarioField) -> pd.Series[Any]:
+        number = field.kind is Kind.NUMBER
+        before = _BEFORE.get(field.key, math.nan if number else '')
+        found = table.get(field.key, pd.Series(before, table.index))
+        return found.astype('float64' if number else str)
+
+    return pd.DataFrame({field.key: column(field) for field in fields.SCENARIO_FIELDS})
 
 
 def varied(

@@ -14,7 +14,12 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import StoredMessage
-from taxinet_ros.bag.run.message_values import scenario_of, stamp_of, verdict_values
+from taxinet_ros.bag.run.message_values import (
+    reading_values,
+    scenario_of,
+    stamp_of,
+    verdict_values,
+)
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.samples import RunSamples, same_bits
 from taxinet_ros.bag.run.topics import (
@@ -373,24 +378,23 @@ def _verdict_troubles(
     verdict = next(iter(record.once.get(VERDICT, ())), None)
     if verdict is None:
         return []
-    told = {
-        str(spec.spec): RobustnessInterval(float(spec.rho_lower), float(spec.rho_upper))
-        for spec in verdict.specs
-    }
-    here = {
-        spec.name: now.interval for spec, now in zip(specs, judgement.readings, strict=True)
-    }
-    texts = [
-        f'{name}: recorded {_words(told.get(name))}, from the truth {_words(here.get(name))}'
-        for name in dict.fromkeys((*here, *told))
-        if not (name in told and name in here and same_bits(told[name], here[name]))
-    ]
+    run_id = str(record.scenario.run_id)
+    told = {str(one.spec): one for one in verdict.specs}
+    texts = []
+    for spec, now in zip(specs, judgement.readings, strict=True):
+        one = told.pop(spec.name, None)
+        ends = _interval(one)
+        if ends is None or not same_bits(ends, now.interval):
+            words = f'recorded {_words(ends)}, from the truth {_words(now.interval)}'
+            texts.append(f'{spec.name}: {words}')
+        else:
+            values = reading_values(spec, now, run_id, last_seq(record))
+            texts += [f'{spec.name}: {text}' for text in _differences(one, values)]
     texts += [
-        f'{name}: recorded {recorded!r}, from the messages {value!r}'
-        for name, value in verdict_values(judgement, str(record.scenario.run_id)).items()
-        # An older bag lacks some.
-        if _exactly(recorded := getattr(verdict, name, value)) != _exactly(value)
+        f'{name}: recorded {_words(_interval(one))}, from the truth {_words(None)}'
+        for name, one in told.items()
     ]
+    texts += _differences(verdict, verdict_values(judgement, run_id))
     found = [Finding(where=VERDICT, what=text) for text in texts]
     outcome = record.ending.outcome if record.ending is not None else ''
     if outcome in (Outcome.PASS, Outcome.FAIL) and (
@@ -400,9 +404,27 @@ def _verdict_troubles(
     return found
 
 
+def _interval(message: Any) -> RobustnessInterval | None:
+    """Interval in a robustness message; None for no message."""
+    if message is None:
+        return None
+    return RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
+
+
+def _differences(message: Any, values: dict[str, Any]) -> list[str]:
+    """Fields of a message that differ from these values; an older bag lacks some."""
+    return [
+        f'{name}: recorded {told!r}, from the messages {value!r}' for name, value in values.items()
+        if _exactly(told := getattr(message, name, value)) != _exactly(value)
+    ]
+
+
 def _exactly(value: Any) -> object:
     """A value that equals another of the same bits only; NaN equals NaN."""
-    return struct.pack('<d', value) if isinstance(value, float) else value
+    if isinstance(value, float):
+        return struct.pack('<d', value)
+    # The definition comes from the bag, so it may be anything.
+    return value if isinstance(value, bool | int | str) else repr(value)
 
 
 def _words(interval: RobustnessInterval | None) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from taxinet_ros import registry
+from taxinet_ros.arguments import can_be_called
 from taxinet_ros.campaign.samplers import space_filling
 from taxinet_ros.campaign.samplers.active_search import ActiveSearch
 from taxinet_ros.campaign.samplers.histogram import Bandit, CrossEntropy, VerifaiRule
@@ -56,6 +57,16 @@ class SamplerKind:
     options: Mapping[str, Option] = field(default_factory=dict)
 
 
+def _check_make(where: str, make: Callable[..., object]) -> None:
+    """Check how a sampler is made.
+
+    Raises:
+        UsageError: the factory takes other arguments.
+    """
+    if not can_be_called(make, 'space', 'seed', 'runs', 'values'):
+        raise UsageError(f'{where}: its make cannot be called as make(space, seed, runs, values)')
+
+
 def proposer_kind(
     meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
     options: Mapping[str, Option] | None = None,
@@ -69,7 +80,11 @@ def proposer_kind(
         floor: default of the option ``floor``, the share of prior draws. With 0 there is no rate,
             and the sampler's sequence is unchanged.
         options: its own options.
+
+    Raises:
+        UsageError: the factory takes other arguments.
     """
+    _check_make('proposer_kind', make)
     return SamplerKind(
         meaning=meaning, options={**(options or {}), **_floor_option(floor)},
         make=lambda space, seed, runs, values: WithDrawn(
@@ -251,6 +266,7 @@ def _kind(extension: Extension, found: object) -> SamplerKind:
         )
     if extension.shipped:
         return found
+    _check_make(f'{extension.words}: {extension.target}', found.make)
     return replace(found, make=lambda space, seed, runs, values: PluginSampler(
         extension, lambda: found.make(space, seed, runs, values), space
     ))

@@ -18,7 +18,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
 from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.perception.weights import weights_path
-from taxinet_ros.core.scenario_fields import PAPER_FIELDS, SHORT_FORMS
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.sealed_json import read_sealed
@@ -37,7 +37,6 @@ from taxinet_ros.study.stages.plan import (
 SETTLED_RUNS = 400
 """Number of bags read for a median: reading all 4,000 would take minutes per network."""
 
-_SCENE = tuple(field.key for field in PAPER_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,15 +274,15 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
     """Read a network from a campaign's folder, or from its table."""
     table = read_table(path)
     runs = runs_of(table, path)
-    if runs.weighting is not Weighting.DRAWN:
-        raise UsageError(
-            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
-            'evaluate with --sampler random'
-        )
     if runs.uncounted:
         raise UsageError(
             f'{path}: {runs.uncounted} of its runs follow one without a result; end the campaign '
             'with --resume'
+        )
+    if runs.weighting is not Weighting.DRAWN:
+        raise UsageError(
+            f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
+            'evaluate with --sampler random'
         )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []
@@ -299,13 +298,13 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
 
 def _pair(first: Network, second: Network) -> Pair:
     one, other = (
-        network.runs.frame[['index', *_SCENE]]
-        .assign(satisfied=~network.runs.failed, off=network.off).set_index('index')
+        network.runs.scenes.set_index(network.runs.frame['index'].to_numpy())
+        .assign(satisfied=~network.runs.failed, off=network.off)
         for network in (first, second)
     )
     common = one.index.intersection(other.index)
     one, other = one.loc[common], other.loc[common]
-    for name in _SCENE:
+    for name in HUMAN_KEYS:
         if not one[name].equals(other[name]):
             raise UsageError(
                 f'{first.runs.path} and {second.runs.path}: differ in {name}; evaluate both '

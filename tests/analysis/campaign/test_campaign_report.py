@@ -141,12 +141,36 @@ def test_given_scenes_that_differ_in_any_key_then_they_are_not_the_same(tmp_path
     assert (one.paired, one.changed) == (False, None)
 
 
+def test_given_an_open_number_of_runs_then_no_test_is_made_at_it(tmp_path):
+    runs, baseline, _ = compared(tmp_path, range(20), range(12))
+    one = compare(dataclasses.replace(runs, anytime=True), baseline, find_causes(runs))
+    assert not one.paired
+    assert math.isnan(one.changed.p)
+    assert one.difference == difference(
+        dataclasses.replace(runs, anytime=True).rate(), baseline.rate())
+
+
+def test_given_a_table_of_before_a_key_then_it_has_the_scenes_of_its_default(tmp_path):
+    frame = planted_table(60, 1, lambda t: t['index'].isin(range(20)) * 1.0)
+    old = planted_runs(frame.drop(columns=['date', 'shadows']), make(tmp_path / 'old'))
+    new = planted_runs(
+        frame.assign(wind_speed_mps=0.0, place='kmwh_04', traffic='nobody', crossing=True),
+        make(tmp_path / 'new'),
+    )
+    full = planted_runs(frame, make(tmp_path / 'full'))
+    assert compare(full, new, find_causes(full)).changed.scenes == 60
+    assert compare(old, new, find_causes(old)).changed is None, 'their date is not known'
+
+
 def test_given_other_settings_then_the_comparison_names_them(tmp_path):
     runs, baseline, comparison = compared(tmp_path, range(20), range(12))
     same = {'specs': {'phi': 'always((cte <= 1))'}, 'gains': {}, 'world': 'kmwh'}
     runs.facts.update(same, perception_sha256='0a')
     baseline.facts.update(same, perception_sha256='0b')
     assert comparison().differing == (), 'another network has other weights'
+    runs.facts.update(stop_on='never', bounds=[], timing='')
+    baseline.facts.pop('world')
+    assert comparison().differing == (), 'what older records lack is the default'
     baseline.facts.update(
         gains={'heading_gain': 1.0}, world='salt_lake', bounds=['cte=-25:25'],
         specs={'phi': 'always((cte <= 2))'}, timing='latency perception=0.2',

@@ -37,6 +37,7 @@ from taxinet_ros.analysis.causes.region import (
 from taxinet_ros.analysis.causes.scan import hoeffding_bound, likelihood_ratio, log_evidence
 from taxinet_ros.analysis.runs.campaign import runs_of
 from taxinet_ros.bench.causes import measure
+from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
@@ -519,6 +520,28 @@ def test_given_a_place_of_ones_own_then_a_causes_program_knows_it(tmp_path):
     program.write_text(cause_program(runs, cause))
     for scene in sample_scenarios(program, 5, 4):
         assert scene.to_human()['place'] == reference
+
+
+def test_given_a_file_of_ones_own_that_goes_then_a_causes_program_has_the_whole_of_it(tmp_path):
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    shipped = (Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text()
+    mine, unused = tmp_path / 'mine.yaml', tmp_path / 'unused.yaml'
+    mine.write_text(shipped)
+    unused.write_text(shipped.replace('name: bikf_10', 'name: other'))
+    place = catalogue.typed_place(str(mine))
+    text = f'model runway_world\nparam place = ("{mine}", "{unused}", "gone.yaml")[0]\n'
+    text = f'# --- mine.scenic ---\n{text}ego = new Plane at (0, 400)\n'
+    runs.facts.update(FACTS, program_text=text)
+    with Ledger(tmp_path / 'ledger.jsonl') as ledger:
+        ledger.campaign({'runs': 40})
+        ledger.document('place', place.document)
+    cause = cause_of(Kinds(feature='place', kinds=(place.reference,)))
+    program = tmp_path / program_name(cause)
+    program.write_text(cause_program(runs, cause))
+    mine.unlink()
+    (scene,) = sample_scenarios(program, 5, 1)
+    assert scene.to_human()['place'] == place.reference
+    assert f'"{unused}", "gone.yaml"' in program.read_text(), 'no run had these'
 
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():

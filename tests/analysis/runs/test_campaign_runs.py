@@ -138,6 +138,13 @@ def test_given_an_interrupted_campaign_then_runs_after_a_gap_do_not_count(tmp_pa
     assert runs.rate()[2:5] == rate(failures, 50, anytime=True)
     assert 'chosen by' not in rate_sentences(runs)[0]
     assert any('8 of the runs are in no rate' in line for line in runs.warnings)
+    frame[frame['index'] > 0].to_parquet(tmp_path / 'runs.parquet')
+    first = read_runs(tmp_path)
+    assert (first.weighting, first.uncounted, first.bounds) == (Weighting.UNKNOWN, 57, (0.0, 1.0))
+    assert math.isnan(first.rate().low)
+    words = rate_sentences(first)[0]
+    assert 'follow one without a result' in words
+    assert 'sampler' not in words
 
 
 def test_given_a_table_alone_then_what_is_assumed_is_said(tmp_path):

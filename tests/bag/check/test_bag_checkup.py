@@ -130,6 +130,20 @@ def test_given_a_verdict_with_another_figure_when_checked_then_it_is_named(
     assert text.startswith(f'monitor/verdict: {name}: recorded {other!r}, from the messages ')
 
 
+@pytest.mark.parametrize(('name', 'other'), [
+    ('seq', 3), ('verdict', 2), ('final', False), ('valid', False), ('trusted', False),
+    ('samples', 15), ('rejected', 1), ('formula', 'always(abs(cte) <= 2)'),
+])
+def test_given_a_verdict_with_another_reading_when_checked_then_its_field_is_named(
+    tmp_path: Path, name: str, other: object
+) -> None:
+    def forged(messages: list[Sample]) -> list[Sample]:
+        return [_with_verdict(sample, reading={name: other}) for sample in messages]
+
+    (text,) = wrong(rewritten(tmp_path, forged))['verdict']
+    assert text.startswith(f'monitor/verdict: phi_eventually: {name}: recorded {other!r}, from')
+
+
 @pytest.mark.parametrize('kept', [0, 1])
 def test_given_a_verdict_without_a_formula_when_checked_then_it_is_named(
     tmp_path: Path, kept: int
@@ -145,8 +159,13 @@ def test_given_a_verdict_without_a_formula_when_checked_then_it_is_named(
     assert all(map(str.startswith, found['verdict'], starts))
 
 
-def _with_verdict(sample: Sample, kept: int = 2, **values: object) -> Sample:
-    """The sample; if it is the verdict, with the first formulas only and with other values."""
+def _with_verdict(
+    sample: Sample, kept: int = 2, reading: dict[str, object] | None = None, **values: object
+) -> Sample:
+    """The sample; if it is the verdict, with the first formulas only and with other values.
+
+    ``reading``: other values of the first formula.
+    """
     name, stamp, cdr = sample
     if name != '/monitor/verdict':
         return sample
@@ -155,6 +174,8 @@ def _with_verdict(sample: Sample, kept: int = 2, **values: object) -> Sample:
     verdict.specs = verdict.specs[:kept]
     for field, value in values.items():
         setattr(verdict, field, value)
+    for field, value in (reading or {}).items():
+        setattr(verdict.specs[0], field, value)
     return name, stamp, serialise(verdict)
 
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import falsify_samples as toy
 import pytest
+from own_place import OWN_PLACE
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
-from taxinet_ros.core.documents import canonical
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -86,16 +86,6 @@ def test_given_a_run_that_breaks_then_it_has_one_second_chance_and_its_folder_is
     assert events(tmp_path).count('intent') == 6
 
 
-OWN_PLACE = canonical({
-    'name': 'own_09', 'time_zone': 'UTC+01:00',
-    'runway': {
-        'ends': [
-            {'designation': '09', 'latitude_deg': 50.0, 'longitude_deg': 8.0},
-            {'designation': '27', 'latitude_deg': 50.0, 'longitude_deg': 8.03},
-        ],
-        'width_m': 45, 'elevation_m': 100, 'category': 'visual', 'surface': 'asphalt',
-    },
-})
 _READ = """
 import sys
 from pathlib import Path

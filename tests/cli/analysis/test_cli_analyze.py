@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('analyze')
     (folder / 'c').mkdir()
     table(120, 'original', early_fails=True).to_parquet(folder / 'c' / 'runs.parquet')
-    write_sealed(folder / 'c' / 'campaign.json', {}, [folder / 'c' / 'runs.parquet'])
+    write_sealed(folder / 'c' / 'campaign.json', {'runs': 120}, [folder / 'c' / 'runs.parquet'])
     table(60, 'taxinet', early_fails=False).to_parquet(folder / 'better.parquet')
     done = taxinet_apart('analyze', 'c', '--baseline', 'better.parquet', cwd=folder)
     assert done.returncode == 0, done.stderr

@@ -11,6 +11,8 @@ from plugins import lay_down
 
 from taxinet_ros import registry
 from taxinet_ros.cli.main import main
+from taxinet_ros.core.motion.controller import make_controller
+from taxinet_ros.errors import UsageError
 from taxinet_ros.version import __version__
 
 CODE = 'def look(image):\n    return 0.0, 0.0\n\nWORDS = "steer"\n'
@@ -58,6 +60,33 @@ def test_given_a_name_when_asked_for_then_the_exit_code_says_whether_it_can_be_u
     assert (code, "No module named 'no_such_module'" in told) == (2, True)
     code, told = plugins('nobody')
     assert (code, "nothing is called 'nobody'" in told) == (2, True)
+
+
+@pytest.mark.parametrize(('point', 'name', 'words'), [
+    ('perceptions', 'both', 'both cannot be called with one argument'),
+    ('controllers', 'both', 'both cannot be called with one argument'),
+    ('controllers', 'Both', 'Both cannot be called with one argument'),
+    ('worlds', 'both', 'both cannot be called as'),
+    ('samplers', 'KIND', 'its make cannot be called as make(space, seed, runs, values)'),
+    ('samplers', 'NAMED', 'its make cannot be called as make(space, seed, runs, values)'),
+])
+def test_given_code_that_takes_other_arguments_then_it_cannot_be_used(
+    plugins, tmp_path: Path, point: str, name: str, words: str
+) -> None:
+    code = (
+        'from taxinet_ros.campaign.samplers.registry import SamplerKind, proposer_kind\n'
+        'def both(one, two):\n    return one\n'
+        'class Both:\n    def __call__(self, one, two):\n        return one\n'
+        'KIND = SamplerKind(meaning="two", make=both)\n'
+    )
+    code += 'NAMED = proposer_kind("two", both, floor=0.0)\n' if name == 'NAMED' else ''
+    lay_down(tmp_path, f'cli-{point}-{name.lower()}', code, **{point: f'two = {name}'})
+    if name == 'Both':  # What it makes is seen when it is made only.
+        with pytest.raises(UsageError, match=words):
+            make_controller('two', {})
+        return
+    told = plugins('two')
+    assert (told[0], words in told[1]) == (2, True), told
 
 
 def test_given_json_when_asked_for_then_it_tells_the_same(plugins) -> None:

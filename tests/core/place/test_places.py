@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from own_place import OWN
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import sun_position
@@ -22,17 +23,6 @@ from taxinet_ros.core.place.place_file import read_place
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
-
-OWN = {
-    'name': 'own_16', 'time_zone': 'UTC+05:30',
-    'runway': {
-        'ends': [
-            {'designation': '16L', 'latitude_deg': 10.018, 'longitude_deg': 77.0},
-            {'designation': '34R', 'latitude_deg': 10.0, 'longitude_deg': 77.006},
-        ],
-        'width_m': 45, 'elevation_m': 12, 'category': 'visual', 'surface': 'concrete',
-    },
-}
 
 
 def written(folder: Path, values: dict, name: str = 'own.yaml') -> Path:
@@ -262,3 +252,21 @@ def test_given_places_when_photographed_then_each_looks_like_itself():
         scene = Scenario(place=name, shadows=False)
         looks.add(Camera(scene).render(Aircraft(scene).state, 0).tobytes())
     assert len(looks) == 3
+
+
+def test_given_a_file_of_a_places_json_then_it_is_that_place_and_other_files_are_refused(tmp_path):
+    place = dataclasses.replace(find_place('bikf_10'), shipped=False)
+    path = tmp_path / f'place-{place.reference}.json'
+    path.write_text(place.document)
+    assert typed_place(str(path)).reference == place.reference
+    for text, why in (('{"name": 3', 'neither a name nor JSON'), ('no json', 'not one of'),
+                      ('\xff', 'not one of')):
+        path.write_text(text)
+        with pytest.raises(UsageError, match=why):
+            typed_place(str(path))
+    path.write_bytes(b'\xff')
+    for wrong in (path, tmp_path / 'no.json', tmp_path):
+        with pytest.raises(UsageError) as error:
+            typed_place(f'{wrong}' if wrong.suffix else f'{wrong}/.json')
+        assert 'cannot be read' in str(error.value)
+        assert '\n' not in str(error.value)

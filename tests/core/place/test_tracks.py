@@ -12,6 +12,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from own_place import OWN as OWN_PLACE
 
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl.specs import SHIPPED
@@ -149,14 +150,7 @@ def test_given_the_shipped_tracks_then_their_names_are_all_of_them():
 # ---- files and routes --------------------------------------------------------------------------
 
 OWN = {
-    'name': 'own_16', 'time_zone': 'UTC+05:30',
-    'runway': {
-        'ends': [
-            {'designation': '16L', 'latitude_deg': 10.018, 'longitude_deg': 77.0},
-            {'designation': '34R', 'latitude_deg': 10.0, 'longitude_deg': 77.006},
-        ],
-        'width_m': 45, 'elevation_m': 12, 'category': 'visual', 'surface': 'concrete',
-    },
+    **OWN_PLACE,
     'tracks': [{
         'name': 'apron', 'width_m': 15, 'radius_m': 50,
         'points_m': [[100, 0], [400, 0], [400, -300]],

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting
+from taxinet_ros.analysis.runs.features import scene_columns
 from taxinet_ros.campaign.learned_result import LearnedResult
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.search_space import Choice, Piece
@@ -67,8 +68,9 @@ def planted_study(
         )
         runs = CampaignRuns(
             label=name, path=Path(name), program='s_falsif', perception=name, sampler='random',
-            spec='phi_eventually', facts={}, stacks=(), frame=frame, others={}, kinds={},
-            undecided=0, weighting=Weighting.DRAWN,
+            spec='phi_eventually', facts={}, stacks=(), frame=frame,
+            scenes=scene_columns(frame), others={}, kinds={}, undecided=0,
+            weighting=Weighting.DRAWN,
         )
         networks[name] = Network(
             name=name, runs=runs, table=frame, card={}, settled_m=np.zeros(0),

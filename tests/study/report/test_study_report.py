@@ -147,13 +147,14 @@ def test_given_the_opposite_then_it_is_not_as_in_the_paper_and_equals_are_not_cl
     assert '+0.0 points' in equal['generic'].evidence
 
 
-def test_given_other_scenes_then_the_networks_are_not_compared(tmp_path):
+@pytest.mark.parametrize('key', ['distance_m', 'duration_s'])
+def test_given_other_scenes_then_the_networks_are_not_compared(tmp_path, key):
     config = made_up_study(tmp_path)
     path = tmp_path / 'evaluate-halton' / 'runs.parquet'
     table = pd.read_parquet(path)
-    table.loc[7, 'distance_m'] += 1
+    table.loc[7, key] += 1
     table.to_parquet(path)
-    with pytest.raises(UsageError, match='differ in distance_m; evaluate both networks'):
+    with pytest.raises(UsageError, match=f'differ in {key}; evaluate both networks'):
         gather_findings(config, tmp_path)
 
 
