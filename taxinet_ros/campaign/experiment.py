@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -42,7 +43,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key
+from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key, by_value
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
@@ -183,7 +184,20 @@ def _arms(
         ))
     if len(arms) < 2:
         raise given.wrong('expected two or more, NAME: {set: {KEY: VALUE}}')
+    for one, other in itertools.combinations(arms, 2):
+        if _what_runs(one, overrides) == _what_runs(other, overrides):
+            raise given.wrong(
+                f'runs the same as {one.name}, so there is nothing to compare; give it another '
+                'set, perception or controller', other.name,
+            )
     return tuple(arms)
+
+
+def _what_runs(arm: Arm, overrides: Mapping[str, str]) -> tuple[object, ...]:
+    return (
+        by_value({**overrides, **arm.laid_over}), SteeringGains(**arm.gains), arm.perception,
+        arm.controller,
+    )
 
 
 def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:

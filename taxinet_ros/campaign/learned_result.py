@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, TAIL
-from taxinet_ros.campaign.record.facts import with_present_keys
+from taxinet_ros.campaign.record.facts import same_fact, with_present_keys
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.scenario_fields import other_form
@@ -149,7 +149,7 @@ class LearnedTogether:
         first, *_ = told = [with_present_keys(result.facts) for result in results]
         for facts, folder in zip(told, folders, strict=True):
             for name in _SAME:
-                if facts.get(name) != first.get(name):
+                if not same_fact(name, facts.get(name), first.get(name)):
                     raise UsageError(
                         f'{folder}: has another {name.replace("_", " ")} than {folders[0]}; only '
                         'searches that differ only in their seed can be combined'

@@ -229,13 +229,14 @@ def without_gaps(outcomes: Mapping[int, str]) -> int:
 def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> bool:
     """Whether the number of runs equals the number planned before the first one.
 
+    A rejected scene uses up its run. Which ones are rejected depends on no result, so the judged
+    ones are as good as fixed in number.
+
     Args:
-        outcomes: outcome by run index. Rejected ones need not use up a run.
+        outcomes: outcome by run index.
         planned: None for the actual number.
     """
-    used = sum(outcome != Outcome.REJECTED for outcome in outcomes.values())
-    complete = without_gaps(outcomes) == len(outcomes)
-    return complete and (planned is None or used <= planned <= len(outcomes))
+    return without_gaps(outcomes) == len(outcomes) and planned in (None, len(outcomes))
 
 
 def count_outcomes(rows: Sequence[RunRow], leaving_out: Iterable[Outcome] = ()) -> str:

@@ -14,6 +14,7 @@ compared with it by ``tests/core/test_scenario_fields.py``.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import math
 import re
@@ -471,6 +472,19 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
         if short in values and key in values:
             raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
     return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+
+
+def by_value(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What texts for scenario keys stand for, to compare them: 1 and 1.0 are the same duration.
+
+    Numbers are in SI units; documents and what is no value of its key stay as they are.
+    """
+    found = by_key(values)
+    for name, value in found.items():
+        if name in BY_KEY and BY_KEY[name].catalogue is None:
+            with contextlib.suppress(UsageError):
+                found[name] = BY_KEY[name].from_human(value)
+    return found
 
 
 def other_form(name: str) -> str:

@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from taxinet_ros.arguments import check_fields
 
 NS_PER_S = 1_000_000_000
+FOOT_M = 0.3048
+"""The international foot, exactly."""
 _FLOATS = {float}
 """Type of nearly all numbers below. It is checked first because the values are created in every
 control step, and checking each field by its annotation takes ten times as long."""

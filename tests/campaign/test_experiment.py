@@ -128,7 +128,11 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
         ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
          'arms.a.controller: --set steering.heading_gain: gains apply only'),
-        ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
+        ({'arms': '{a: {}, b: {perception: original}}', 'compare_to': 'c'},
+         'compare_to: expected one of the arms'),
+        ({'arms': '{a: {}, b: {}}'}, 'arms.b: runs the same as a, so there is nothing to compare'),
+        ({'arms': '{a: {set: {rain: 40, clouds: broken}}, b: {perception: original}, '
+                  'c: {set: {clouds: broken, rain_percent: 40.0}}}'}, 'arms.c: runs the same as a'),
         ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
         ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),
         ({'set': '{clouds: '}, 'line '),

@@ -318,6 +318,18 @@ def test_given_interrupted_runs_then_they_are_in_the_table_and_run_again_when_re
     assert list(resumed['outcome']) == list(undisturbed['outcome'])
     assert list(resumed['u_x']) == list(undisturbed['u_x'])
 
+
+def test_given_the_same_values_in_other_words_when_resumed_then_it_goes_on(tmp_path):
+    """1 and 1.0 are one value, and a key is its short form."""
+    first = {'overrides': {'rain': '0', 'shadows': 'on'}, 'sampler_options': {'every': '1'}}
+    again = {'overrides': {'shadows': 'ON', 'rain_percent': '0.0'},
+             'sampler_options': {'every': '1.0'}}
+    toy.finish(toy.options(tmp_path / 'c', runs=4, **first))
+    toy.finish(toy.options(tmp_path / 'whole', runs=8, **first))
+    toy.finish(toy.options(tmp_path / 'c', runs=8, resume=True, **again))
+    toy.same_table(tmp_path / 'c', tmp_path / 'whole')
+
+
 OTHERS = {
     'seed': ({'seed': 4}, 'begun with seed 3, not 4'),
     'sampler': ({'sampler': 'random'}, 'begun with sampler "ce", not "random"'),

@@ -14,7 +14,7 @@ from sklearn.tree import DecisionTreeClassifier
 
 from taxinet_ros.analysis.causes.causes import round_limits
 from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region, interval_cells
-from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, holm
 from taxinet_ros.analysis.runs.features import (
     BY_NAME,
     PAPER_FEATURES,
@@ -74,15 +74,6 @@ def rank_features(frame: pd.DataFrame) -> tuple[RankedFeature, ...]:
         for feature, one, each in zip(features, found, p, strict=True)
     ]
     return tuple(sorted(ranked, key=lambda one: -one.information_bit))
-
-
-def holm(values: list[float]) -> list[float]:
-    """The p values after Holm's step-down correction, in the same order."""
-    order = np.argsort(values, kind='stable')
-    steps = [min(1.0, values[place] * (len(values) - step)) for step, place in enumerate(order)]
-    corrected = np.empty(len(values))
-    corrected[order] = np.maximum.accumulate(steps) if steps else []
-    return [float(value) for value in corrected]
 
 
 def _cells(feature: Feature, frame: pd.DataFrame) -> Ints:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
@@ -14,6 +14,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
+from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
@@ -44,6 +45,8 @@ class ArmComparison:
         max_cross_track_m: greatest |cross-track error| [m].
         settle_time_s: settling time of runs that settle in both arms [s].
         settled: whether runs settle on the centreline, where it is known in both arms.
+        satisfied_p, rho_p: p values of these two, adjusted for all arms that the experiment
+            compares with its base (Holm); NaN without pairs.
     """
 
     base: str
@@ -56,16 +59,18 @@ class ArmComparison:
     max_cross_track_m: PairedShift
     settle_time_s: PairedShift
     settled: PairedRates
+    satisfied_p: float
+    rho_p: float
 
     @property
     def clear(self) -> bool:
         """Whether the rates of satisfied runs differ significantly."""
-        return self.satisfied.p_value < _SIGNIFICANT
+        return self.satisfied_p < _SIGNIFICANT
 
     @property
     def rho_clear(self) -> bool:
         """Whether rho differs significantly."""
-        return self.rho.p_value < _SIGNIFICANT
+        return self.rho_p < _SIGNIFICANT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +97,18 @@ def paired_arms(experiment: Experiment, rows: Rows) -> PairedArms:
     base = rows[experiment.compare_to]
     varied = varied_keys(base)
     numbers = [key for key in _NUMBERS if key in varied]
+    found = [
+        compare_arms(experiment.compare_to, base, arm.name, rows[arm.name])
+        for arm in experiment.others
+    ]
+    satisfied, rho = (
+        holm([one.satisfied_p for one in found]), holm([one.rho_p for one in found])
+    )
     return PairedArms(
         experiment=experiment, rows=rows,
         comparisons=tuple(
-            compare_arms(experiment.compare_to, base, arm.name, rows[arm.name])
-            for arm in experiment.others
+            replace(one, satisfied_p=p, rho_p=rho_p)
+            for one, p, rho_p in zip(found, satisfied, rho, strict=True)
         ),
         over=experiment.over or next(iter(numbers), 'time_of_day_h'), alone=len(varied) <= 1,
     )
@@ -119,12 +131,14 @@ def compare_arms(
         return paired_shift([_number(row, name) for row in firsts],
                             [_number(row, name) for row in seconds])
 
+    satisfied = paired_rates([row.outcome is Outcome.PASS for row in firsts],
+                             [row.outcome is Outcome.PASS for row in seconds])
+    rho = shift('rho')
     return ArmComparison(
         base=base, arm=arm, pairs=pairs, unpaired=len(numbers) - len(pairs),
-        satisfied=paired_rates([row.outcome is Outcome.PASS for row in firsts],
-                               [row.outcome is Outcome.PASS for row in seconds]),
+        satisfied=satisfied, satisfied_p=satisfied.p_value, rho=rho, rho_p=rho.p_value,
         off_runway=_known_rates(pairs, lambda row: row.left_runway),
-        rho=shift('rho'), max_cross_track_m=shift('max_cross_track_m'),
+        max_cross_track_m=shift('max_cross_track_m'),
         settle_time_s=shift('settle_time_s'),
         # After an early stop it is not known whether a run would have settled.
         settled=_known_rates(

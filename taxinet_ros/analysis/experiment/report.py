@@ -240,7 +240,9 @@ def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
         f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
         f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
     )
-    yield _shift_words(one, 'rho', one.rho, _unit(found.experiment), 2)
+    yield _shift_words(
+        one, 'rho', one.rho, _unit(found.experiment), 2, _adjusted(found, one.rho_p)
+    )
     yield from _where_words(found, one)
 
 
@@ -251,7 +253,7 @@ def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str
     rates = one.satisfied
     yield (
         f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
-        f"only (McNemar's exact test: p = {_p(rates.p_value)})."
+        f"only (McNemar's exact test: p = {_p(rates.p_value)}{_adjusted(found, one.satisfied_p)})."
     )
     yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, ' m', 2)
     if one.settle_time_s.pairs:
@@ -273,6 +275,12 @@ def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str
         )
 
 
+def _adjusted(found: PairedArms, p_value: float) -> str:
+    """Display text of the adjusted p value that the verdict uses, if there are several arms."""
+    arms = len(found.comparisons)
+    return f', {_p(p_value)} after Holm over {arms} arms' if arms > 1 else ''
+
+
 def _verdict(one: ArmComparison) -> str:
     if one.clear:
         more = 'more' if one.satisfied.second > one.satisfied.first else 'fewer'
@@ -286,7 +294,9 @@ def _verdict(one: ArmComparison) -> str:
     return f'No difference between {one.base} and {one.arm} is proven.'
 
 
-def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int) -> str:
+def _shift_words(
+    one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int, adjusted: str = ''
+) -> str:
     if not shift.pairs:
         return f'No pair has {name} in both arms.'
     if not shift.more + shift.less:
@@ -298,7 +308,7 @@ def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, d
     return (
         f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f}{unit}'
         f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
-        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}).'
+        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}{adjusted}).'
     )
 
 
@@ -440,8 +450,9 @@ def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
 def _comparison_json(one: ArmComparison) -> dict[str, Any]:
     return {
         'arm': one.arm, 'base': one.base, 'pairs': len(one.pairs), 'unpaired': one.unpaired,
-        'satisfied': _rates_json(one.satisfied), 'off_runway': _rates_json(one.off_runway),
-        'settled': _rates_json(one.settled), 'rho': _shift_json(one.rho),
+        'satisfied': {**_rates_json(one.satisfied), 'p_holm': one.satisfied_p},
+        'off_runway': _rates_json(one.off_runway), 'settled': _rates_json(one.settled),
+        'rho': {**_shift_json(one.rho), 'p_holm': one.rho_p},
         'max_cross_track_m': _shift_json(one.max_cross_track_m),
         'settle_time_s': _shift_json(one.settle_time_s),
     }

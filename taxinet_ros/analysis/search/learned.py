@@ -9,7 +9,7 @@ import numpy as np
 
 from taxinet_ros.campaign.learned_program import learned_program
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, Evidence, LearnedResult
-from taxinet_ros.campaign.samplers.registry import drawn_share
+from taxinet_ros.campaign.samplers.registry import check_sampler
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.search import Search
@@ -105,10 +105,13 @@ def _evidence(search: Search) -> dict[str, Evidence]:
 
 
 def _heaviest(search: Search, weights: Sequence[float]) -> float | None:
-    """The greatest weight that a run can have, from the share that the program itself draws."""
+    """The greatest weight that a run can have, from the share that the program itself draws.
+
+    None without such a share, and for a package's sampler that does not say it as ``floor``.
+    """
     options = search.options
-    drawn = drawn_share(options.sampler, options.sampler_options)
-    return max(1 / drawn, *weights) if drawn else None
+    floor = check_sampler(options.sampler, options.sampler_options).get('floor', 0.0)
+    return max(1 / floor, *weights) if floor else None
 
 
 def _title(search: Search) -> str:

@@ -28,6 +28,7 @@ from taxinet_ros.campaign.record.facts import (
     WORLD,
     package_words,
     recorded_stacks,
+    same_fact,
     stack_difference,
     this_stack,
     with_present_keys,
@@ -402,7 +403,7 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     for name in now:
-        if name not in _MAY_DIFFER and before.get(name) != now[name]:
+        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now[name]):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
                 f'{short_json(now[name])}; repeat its options, or choose another --out'

@@ -15,7 +15,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
-from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key
+from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key, by_value
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
@@ -33,6 +33,8 @@ EXTENSIONS = 'extensions'
 
 _BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
 """Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
+_TYPED = ('overrides', 'laid_over')
+"""Those whose values are as somebody typed them."""
 
 WORLD = 'world'
 """The fact that names the world of the runs; absent in versions with a single world."""
@@ -152,6 +154,16 @@ def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
     if 'parameters' in facts:
         present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
     return {**facts, **present}
+
+
+def same_fact(name: str, one: Any, other: Any) -> bool:
+    """Whether two campaigns agree in a fact; typed values by what their texts stand for."""
+    if name in _TYPED and isinstance(one, dict) and isinstance(other, dict):
+        return by_value(one) == by_value(other)
+    if name == 'sampler_options' and isinstance(one, dict) and isinstance(other, dict):
+        with contextlib.suppress(ValueError, TypeError):
+            one, other = ({key: float(each[key]) for key in each} for each in (one, other))
+    return bool(one == other)
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:

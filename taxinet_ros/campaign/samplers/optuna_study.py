@@ -337,12 +337,12 @@ def in_window(results: Mapping[int, float], window: int) -> list[int]:
     """Numbers of the runs to fit, at most ``window`` of them: half the best, half the latest.
 
     Args:
-        results: robustness by number of the run, in the order of the runs.
+        results: robustness by number of the run, in the order in which they became known.
         window: 2 or more.
     """
     best_of = window // 2
-    latest = list(results)[-(window - best_of):]
-    older = [index for index in results if index < latest[0]]
+    known = list(results)
+    older, latest = known[:best_of - window], known[best_of - window:]
     best = sorted(older, key=lambda index: (results[index], -index))[:best_of]
     return sorted(best) + latest
 

@@ -196,8 +196,8 @@ class Finding:
         key: name of the parameter.
         original, nominal, shrunk: its value in the failed, the nominal and the shrunk scenario.
         rho_in_original, rho_in_shrunk: robustness of either with this parameter set to nominal.
-        passes_at: the value one step nearer to nominal than ``shrunk``, which does not fail.
-        rho_passes_at: robustness there.
+        passes_at: the value one step nearer to nominal than ``shrunk``, if it passes.
+        rho_passes_at: robustness there, above 0.
     """
 
     key: str
@@ -210,9 +210,16 @@ class Finding:
     rho_passes_at: float | None = None
 
     @property
-    def matters(self) -> bool:
-        """Whether the failure requires it to differ from nominal."""
+    def off_nominal(self) -> bool:
+        """Whether it differs from nominal in the shrunk scenario."""
         return bool(self.shrunk != self.nominal)
+
+    @property
+    def matters(self) -> bool | None:
+        """Whether the shrunk scenario passes with it at nominal; None if that was not run."""
+        if not self.off_nominal:
+            return False
+        return None if self.rho_in_shrunk is None else self.rho_in_shrunk > 0
 
     def words(self, value: Any) -> str:
         """A value of the parameter, with its unit."""
@@ -262,17 +269,20 @@ def make_report(shrinking: Shrinking) -> Report:
 
 def _finding(shrinking: Shrinking, one: Parameter, axis: int, at: Point) -> Finding:
     search, steps = shrinking.search, at[axis]
-    beside = search.moved(at, axis, max(steps - 1, 0))
+    beside = search.rho(search.moved(at, axis, steps - 1)) if steps else None
+    passes = beside if beside is not None and beside > 0 else None
     return Finding(
         key=one.key, original=one.values[-1], nominal=one.values[0], shrunk=one.values[steps],
         rho_in_original=search.rho(search.moved(search.start, axis, 0)),
         rho_in_shrunk=search.rho(search.moved(at, axis, 0)) if steps else None,
-        passes_at=one.values[steps - 1] if steps and search.rho(beside) is not None else None,
-        rho_passes_at=search.rho(beside) if steps else None,
+        passes_at=None if passes is None else one.values[steps - 1], rho_passes_at=passes,
     )
 
 
-_MATTERS = {True: Text('matters', style='bold red'), False: Text('does not matter', style='dim')}
+_MATTERS = {
+    True: Text('matters', style='bold red'), False: Text('does not matter', style='dim'),
+    None: Text('not known', style='dim'),
+}
 
 
 def shrink_heading(options: ShrinkOptions) -> str:
@@ -328,7 +338,7 @@ def edge_words(one: Finding) -> str:
 def off_nominal(report: Report) -> str:
     """Short description of the shrunk scenario: its parameters that are not nominal."""
     words = [
-        f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.matters
+        f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.off_nominal
     ]
     return ', '.join(words) or 'everything nominal'
 

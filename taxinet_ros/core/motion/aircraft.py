@@ -17,7 +17,7 @@ from statistics import fmean
 
 import jsbsim
 
-from taxinet_ros.core.motion.gusts import M_PER_FT, Gusts
+from taxinet_ros.core.motion.gusts import Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.rig.aircraft_model import (
@@ -28,7 +28,7 @@ from taxinet_ros.core.rig.aircraft_model import (
 )
 from taxinet_ros.core.rig.model_files import write_model_files
 from taxinet_ros.core.scenario import Scenario, check_camera_height
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
+from taxinet_ros.core.types import FOOT_M, NS_PER_S, AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 
@@ -199,21 +199,21 @@ class Wind:
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
         """Set the mean wind in JSBSim."""
-        fdm['atmosphere/wind-north-fps'] = self._north_mps / M_PER_FT
-        fdm['atmosphere/wind-east-fps'] = self._east_mps / M_PER_FT
+        fdm['atmosphere/wind-north-fps'] = self._north_mps / FOOT_M
+        fdm['atmosphere/wind-east-fps'] = self._east_mps / FOOT_M
 
     def gusts(self, fdm: jsbsim.FGFDMExec, steps: int) -> Iterator[None]:
         """Set the gust at the aircraft's position before each of ``steps`` physics steps."""
-        north_mps = fdm['velocities/v-north-fps'] * M_PER_FT - self._north_mps
-        east_mps = fdm['velocities/v-east-fps'] * M_PER_FT - self._east_mps
+        north_mps = fdm['velocities/v-north-fps'] * FOOT_M - self._north_mps
+        east_mps = fdm['velocities/v-east-fps'] * FOOT_M - self._east_mps
         way_mps = math.hypot(north_mps, east_mps)
         # The specification aligns its axes with the mean relative wind; without one (at rest in
         # still air) the axes are arbitrary.
         north, east = (north_mps / way_mps, east_mps / way_mps) if way_mps else (1.0, 0.0)
         for _ in range(steps):
             along, across = self._gusts.along_mps, self._gusts.across_mps
-            fdm['atmosphere/gust-north-fps'] = (along * north - across * east) / M_PER_FT
-            fdm['atmosphere/gust-east-fps'] = (along * east + across * north) / M_PER_FT
+            fdm['atmosphere/gust-north-fps'] = (along * north - across * east) / FOOT_M
+            fdm['atmosphere/gust-east-fps'] = (along * east + across * north) / FOOT_M
             yield
             self._gusts.advance(way_mps / PHYSICS_HZ)
 
@@ -329,16 +329,16 @@ class Aircraft:
         )
         fdm = self._fdm
         # Order matters: terrain before height above it, attitude before speeds.
-        fdm['ic/terrain-elevation-ft'] = self._frame.elevation_m / M_PER_FT
+        fdm['ic/terrain-elevation-ft'] = self._frame.elevation_m / FOOT_M
         fdm['ic/lat-geod-rad'] = pose.latitude_rad
         fdm['ic/long-gc-rad'] = pose.longitude_rad
-        fdm['ic/h-agl-ft'] = self._settled.z_m / M_PER_FT
+        fdm['ic/h-agl-ft'] = self._settled.z_m / FOOT_M
         fdm['ic/psi-true-rad'] = pose.heading_rad
         fdm['ic/theta-rad'] = -self._settled.pitch_rad
         fdm['ic/phi-rad'] = self._settled.roll_rad
         # Parallel to the ground, not along the tilted body axis: the aircraft would sink.
-        fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / M_PER_FT
-        fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / M_PER_FT
+        fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / FOOT_M
+        fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / FOOT_M
         fdm['ic/vd-fps'] = 0.0
         return pose.heading_rad + yaw_rad
 
@@ -390,7 +390,7 @@ class Aircraft:
         read = {name: self._fdm[name] for name in _OUTPUTS}
         if not all(map(math.isfinite, read.values())):
             raise self._failure(f'JSBSim is not finite: {read}')
-        lifted_m = self._fdm['position/h-agl-ft'] * M_PER_FT - self._settled.z_m
+        lifted_m = self._fdm['position/h-agl-ft'] * FOOT_M - self._settled.z_m
         if lifted_m > _MOST_LIFTED_M:
             raise self._failure(
                 f'{self.model.name} is {lifted_m:.1f} m above its wheels: the wind lifts it, which '
@@ -400,7 +400,7 @@ class Aircraft:
             GeodeticPose(
                 latitude_rad=read['position/lat-geod-rad'],
                 longitude_rad=read['position/long-gc-rad'],
-                altitude_m=read['position/geod-alt-ft'] * M_PER_FT,
+                altitude_m=read['position/geod-alt-ft'] * FOOT_M,
                 heading_rad=read['attitude/psi-rad'],
             )
         )
@@ -412,7 +412,7 @@ class Aircraft:
             roll_rad=read['attitude/phi-rad'],
             pitch_rad=-read['attitude/theta-rad'],
             yaw_rad=pose.yaw_rad,
-            speed_mps=read['velocities/u-fps'] * M_PER_FT,
+            speed_mps=read['velocities/u-fps'] * FOOT_M,
             yaw_rate_radps=-read['velocities/psidot-rad_sec'],
         )
 

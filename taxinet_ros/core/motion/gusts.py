@@ -20,10 +20,11 @@ import math
 
 import numpy as np
 
-M_PER_FT = 0.3048
+from taxinet_ros.core.types import FOOT_M
+
 _HEIGHT_FT = 10.0
 """Lowest height covered by the specification's formulas, MIL-F-8785C figure 10."""
-SCALE_LENGTH_M = _HEIGHT_FT / (0.177 + 0.000823 * _HEIGHT_FT) ** 1.2 * M_PER_FT
+SCALE_LENGTH_M = _HEIGHT_FT / (0.177 + 0.000823 * _HEIGHT_FT) ** 1.2 * FOOT_M
 """Scale length of both horizontal components: 23 m."""
 _C = 1.0 - 1.0 / math.sqrt(3.0)
 

@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import STEEPEST_DEG, make_place
-from taxinet_ros.core.place.runway import FOOT_M
 from taxinet_ros.core.place.runway_frame import GeodeticPose, RunwayFrame
+from taxinet_ros.core.types import FOOT_M
 from taxinet_ros.errors import UsageError
 
 VERSIONS = range(1000, 1201)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from taxinet_ros.core.place.runway import FOOT_M, Runway
+from taxinet_ros.core.place.runway import Runway
+from taxinet_ros.core.types import FOOT_M
 
 Polygon = tuple[tuple[float, float], ...]
 

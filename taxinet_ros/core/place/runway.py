@@ -12,7 +12,8 @@ import re
 from dataclasses import dataclass
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-FOOT_M = 0.3048
+from taxinet_ros.core.types import FOOT_M
+
 KMWH_HALF_WIDTH_M = 50 * FOOT_M
 """Half width of the paper's runway, the default without a place."""
 

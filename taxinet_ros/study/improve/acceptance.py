@@ -29,7 +29,7 @@ from taxinet_ros.analysis.runs.features import (
     Mask,
     feature_columns,
 )
-from taxinet_ros.campaign.rates import rate
+from taxinet_ros.campaign.rates import rate, share_bounds
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -98,7 +98,8 @@ def decide(
     over the day, by offset or by heading of the start; in rain, or dry under light or dark skies;
     in a cause of the incumbent's failures, or outside all causes. Since all of this must be shown,
     a network that is worse by a margin in any of it is accepted with a probability of at most
-    ``alpha`` (intersection-union test: Berger, Technometrics 24, 1982).
+    ``alpha`` (intersection-union test: Berger, Technometrics 24, 1982). That is for one decision:
+    each round of a loop has its own.
 
     Args:
         before: runs of the incumbent.
@@ -115,7 +116,7 @@ def decide(
     more = _bound(satisfied.only_first, satisfied.only_second, satisfied.pairs, alpha)
     more_off = _bound(off.only_second, off.only_first, off.pairs, alpha)
     better = _better(found, alpha)
-    refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
+    refusal = _refusal(found, more, more_off, margin, worse) if found.pairs else ''
     why = refusal if better or satisfied.second < satisfied.first else ''
     return Decision(
         accepted=bool(better) and not refusal, why=why or better or 'not significantly better',
@@ -141,8 +142,7 @@ def _better(found: ArmComparison, alpha: float) -> str:
 
 
 def _refusal(
-    found: ArmComparison, alpha: float, more: float, more_off: float, margin: float,
-    worse: Mapping[str, float],
+    found: ArmComparison, more: float, more_off: float, margin: float, worse: Mapping[str, float],
 ) -> str:
     """Why the candidate may be worse, or ''."""
     satisfied, off = found.satisfied, found.off_runway
@@ -153,8 +153,7 @@ def _refusal(
     if more >= margin:
         return (f'may fail up to {100 * more:.1f} points more often on {satisfied.pairs} scenes; '
                 f'the margin is {100 * margin:g}')
-    # A significant decrease of failures implies one of runs off the runway, unless more are seen.
-    if satisfied.p_value > alpha and more_off >= margin:
+    if more_off >= margin:
         return (f'may leave the runway up to {100 * more_off:.1f} points more often on '
                 f'{off.pairs} scenes; the margin is {100 * margin:g}')
     if worse:
@@ -179,8 +178,8 @@ def _places(
     frame = feature_columns(table([one for one, _ in found.pairs]))
     before, now = np.array([
         [run.outcome is Outcome.FAIL for run in pair] for pair in found.pairs]).T
-    # With this many pairs and no failure, the bound is below the margin.
-    least = math.ceil(float(norm.ppf(1 - alpha)) ** 2 * (1 - place_margin) / place_margin)
+    # With this many pairs and no new failure, the bound is below the margin.
+    least = math.ceil(math.log(alpha) / math.log1p(-place_margin))
     inside = np.zeros(len(frame), dtype=bool)
     masks = {'no cause found': inside}
     for cause in causes:
@@ -215,10 +214,13 @@ def _bound(more: int, fewer: int, pairs: int, alpha: float) -> float:
     """Upper bound of a difference of paired rates, from the discordant pairs.
 
     The greatest difference that the score test of Tango (Statistics in Medicine 17, 1998) does not
-    reject in favour of a smaller one, at a one-sided level; 1 without pairs.
+    reject in favour of a smaller one, at a one-sided level; 1 without pairs. Where all discordant
+    pairs are new failures, their exact bound, as that test then rejects too often.
     """
     if not pairs:
         return 1.0
+    if not fewer:
+        return share_bounds(more, pairs - more, alpha)[1]
     quantile = float(norm.ppf(1 - alpha))
     low, high = (more - fewer) / pairs, 1.0
     for _ in range(50):

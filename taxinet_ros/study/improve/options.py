@@ -47,7 +47,8 @@ class ImproveOptions:
         epochs, learning_rate: values for every training.
         varied: whether the look of the rendered world varies.
         sampler: sampler of the search for failures.
-        alpha: probability of accepting a network that is no better, or worse by a margin.
+        alpha: probability, in each round, of accepting a network that is no better, or worse by a
+            margin.
         margin: tolerated increase of the failure rate over all scenes.
         place_margin: the same in a part of them.
         seed: base seed; the seeds of different purposes never coincide.

@@ -21,6 +21,7 @@ from scipy.stats import binom, brunnermunzel, hypergeom, mannwhitneyu, norm
 from scipy.stats import t as student
 
 from taxinet_ros.analysis.experiment.pairs import PairedRates
+from taxinet_ros.analysis.runs.campaign import holm
 
 SIGNIFICANT = 0.05
 """Probability that any verdict of a study is wrong."""
@@ -120,16 +121,6 @@ def judge(questions: Sequence[Question]) -> tuple[Claim, ...]:
             verdict=verdict if p_value <= SIGNIFICANT else Verdict.UNCLEAR,
         ))
     return tuple(claims)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """P values of a family, adjusted by Holm's step-down procedure."""
-    found = np.asarray(p_values, dtype=np.float64)
-    order = np.argsort(found, kind='stable')
-    stepped = found[order] * np.arange(len(found), 0, -1)
-    adjusted = np.empty_like(found)
-    adjusted[order] = np.minimum(np.maximum.accumulate(stepped), 1.0)
-    return [float(one) for one in adjusted]
 
 
 # Tests -------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from taxinet_ros.study.report.claim import (
     pairs_more_often,
     share_above,
 )
-from taxinet_ros.study.report.results import Results, share_of
+from taxinet_ros.study.report.results import Network, Results
 from taxinet_ros.study.stages.plan import GENERIC, HALTON, ITERATIVE, ORIGINAL, SPECIALISED
 
 
@@ -107,20 +107,21 @@ def _day(results: Results) -> Iterator[Question]:
     yield Question(
         name='morning', source=f'{_DEBUGGING}, Fig. 4', sides=more_often(early, late),
         statement='the original network fails more in the early morning than in the late morning',
-        evidence=f'from 6 to 8 h {_fail(early)}, from 9:30 to 12 h {_fail(late)}.',
+        evidence=f'from 6 to 8 h {_fail(original, early)}, '
+        f'from 9:30 to 12 h {_fail(original, late)}.',
     )
     yield Question(
         name='early_morning', source=f'{_DEBUGGING}, Fig. 4',
         sides=mostly(int(early.sum()), int((~early).sum())),
         statement='the original network consistently fails in the early morning (most runs)',
-        evidence=f'from 6 to 8 h {_fail(early)}.',
+        evidence=f'from 6 to 8 h {_fail(original, early)}.',
     )
     yield Question(
         name='late_morning', source=f'{_DEBUGGING}, Fig. 4',
         sides=share_above(int((~late).sum()), len(late), ALMOST_ALL),
         statement='the original network works well in the late morning, almost all runs satisfying '
         f'the formula (more than {_percent(ALMOST_ALL, 0)} %)',
-        evidence=f'from 9:30 to 12 h {_share(~late)} satisfy it.',
+        evidence=f'from 9:30 to 12 h {_share(original, ~late)} satisfy it.',
     )
 
 
@@ -173,8 +174,8 @@ def _runway(results: Results) -> Iterator[Question]:
         rest = 'of the others' if what == 'crossing' else 'at 400-1,200 and 1,600-2,000 m'
         yield Question(
             name=f'{name}_{what}', source=source, statement=f'the {_title(name)} network {words}',
-            sides=more_often(at, off), evidence=f'of starts at {place} {_fail(at)}, {rest} '
-            f'{_fail(off)}.',
+            sides=more_often(at, off),
+            evidence=f'of starts at {place} {_fail(network, at)}, {rest} {_fail(network, off)}.',
         )
 
 
@@ -287,8 +288,9 @@ def _several_metres(results: Results) -> Iterator[Question]:
         sides=mostly(int(far.sum()), int((~far).sum())),
         statement='around the crossing the specialised network still typically deviates several '
         f'metres from the centreline (most runs by more than {SEVERAL_M:g} m)',
-        evidence=f'of starts at 1,200-1,600 m {_share(far)} deviate by more than {SEVERAL_M:g} m '
-        f'after ten seconds; the median is {_typical(away)} m.' if len(far) else 'no run.',
+        evidence=f'of starts at 1,200-1,600 m {_share(network, far)} deviate by more than '
+        f'{SEVERAL_M:g} m after ten seconds; the median is {_typical(away)} m.'
+        if len(far) else 'no run.',
     )
 
 
@@ -304,7 +306,7 @@ def _even_day(results: Results) -> Iterator[Question]:
             for low, high in _PARTS_OF_DAY_H
         ]
         shares = ', '.join(
-            f'{_percent(share_of(group).rate)} % of {len(group):,} from {low:g} to {high:g} h'
+            f'{_percent(network.share(group).rate)} % of {len(group):,} from {low:g} to {high:g} h'
             for group, (low, high) in zip(groups, _PARTS_OF_DAY_H, strict=True)
         )
         yield Question(
@@ -400,15 +402,15 @@ def _sky(clouds: str) -> str:
     return 'a clear sky' if clouds == 'clear' else f'{clouds} clouds'
 
 
-def _fail(failed: np.ndarray) -> str:
-    return f'{_share(failed)} fail' if len(failed) else 'no run was judged'
+def _fail(network: Network, failed: np.ndarray) -> str:
+    return f'{_share(network, failed)} fail' if len(failed) else 'no run was judged'
 
 
-def _share(hits: np.ndarray) -> str:
+def _share(network: Network, hits: np.ndarray) -> str:
     """Display text such as ``63.8 % (51.3-75.0) of 69 runs``."""
     if not len(hits):
         return 'no run'
-    found = share_of(hits)
+    found = network.share(hits)
     ends = f'{_percent(found.low)}-{_percent(found.high)}'
     return f'{_percent(found.rate)} % ({ends}) of {len(hits):,} runs'
 

@@ -61,12 +61,19 @@ class Network:
     @property
     def satisfied(self) -> Rate:
         """Share of the judged runs that satisfy their formula."""
-        return share_of(~self.runs.failed)
+        return self.share(~self.runs.failed)
 
     @property
     def off_runway(self) -> Rate:
         """Share of the judged runs that leave the runway."""
-        return share_of(self.off)
+        return self.share(self.off)
+
+    def share(self, hits: Sequence[bool] | np.ndarray) -> Rate:
+        """A share of some of its runs with its 95 % interval.
+
+        Valid at any time if the number of runs was not fixed beforehand.
+        """
+        return rate(int(np.count_nonzero(hits)), len(hits), anytime=self.runs.anytime)
 
     @property
     def off(self) -> np.ndarray:
@@ -232,7 +239,7 @@ def _on_truth(original: Network | None, path: Path | None) -> dict[str, Any] | N
     truth = _network('truth', path, None, bags=False)
     frame = _pair(original, truth).frame
     again = frame[~frame['satisfied_first']]
-    passed = share_of(again['satisfied_second'].to_numpy())
+    passed = original.share(again['satisfied_second'].to_numpy())
     count = len(again)
     shares = {
         'substitution': 'truth', 'judged': count, 'passed': int(again['satisfied_second'].sum()),
@@ -329,8 +336,3 @@ def _sealed_values(path: Path) -> dict[str, Any] | None:
         if (table := path.with_name(name)).is_file():
             found.check_file(table, 'repeat its stage')
     return found.values
-
-
-def share_of(hits: Sequence[bool] | np.ndarray) -> Rate:
-    """A share with its 95 % Clopper-Pearson interval."""
-    return rate(int(np.count_nonzero(hits)), len(hits))

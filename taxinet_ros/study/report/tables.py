@@ -20,7 +20,7 @@ from taxinet_ros.analysis.report.parts import Column, Table
 from taxinet_ros.campaign.learned_result import LearnedTogether
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.study.report.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
-from taxinet_ros.study.report.results import Network, Results, share_of
+from taxinet_ros.study.report.results import Network, Results
 from taxinet_ros.study.stages.log import StageRecord
 from taxinet_ros.study.stages.plan import (
     BEST,
@@ -113,7 +113,8 @@ def learned_frame(results: Results) -> pd.DataFrame:
                      f'{sampler}_greatest': max(shares)}
         if generic is not None:
             there = generic.within('distance_m', low, high)[generic.runs.failed]
-            line |= {'failures': int(there.sum()), **_with_interval('of_failures', share_of(there))}
+            line |= {'failures': int(there.sum()),
+                     **_with_interval('of_failures', generic.share(there))}
         if together is not None:
             line |= _with_interval('weighted', together.within(choice.dimension.name, low, high))
         lines.append(line)
@@ -159,9 +160,9 @@ def _binned(results: Results, column: str, edges: tuple[float, ...]) -> pd.DataF
             lines.append({
                 'network': network.name, f'from_{unit}': low, f'to_{unit}': high,
                 'runs': int(inside.sum()), 'satisfied_runs': int(passed[inside].sum()),
-                **_with_interval('satisfied', share_of(passed[inside])),
+                **_with_interval('satisfied', network.share(passed[inside])),
                 'off_runway_runs': int(off[inside].sum()),
-                **_with_interval('off_runway', share_of(off[inside])),
+                **_with_interval('off_runway', network.share(off[inside])),
                 'median_rho': _median(rho[inside]),
             })
     return pd.DataFrame(lines)

@@ -20,7 +20,7 @@ from taxinet_ros.analysis.campaign.folder import check_folder, write_analysis
 from taxinet_ros.analysis.campaign.report import campaign_report
 from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.causes.clusters import find_clusters, principal_axes
-from taxinet_ros.analysis.causes.predictors import grow_tree, holm, rank_features
+from taxinet_ros.analysis.causes.predictors import grow_tree, rank_features
 from taxinet_ros.analysis.experiment.pairs import paired_rates
 from taxinet_ros.analysis.report import page as report_page
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT
@@ -348,12 +348,6 @@ def test_given_a_feature_that_matters_then_it_ranks_first_and_others_do_not(tmp_
     assert ranked[0].p <= 0.01
     assert [one.p > 0.05 for one in ranked[1:]] == [True] * (len(ranked) - 1)
     assert 0 < ranked[0].explained < 1
-
-
-def test_given_p_values_then_holm_corrects_them_in_their_order():
-    assert holm([0.01, 0.04, 0.03]) == [pytest.approx(0.03), pytest.approx(0.06),
-                                        pytest.approx(0.06)]
-    assert holm([0.9, 0.8]) == [1.0, 1.0]
 
 
 def test_given_runs_then_bins_hold_each_once(runs):

@@ -8,6 +8,8 @@ import math
 import numpy as np
 import optuna
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from taxinet_ros.campaign.samplers.optuna_study import finite, in_window
 from taxinet_ros.campaign.samplers.registry import make_sampler
@@ -84,3 +86,14 @@ def test_given_more_results_than_the_window_when_fitted_then_best_and_latest_sta
     assert chosen == [18, 20, 22, 52, 54, 56, 58]
     assert in_window(results, 100) == list(results)
     assert in_window({4: 1.0, 5: 2.0}, 10) == [4, 5]
+
+
+@given(st.permutations(range(30)), st.integers(2, 40))
+def test_given_results_that_came_in_any_order_then_the_window_holds_each_once(
+    order: list[int], window: int,
+) -> None:
+    """The program's own draws get their numbers late, so the order is not that of the numbers."""
+    results = {number: float(number % 7) for number in order}
+    chosen = in_window(results, window)
+    assert len(set(chosen)) == len(chosen) == min(window, 30)
+    assert set(order[-(window - window // 2):]) <= set(chosen), 'the latest'

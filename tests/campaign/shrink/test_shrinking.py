@@ -29,6 +29,7 @@ from taxinet_ros.campaign.shrink.options import (
 from taxinet_ros.campaign.shrink.shrinking import (
     Report,
     Shrinking,
+    _finding,
     finding_lines,
     make_report,
     parameter_table,
@@ -255,6 +256,33 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
     assert '(a clear sky is dry too)' in finding_lines(found)[0]
     assert run_command(shrinking.options, 'a b.scenic') == (
         "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
+
+
+def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_matters(tmp_path):
+    """A value that fails too was printed as one that passes (rho -0.50)."""
+    for runs in range(2, 30):
+        folder = tmp_path / str(runs)
+        folder.mkdir()
+        found = make_report(drive(options(campaign(folder / 'c'), folder / 'out', runs=runs)))
+        for one in found.findings:
+            assert one.matters is None or one.matters == (
+                one.off_nominal and one.rho_in_shrunk > 0)
+            assert (one.passes_at is None) == (one.rho_passes_at is None)
+            assert one.rho_passes_at is None or one.rho_passes_at > 0
+        if runs == 2:
+            assert all('not known' in line for line in screen(found)[2:])
+
+
+@pytest.mark.parametrize('rho', [-0.5, 0.0])
+def test_given_the_value_beside_fails_too_then_it_is_not_said_to_pass(tmp_path, rho):
+    """Robustness 0 is no pass."""
+    shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'))
+    search, space = shrinking.search, shrinking.options.space
+    at = search.state.at
+    axis = [one.key for one in space.moving].index('rain_percent')
+    search.tell(search.moved(at, axis, at[axis] - 1), rho)
+    found = _finding(shrinking, space.moving[axis], axis, at)
+    assert (found.passes_at, found.rho_passes_at) == (None, None)
 
 
 def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):

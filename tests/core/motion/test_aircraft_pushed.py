@@ -8,13 +8,13 @@ import math
 
 import pytest
 
-from taxinet_ros.core.motion.aircraft import FRICTION, M_PER_FT, Aircraft
+from taxinet_ros.core.motion.aircraft import FRICTION, Aircraft
 from taxinet_ros.core.motion.controller import SteeringGains, SteeringLaw
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.rig.aircraft_model import SpeedGains
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import FOOT_M, AircraftState, TaxiCommand
 
 AHEAD = math.degrees(default_runway().bearing_rad)
 LEFT, RIGHT, BEHIND = AHEAD - 90 + 360, AHEAD + 90, AHEAD + 180
@@ -107,7 +107,7 @@ def test_given_wind_from_the_side_and_a_straight_way_when_rolling_then_it_gives_
 def test_given_a_wind_then_jsbsim_has_it_from_that_direction_and_of_that_speed():
     fdm = Aircraft(scene(wind_speed=10, wind_direction=270))._fdm
     assert fdm['atmosphere/wind-north-fps'] == pytest.approx(0, abs=1e-9)
-    assert fdm['atmosphere/wind-east-fps'] * M_PER_FT == pytest.approx(10), 'it goes east'
+    assert fdm['atmosphere/wind-east-fps'] * FOOT_M == pytest.approx(10), 'it goes east'
 
 
 @pytest.mark.parametrize(('state', 'share'), FRICTION.items())
@@ -226,7 +226,7 @@ def test_given_gusts_then_the_air_moves_as_strongly_as_they_say():
         aircraft, _ = rolls(scene(gust=3, gust_seed=seed), 2)
         fdm = aircraft._fdm
         squares.append(sum(
-            (fdm[f'atmosphere/gust-{axis}-fps'] * M_PER_FT) ** 2 for axis in ('north', 'east')
+            (fdm[f'atmosphere/gust-{axis}-fps'] * FOOT_M) ** 2 for axis in ('north', 'east')
         ) / 2)
     mean = sum(squares) / len(squares)
     error = math.sqrt(sum((one - mean) ** 2 for one in squares) / (len(squares) - 1) / len(squares))

@@ -11,8 +11,8 @@ from pymap3d.vincenty import vdist
 
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import Marking, Polygon, centreline_start_m, markings
-from taxinet_ros.core.place.runway import FOOT_M
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
+from taxinet_ros.core.types import FOOT_M
 
 KMWH = default_runway()
 

@@ -86,7 +86,8 @@ def begun(tmp_path):
     out = tmp_path / 'out'
     out.mkdir()
     options = ImproveOptions(
-        start=str(save_sample(tmp_path)), rounds=2, budget=RUNS * 3 * 2, counterexamples=70
+        start=str(save_sample(tmp_path)), rounds=2, budget=RUNS * 3 * 2, counterexamples=70,
+        margin=0.1,  # on 40 scenes less than 7 points cannot be shown
     )
     return options, out
 

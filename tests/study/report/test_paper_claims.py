@@ -16,7 +16,6 @@ from taxinet_ros.study.report.claim import (
     Sides,
     Verdict,
     evenly_often,
-    holm,
     judge,
     mean_above,
     more_often,
@@ -252,11 +251,6 @@ def test_paper_given_groups_that_lie_apart_then_the_lower_one_is_known() -> None
     assert mostly_lower(high, low).if_true < 1e-9
     assert mostly_lower(low, low.copy()).if_false > SIGNIFICANT
     assert mostly_lower(np.ones(9), np.ones(9)) == (1.0, 1.0)
-
-
-def test_paper_given_a_family_then_holm_s_rule_adjusts_it() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm([0.6, 0.9]) == [1.0, 1.0]
 
 
 def test_paper_given_twenty_statements_of_nothing_then_one_that_is_just_significant_is_not_enough(

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from taxinet_ros.campaign.rates import rate
 from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.report import gather_findings
 from taxinet_ros.study.report.results import Results, read_tables
+from taxinet_ros.study.report.tables import distances_frame, networks_frame
 from taxinet_ros.study.stages.config import read_config, shipped_config
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -96,3 +99,17 @@ def test_paper_given_a_table_that_a_sampler_chose_then_it_is_no_evaluation(tmp_p
     (tmp_path / 's_falsif_generic_9.parquet').write_bytes(source.read_bytes())
     with pytest.raises(UsageError, match=r'were chosen by a sampler, .* with --sampler ra'):
         read_tables(read_config(shipped_config()), tmp_path)
+
+
+def test_given_an_evaluation_that_was_extended_then_its_intervals_hold_at_any_number_of_runs(found):
+    generic = found.results.networks['generic']
+    assert generic.satisfied == rate(363, 400)
+    extended = replace(generic, runs=replace(generic.runs, anytime=True))
+    results = replace(found.results, networks={'generic': extended})
+    assert extended.satisfied == rate(363, 400, anytime=True)
+    assert extended.off_runway == rate(0, 400, anytime=True)
+    (line,) = networks_frame(results).to_dict('records')
+    assert line['satisfied_low'] == rate(363, 400, anytime=True).low
+    there = distances_frame(results).iloc[13]
+    assert there['satisfied_high'] == rate(
+        there['satisfied_runs'], there['runs'], anytime=True).high
