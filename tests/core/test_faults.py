@@ -99,7 +99,9 @@ def test_given_a_frozen_camera_then_the_picture_of_the_onset_repeats_also_where_
         9, 10, 10, 10, 10, 10, 10, 16, 17,
     ]
     late = scene(camera_freeze=0.25, fault_onset=0.95)
-    assert [shown_step(late, seq, CONTROL_PERIOD_NS) for seq in range(9, 14)] == [9, 10, 10, 10, 13]
+    assert [shown_step(late, seq, CONTROL_PERIOD_NS) for seq in range(9, 15)] == [
+        9, 10, 10, 10, 10, 14,
+    ], 'whole steps, rounded up'
     world = SimulatedWorld(failing)
     for seq in range(13):
         assert world.observe(picture=False).image is None
