@@ -204,7 +204,7 @@ _HARDLY_RAD = math.radians(2.0)
 """Equivalent of half a metre of cross-track error in the steering law."""
 _NOT_IN_VIEW = 0.002
 PARTS = {
-    SHADOW: "the aircraft's own shadow", CROSSING: 'the crossing', OTHERS: 'others on the ground',
+    SHADOW: "the aircraft's own shadow", CROSSING: 'the crossing', OTHERS: 'the group of others',
 }
 
 
@@ -336,7 +336,7 @@ def _cause(found: Explanation) -> Iterator[str]:
         yield (
             f'No change of the scene removes {100 * LEAST_SHARE:.0f} % of the error: neither '
             f'{_list([effect.factor.cause for effect in found.effects])}. The remaining candidates '
-            'are the pose, the ground and the network itself.'
+            'are the pose, the place, the camera and the network itself.'
         )
         return
     yield (
