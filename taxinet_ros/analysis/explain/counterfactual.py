@@ -112,7 +112,10 @@ def factors(scenario: Scenario) -> tuple[Factor, ...]:
         *_without_faults(scenario, seen, 'without any fault of the camera'),
         (SHADOW, 'without its shadow', "the aircraft's own shadow", changed(shadows=False)),
         (CROSSING, 'without the crossing', 'the crossing runway', changed(crossing=False)),
-        (OTHERS, 'with nobody else there', 'the presence of others on the ground', changed(traffic=NOBODY)),
+        (
+            OTHERS, 'with nobody else there', 'the presence of others on the ground',
+            changed(traffic=NOBODY),
+        ),
         (RAIN, 'dry', 'the rain', changed(rain_fraction=0.0)),
         ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky',
          changed(clouds='overcast')),
