@@ -260,7 +260,8 @@ class Simulator(Node):
         result.timing = self._timing.words
         result.status = await run.done
         if run.free is not None:
-            result.account = account_message(run.free, run.run_id)
+            # As the recorder was told: late answers no longer count.
+            result.account = run.told_account or account_message(run.free, run.run_id)
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
@@ -528,7 +529,8 @@ class Simulator(Node):
         run.ending = status
         run.reset_watchdog()
         if run.free is not None:
-            self._say(interface.TIMING, account_message(run.free, run.run_id))
+            run.told_account = account_message(run.free, run.run_id)
+            self._say(interface.TIMING, run.told_account)
         self._say(interface.RUN_STATUS, status)
         if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()

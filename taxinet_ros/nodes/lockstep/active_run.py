@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.task import Future
 from taxinet_msgs.action import RunScenario
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
+from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
@@ -148,6 +149,7 @@ class ActiveRun:
         self.suspect: tuple[InfraError, float] | None = None
         self.verdict: Verdict | None = None
         self.ending: RunStatus | None = None
+        self.told_account: TimingMessage | None = None
         self.unwanted_s = 0.0  # Time of a cancel request, monotonic clock.
         self.done = Future(executor=executor)
         self.created = self.last_heard = time.monotonic()

@@ -6,9 +6,11 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
+from uuid import uuid4
 
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
@@ -34,8 +36,9 @@ _SILENT_LOOKS = 20
 _ASK_AGAIN_S = 2.0
 """Silence [s] after which the result is requested again.
 
-The simulator reports progress several times a second, so it may have ended the run. Its result can
-be lost (once in 3,900 tests on a busy machine) and is kept for a while.
+The simulator reports progress several times a second, so it may have ended the run. Its result, and
+its acceptance of the run, can be lost (once in 3,900 tests on a busy machine); results are kept for
+a while.
 """
 PATIENCE = (
     Parameter(
@@ -86,6 +89,7 @@ class ScenarioSampler(Node):
         topic = interface.OBITUARY
         self._death_notices = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
+        self._sent: Any = None
         self._asked_of: set[Gid] = set()
         self._dead: set[Gid] = set()
         self._answer: Future | None = None
@@ -220,7 +224,11 @@ class ScenarioSampler(Node):
         self._asked_of = set(self._servers())
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = self._last_asked = time.monotonic()
-        sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        self._sent = interface.RUN_SCENARIO_TYPE.Impl.SendGoalService.Request().goal_id
+        self._sent.uuid = list(uuid4().bytes)
+        sent = self._client.send_goal_async(
+            goal, feedback_callback=self._on_feedback, goal_uuid=self._sent
+        )
         sent.add_done_callback(self._guarded(self._take_handle, answer))
 
     def _take_handle(self, answer: Future, sent: Future) -> None:
@@ -287,14 +295,23 @@ class ScenarioSampler(Node):
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
                 self._lose_simulator(InfraKind.TIMEOUT, f'silent for {silence_timeout_s:g} s')
-            elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
+            elif now - self._last_asked > _ASK_AGAIN_S:
                 self._last_asked = now
+                self._goal = self._goal or self._handle_of_sent()
                 self._ask_result(self._goal, answer)
         elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
         elif now - self._asked > server_timeout_s or self._is_shared():
             answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
+
+    def _handle_of_sent(self) -> ClientGoalHandle:
+        """Handle of the goal that was sent, where its acceptance does not arrive.
+
+        A simulator that does not know the goal answers so, which is ignored.
+        """
+        accepted = interface.RUN_SCENARIO_TYPE.Impl.SendGoalService.Response(accepted=True)
+        return ClientGoalHandle(self._client, self._sent, accepted)
 
     def _is_shared(self) -> bool:
         return self.one_simulator and len(self._servers()) > 1
