@@ -8,7 +8,6 @@ in :mod:`taxinet_ros.core.camera.lens_faults`.
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
@@ -50,7 +49,7 @@ def frame_lost(scenario: Scenario, stamp_ns: int) -> bool:
 def shown_step(scenario: Scenario, seq: int, period_ns: int) -> int:
     """Step whose picture the camera delivers at step ``seq``: that of the onset, while frozen."""
     onset = -(-round(scenario.fault_onset_s * NS_PER_S) // period_ns)
-    repeats = math.ceil(round(scenario.camera_freeze_s * NS_PER_S) / period_ns)
+    repeats = -(-round(scenario.camera_freeze_s * NS_PER_S) // period_ns)
     return onset if onset < seq <= onset + repeats else seq
 
 

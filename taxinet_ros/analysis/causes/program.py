@@ -22,7 +22,12 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
-from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
+from taxinet_ros.campaign.scenes.programs import (
+    NAMED_FILE,
+    SUFFIX,
+    find_program,
+    known_programs,
+)
 from taxinet_ros.core import scenario_fields
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario
@@ -40,7 +45,6 @@ _VALUES = {
 _SCENE = re.compile(r'\bscene_(\w+)')
 _STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
 _PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
-_NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
 _SWITCHES = {'on': True, 'off': False}
 
 
@@ -122,7 +126,7 @@ def _settings(runs: CampaignRuns) -> RunSettings:
 
 def _whole(source: str, runs: CampaignRuns) -> str:
     """The program with files of documents replaced by those that the runs had."""
-    if not (_NAMED_FILE.search(source) and (runs.folder / LEDGER_NAME).is_file()):
+    if not (NAMED_FILE.search(source) and (runs.folder / LEDGER_NAME).is_file()):
         return source
     recorded = open_campaign(runs.folder).content.documents
 
@@ -134,7 +138,7 @@ def _whole(source: str, runs: CampaignRuns) -> str:
                     return repr(named.text)
         return found[0]
 
-    return _NAMED_FILE.sub(document, source)
+    return NAMED_FILE.sub(document, source)
 
 
 def _documents_known(settings: RunSettings) -> bool:

@@ -1,9 +1,9 @@
 """Refuse Scenic constructs that have no effect on a run, by name and line.
 
 Scenic targets simulators that execute behaviours, move many objects and monitor requirements. Here
-a program defines only how a run *begins*: the pose of one aircraft, the weather, and
-others on the ground with their paths. Scenic
-compiles everything else too and silently drops it, so it is detected during compilation: statements
+a program defines only how a run *begins*: the pose of one aircraft, the weather, and others
+on the ground with their paths. Scenic compiles everything else too and silently drops it, so it is
+detected during compilation: statements
 (``record``, ``terminate when``, …) when executed, so that a library may contain ones that the
 program does not use; definitions in the program itself (``behavior``, …) where they are defined;
 objects and their properties after compilation. docs/scenic.md has the table.

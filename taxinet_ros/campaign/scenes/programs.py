@@ -23,7 +23,8 @@ _IMPORT = re.compile(
     r'^[ \t]*(?:(?:model|from)[ \t]+([\w.]+)|import[ \t]+([\w., \t]+))', re.MULTILINE
 )
 _DATA = ('.yaml', '.yml', '.json')
-_DOCUMENT = re.compile(r"""['"]([^'"\n]+\.(?:ya?ml|json))['"]""")
+NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
+"""A file of a document as a program names it, in quotes; its path is the second group."""
 
 
 def shipped_folder() -> Path:
@@ -110,7 +111,7 @@ def _with_imports(path: Path) -> dict[str, str]:
         if name in sources:
             continue
         sources[name] = _read(file)
-        if file.suffix not in _DATA:
+        if file.suffix.lower() not in _DATA:
             waiting += _imports(sources[name], folders)
             waiting += _documents(sources[name])
     return sources
@@ -118,10 +119,10 @@ def _with_imports(path: Path) -> dict[str, str]:
 
 def _documents(text: str) -> Iterator[tuple[str, Path]]:
     """The YAML files that a program names, from the current folder as in its parameters."""
-    for match in _DOCUMENT.finditer(text):
-        path = Path(match[1]).expanduser()
+    for match in NAMED_FILE.finditer(text):
+        path = Path(match[2]).expanduser()
         if path.is_file():
-            yield match[1], path
+            yield match[2], path
 
 
 def _imports(text: str, folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:

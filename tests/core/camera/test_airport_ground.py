@@ -106,6 +106,12 @@ def test_given_a_line_with_a_corner_then_the_stripes_beside_it_keep_their_distan
     assert (aside > 0.04).all()
 
 
+@pytest.mark.parametrize('style', [1, 2, 3, 4, 21])
+def test_given_a_line_without_length_then_nothing_is_painted(style):
+    nowhere = PaintedLine(style=style, points=((510.0, 50.0), (510.0, 50.0)))
+    assert (laid(lines=[nowhere]) == BARE).all()
+
+
 def test_given_a_runway_with_an_airport_then_only_its_ground_differs():
     apron = tuple((x, y - 10) for x, y in SQUARE)
     airport = AirportGround(pavements=(Pavement(surface='asphalt', outline=apron),), lines=())

@@ -171,7 +171,7 @@ def _beside(points: Polygon, left_m: float) -> Polygon:
 
 def _dashes(points: Polygon, stripe: Stripe) -> Iterable[Polygon]:
     """The pieces of a line that a stripe paints."""
-    if not stripe.dash_m:
+    if not (stripe.dash_m and points):
         yield points
         return
     way = np.array(points)
