@@ -1,0 +1,1 @@
+"""Simulators of others: as cameras behind our loop, or as whole worlds."""
