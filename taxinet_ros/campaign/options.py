@@ -43,7 +43,7 @@ from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
-from taxinet_ros.core.world import find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.plain_values import Section, read_yaml
@@ -210,7 +210,9 @@ class CampaignOptions:
         found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
+        again = find_world(self.world).again_words
+        told = [f'{again}, so every frame is recorded'] if again and self.bags else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen, *told))
 
     @property
     def standing_graph(self) -> bool:
@@ -253,7 +255,7 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
-    find_world(world)
+    chosen = find_world(world)
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
@@ -277,8 +279,14 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=images, controller=controller, timing=timing, world=world,
+        images=recorded_images(chosen, images), controller=controller, timing=timing,
+        world=chosen.name,
     )
+
+
+def recorded_images(world: ChosenWorld, images: str) -> str:
+    """Runs whose camera frames are recorded: all of them, if they cannot be had again."""
+    return 'all' if world.again_words else images
 
 
 def make_judging(

@@ -88,7 +88,8 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        recorded_world(recording.path, run)
+        if again := recorded_world(recording.path, run).again_words:
+            raise UsageError(f'{recording.path}: {again}, so a rerun differs anyway')
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

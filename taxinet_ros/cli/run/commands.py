@@ -38,6 +38,7 @@ from taxinet_ros.cli.options import (
     ProcessesOption,
     QuietOption,
     RateOption,
+    RendererOption,
     ResumeOption,
     RunOption,
     RunsOption,
@@ -56,6 +57,7 @@ from taxinet_ros.cli.options import (
     airport_place,
     given_options,
     refuse_given,
+    renderer_of,
     scene_settings,
     word_of,
 )
@@ -98,6 +100,7 @@ def run(
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.cli.run.campaign import run_campaign
+    from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
     if bag is not None and foxglove is not None:
@@ -115,7 +118,8 @@ def run(
         settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
         specs=spec or (), out=out, processes=processes, images=images, stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=word_of(context, 'controller'),
-        latency=latency or (), free=free, real_time_factor=real_time_factor, world=world,
+        latency=latency or (), free=free, real_time_factor=real_time_factor,
+        world=world_word(world, renderer_of(camera)),
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -181,6 +185,7 @@ def falsify(
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+    from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
     if free:
@@ -194,7 +199,8 @@ def falsify(
             settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
-            controller=word_of(context, 'controller'), latency=latency or (), world=world,
+            controller=word_of(context, 'controller'), latency=latency or (),
+            world=world_word(world, renderer_of(camera)),
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -339,6 +345,7 @@ def up(
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
     world: WorldOption = 'kmwh',
+    camera: RendererOption = 'ours',
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -393,6 +400,7 @@ def up(
     code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
     """
     from taxinet_ros.cli.run.up import make_up_options, run_up
+    from taxinet_ros.core.world import world_word
 
     if not record:
         refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
@@ -400,7 +408,8 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor, namespace=namespace, world=world,
+        free=free, real_time_factor=real_time_factor, namespace=namespace,
+        world=world_word(world, None if camera == 'ours' else camera),
     )
     raise typer.Exit(run_up(options))
 
