@@ -52,8 +52,14 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
-    CAMERAS: {'ours': 'taxinet_ros.core.camera.camera:Camera'},
+    WORLDS: {
+        KMWH: 'taxinet_ros.core.world:SimulatedWorld',
+        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+    },
+    CAMERAS: {
+        'ours': 'taxinet_ros.core.camera.camera:Camera',
+        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
+    },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),

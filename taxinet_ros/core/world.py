@@ -198,21 +198,25 @@ class ChosenWorld:
         fingerprint: SHA-256 of the packages that add it; empty for the simulated one.
         make: factory, called once per run.
         renderer: who takes its pictures; None: the world itself.
+        repeats: whether equal commands give equal runs.
     """
 
     name: str
     fingerprint: str
     make: WorldMaker
     renderer: ChosenRenderer | None = None
+    repeats: bool = True
 
     @property
     def reproducible(self) -> bool:
         """Whether a picture that was not recorded can be had again from states and scenario."""
-        return self.renderer is None or self.renderer.reproducible
+        return not self.again_words
 
     @property
     def again_words(self) -> str:
         """Why a picture cannot be had again; '' where it can."""
+        if not self.repeats:
+            return f'world {world_and_camera(self.name)[0]} does not run the same way twice'
         return '' if self.renderer is None or self.renderer.reproducible else (
             f'camera {self.renderer.name} does not take the same picture twice'
         )
@@ -264,7 +268,7 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
     if renderer is not None:
         marks = [one for one in (world.fingerprint, renderer.fingerprint) if one]
         world = ChosenWorld(
-            name=f'{world_name}+{renderer.name}', renderer=renderer,
+            name=f'{world_name}+{renderer.name}', renderer=renderer, repeats=world.repeats,
             fingerprint=marks[0] if len(marks) == 1 else
             hashlib.sha256(' '.join(marks).encode()).hexdigest() if marks else '',
             make=functools.partial(_SeenWorld, world.make, renderer),
@@ -284,7 +288,7 @@ def _find_alone(name: str) -> ChosenWorld:
     if extension is None:
         raise UsageError(f'world: {name!r} is unknown; known: {known(WORLDS)}')
     made: Any = extension.load()
-    if extension.shipped:
+    if name == KMWH:
         return ChosenWorld(name=name, fingerprint='', make=made)
     if not callable(made):
         raise UsageError(
@@ -297,8 +301,9 @@ def _find_alone(name: str) -> ChosenWorld:
             'scenario, pictures=True), which makes the world of a run'
         )
     return ChosenWorld(
-        name=name, fingerprint=extension.fingerprint,
+        name=name, fingerprint='' if extension.shipped else extension.fingerprint,
         make=functools.partial(_PluginWorld, extension, made),
+        repeats=getattr(made, 'reproducible', True) is not False,
     )
 
 
@@ -321,8 +326,8 @@ def closing(world: World) -> Iterator[World]:
 
 
 def close_world(world: World) -> None:
-    """End a world's run: another simulator's camera is given back."""
-    if isinstance(world, _SeenWorld):
+    """End a world's run: another simulator is given back."""
+    if isinstance(world, _SeenWorld | _PluginWorld):
         world.close()
 
 
@@ -363,6 +368,7 @@ class _SeenWorld(World):
     def close(self) -> None:
         if self._camera is not None:
             self._camera.close()
+        close_world(self._world)
 
 
 class _PluginWorld(World):
@@ -458,12 +464,24 @@ class _PluginWorld(World):
         self._call(lambda: self._world.advance(obeyed))
         self._seq += 1
 
+    def close(self) -> None:
+        """Let it give back what it took; the run is over, and keeps its result whatever comes."""
+        close = getattr(self._world, 'close', None)
+        if close is not None:
+            with contextlib.suppress(InfraError, UsageError):
+                self._call(close)
+
     def _call(self, work: Callable[[], _T]) -> _T:
-        with contained(
-            lambda error: self._broken(str(self._extension.failure(error))),
-            passing=(InfraError, UsageError),
-        ):
-            return work()
+        try:
+            with contained(
+                lambda error: self._broken(str(self._extension.failure(error))),
+                passing=(InfraError, UsageError),
+            ):
+                return work()
+        except InfraError as error:
+            if error.step >= 0 or self._seq < 0:
+                raise
+            raise InfraError(error.kind, error.who, self._seq, error.detail) from error
 
     def _broken(self, detail: str) -> InfraError:
         return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)

@@ -257,6 +257,35 @@ def shrink(
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
+xplane_app = typer.Typer(rich_markup_mode=None, help='X-Plane as camera and as world.')
+
+
+@xplane_app.callback(invoke_without_command=True)
+def _xplane(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@xplane_app.command('doctor')
+def xplane_doctor(
+    setup: Annotated[
+        Path | None,
+        typer.Option(metavar='FILE.yaml', help='where X-Plane is and how it is used; else that of '
+        'TAXINET_XPLANE, else the defaults'),
+    ] = None,
+) -> None:
+    """Check what a run with X-Plane relies on, in a line each.
+
+    X-Plane has to run, with an aircraft on the ground near the runway. It is paused, its aircraft
+    is placed, driven for a second, and released.
+
+    Exit code 4 if something does not work.
+    """
+    from taxinet_ros.cli.run.xplane import run_xplane_doctor
+
+    raise typer.Exit(run_xplane_doctor(setup))
+
+
 place_app = typer.Typer(rich_markup_mode=None, help='Places where runs take place.')
 
 

@@ -6,10 +6,15 @@ counted in frames and seconds of the simulator; the clock of the wall only limit
 
 from __future__ import annotations
 
+import fcntl
 import math
+import os
+import re
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
@@ -28,8 +33,9 @@ from taxinet_ros.simulators.xplane.web import WebApi
 from taxinet_ros.simulators.xplane.wire import Value, failed
 
 POSITION = 'sim/flightmodel/position/'
-RUNNING_TIME = 'sim/time/total_running_time_sec'
-"""Counts the frames: it grows with each, paused or not."""
+FRAME_MARKS = ('sim/time/total_running_time_sec', 'sim/time/framerate_period')
+"""A frame changes one of them at least, paused or not: the time that X-Plane has been up, and how
+long its last frame took."""
 FLIGHT_TIME = 'sim/time/total_flight_time_sec'
 """Time of the simulation; it stands still while paused."""
 PAUSED, SPEED = 'sim/time/paused', 'sim/time/sim_speed'
@@ -45,6 +51,7 @@ NEAR_M, NEAR_DEG = 0.02, 0.05
 _MOST_TRIES = 8
 _MOST_AWAY_M = 30_000.0
 _SETTLE_FRAMES = 2
+_RELEASES = 3
 _LOADING_S = 600.0
 _MERIDIAN_M = 111_132.0
 """Length of a degree of latitude at 45° [m]; poses are corrected until they are read back."""
@@ -115,29 +122,45 @@ class XPlane:
             InfraError: nothing answers.
             UsageError: unknown host.
         """
-        self.setup, self.link = setup, setup.open()
+        self.setup, self._lock = setup, _take_turn(setup)
+        try:
+            self.link = setup.open()
+        except BaseException:
+            os.close(self._lock)
+            raise
         try:
             self.version = self.link.version or f'{self.number(VERSION):.0f}'
             major(self.version)
         except ValueError:
             self.link.close()
+            os.close(self._lock)
             raise failed(
                 InfraKind.PROTOCOL, f'{self.link.words}: X-Plane {self.version!r:.20} is of no '
                 'known version'
             ) from None
         except BaseException:
             self.link.close()
+            os.close(self._lock)
             raise
 
-    def close(self) -> None:
-        """Let the aircraft go, resume the simulation, and disconnect."""
+    def close(self, *overrides: str) -> None:
+        """Let the aircraft go, resume the simulation, and disconnect.
+
+        Args:
+            overrides: further overrides to be ended.
+        """
         try:
-            self.link.write(HELD, 0.0)
-            self.link.write(SPEED, 1.0)
+            for _ in range(_RELEASES):  # over UDP nothing is confirmed
+                for name in (*overrides, HELD):
+                    self.link.write(name, 0.0)
+                self.link.write(SPEED, 1.0)
+                if not any(self.numbers(HELD, PAUSED)):
+                    break
         except InfraError:  # it is gone, which has been told
             pass
         finally:
             self.link.close()
+            os.close(self._lock)
 
     def number(self, name: str) -> float:
         """Read a number."""
@@ -162,9 +185,9 @@ class XPlane:
             InfraError: it does not.
         """
         limit = _Limit(self.setup.timeout_s)
-        last = self.number(RUNNING_TIME)
+        last = self.numbers(*FRAME_MARKS)
         while count > 0:
-            now = self.number(RUNNING_TIME)
+            now = self.numbers(*FRAME_MARKS)
             if now != last:
                 last, count, limit = now, count - 1, _Limit(self.setup.timeout_s)
             limit.check('it draws no frames: minimised, loading, or hanging?')
@@ -218,7 +241,7 @@ class XPlane:
             InfraError: a step is not confirmed, or another aircraft is loaded.
             UsageError: a dataref of the user cannot be written.
         """
-        self._check_aircraft()
+        self.check_aircraft()
         self.check_datarefs(self.setup.datarefs)
         self.pause(True)
         self.link.write(HELD, 1.0)
@@ -237,20 +260,26 @@ class XPlane:
             self.run_until(self.number(FLIGHT_TIME) + self.setup.settle_s)
         self.frames(_SETTLE_FRAMES)
         for one in settings:
-            self._check(one)
+            self.check(one)
         self.place(start)
 
-    def check_datarefs(self, names: object) -> None:
+    def check_datarefs(self, names: Iterable[str]) -> None:
         """Check that the datarefs of the user exist and can be written.
 
         Raises:
             UsageError: one cannot.
         """
-        for name in list(names):  # type: ignore[call-overload]
+        for name in names:
             if trouble := self.link.trouble(name):
                 raise UsageError(f'datarefs: {trouble}')
 
-    def _check_aircraft(self) -> None:
+    def check_aircraft(self) -> None:
+        """Check that the required aircraft is loaded.
+
+        Raises:
+            InfraError: it is another.
+            UsageError: the interface tells no names.
+        """
         if not self.setup.aircraft:
             return
         if isinstance(self.link, XPlaneConnect):
@@ -286,7 +315,12 @@ class XPlane:
         self.pause(True)
         self.link.write(HELD, 1.0)
 
-    def _check(self, wanted: Setting) -> None:
+    def check(self, wanted: Setting) -> None:
+        """Read a setting back.
+
+        Raises:
+            InfraError: it is another.
+        """
         (now,) = self.link.read(wanted.name)
         asked = wanted.value if isinstance(wanted.value, tuple) else (wanted.value,)
         told = now if isinstance(now, tuple) else (_number(wanted.name, now),)
@@ -361,6 +395,22 @@ class XPlane:
             ('q', _quaternion(heading_deg, there.pitch_deg, there.roll_deg)),
         ):
             self.link.write(f'{POSITION}{name}', value)
+
+
+def _take_turn(setup: XPlaneSetup) -> int:
+    """Wait until no other run of this user uses this X-Plane; closing the file ends the turn."""
+    name = re.sub(r'[^A-Za-z0-9.]', '_', f'{setup.host}-{setup.port}')
+    path = Path(tempfile.gettempdir(), f'taxinet-xplane-{os.getuid()}-{name}.lock')
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise failed(InfraKind.NOT_READY, f'{path}: {error.strerror}') from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    except BaseException:
+        os.close(lock)
+        raise
+    return lock
 
 
 class _Limit:

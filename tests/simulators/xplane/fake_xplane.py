@@ -22,7 +22,7 @@ import numpy as np
 import pymap3d
 
 FRAME_S = 1 / 60
-REF = 47.5, -119.5
+REF = 47.25, -119.45
 """Latitude and longitude of the origin of local coordinates [deg]."""
 TERRAIN_M = 361.7
 
@@ -48,6 +48,18 @@ COMMANDS = (
 )
 
 
+def turned(heading: float, pitch: float, roll: float) -> np.ndarray:
+    """Rotation matrix from a turned frame, axes ahead, right, down [deg]."""
+    (ch, sh), (cp, sp), (cr, sr) = (
+        (math.cos(math.radians(one)), math.sin(math.radians(one))) for one in (heading, pitch, roll)
+    )
+    return (
+        np.array([[ch, -sh, 0], [sh, ch, 0], [0, 0, 1]])
+        @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+        @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    )
+
+
 class FakeXPlane:
     """One simulator; ``with FakeXPlane() as sim``."""
 
@@ -66,11 +78,13 @@ class FakeXPlane:
         self.http_fault: Callable[[BaseHTTPRequestHandler], bool] = lambda handler: False
         self.frozen_screen = self.obeys_nothing = False
         self.size = 1280, 720
+        self.view_off = 0.0, 0.0, 0.0
+        self.up_while_paused = True
         self.values: dict[str, Any] = dict.fromkeys(INTS, 0)
         self.values.update({
             'sim/time/sim_speed': 1, 'sim/version/xplane_internal_version': 120400,
             'sim/time/total_running_time_sec': 100.0, 'sim/time/total_flight_time_sec': 10.0,
-            'sim/time/zulu_time_sec': 0.0,
+            'sim/time/zulu_time_sec': 0.0, 'sim/time/framerate_period': FRAME_S,
             'sim/flightmodel/position/local_x': 0.0, 'sim/flightmodel/position/local_y': TERRAIN_M,
             'sim/flightmodel/position/local_z': 0.0, 'sim/flightmodel/position/psi': 0.0,
             'sim/flightmodel/position/theta': 0.0, 'sim/flightmodel/position/phi': 0.0,
@@ -125,13 +139,34 @@ class FakeXPlane:
         })
         speed = math.hypot(*(self.values[f'{position}local_v{axis}'] for axis in 'xz'))
         self.values[position + 'groundspeed'] = speed
+        self.look()
+
+    def look(self) -> None:
+        """Where the view is: turns about down, right and ahead, in axes ahead, right, down."""
+        x, y, z, psi, theta, phi = self.pose()
+        head = [self.values[f'sim/graphics/view/pilots_head_{one}'] for one in
+                ('x', 'y', 'z', 'psi', 'the', 'phi')]
+        body = turned(psi, theta, phi)
+        right, up, back = head[:3]
+        north, east, down = body @ np.array([-back, right, -up]) + np.array(self.view_off)
+        view = body @ turned(*head[3:])
+        told = {
+            'x': x + east, 'y': y - down, 'z': z - north,
+            'heading': math.degrees(math.atan2(view[1, 0], view[0, 0])) % 360,
+            'pitch': math.degrees(math.asin(-view[2, 0])),
+            'roll': math.degrees(math.atan2(view[2, 1], view[2, 2])),
+        }
+        self.values.update({f'sim/graphics/view/view_{key}': one for key, one in told.items()})
 
     def frame(self) -> None:
         """One frame; time of the simulation stands still while it is paused."""
         with self.lock:
             value = self.values
-            value['sim/time/total_running_time_sec'] += FRAME_S
             value['sim/time/paused'] = int(value['sim/time/sim_speed'] == 0)
+            if self.up_while_paused or not value['sim/time/paused']:
+                value['sim/time/total_running_time_sec'] += FRAME_S
+            value['sim/time/framerate_period'] = FRAME_S * (1.5 - value['sim/time/paused'])
+            value['sim/time/framerate_period'] += 1e-4 * (len(self.requests) % 7)
             if not value['sim/time/paused']:
                 value['sim/time/total_flight_time_sec'] += FRAME_S
                 if not value['sim/operation/override/override_planepath'][0]:

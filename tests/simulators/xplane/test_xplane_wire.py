@@ -106,6 +106,7 @@ def test_a_late_packet_answers_no_later_question(sim, make):
 
     def late(packet: bytes) -> list[bytes]:
         kept.append(packet)
+        # It comes before the answer to the next question, where it has a way to.
         return [] if len(kept) == 1 else [kept[0], packet] if make is udp else [packet]
 
     link = make(sim, timeout_s=SHORT_S, tries=1)
@@ -113,7 +114,7 @@ def test_a_late_packet_answers_no_later_question(sim, make):
     with pytest.raises(InfraError):
         link.read(RAIN)
     sim.values[RAIN] = 0.75
-    link = link if make is udp else make(sim)
+    link._timeout_s = 5.0
     assert link.read(RAIN) == [0.75]
 
 
@@ -384,7 +385,10 @@ def test_a_command_is_never_sent_twice(sim):
 
 
 def test_a_web_server_that_hangs(sim):
-    link = web(sim, timeout_s=SHORT_S, tries=2)
+    link = web(sim, tries=2)
+    link.read(RAIN)
+    link.close()
+    link._timeout_s = SHORT_S
     free = threading.Event()
 
     def hang(handler: object) -> bool:
