@@ -40,7 +40,7 @@ from taxinet_ros.bag.run.messages import (
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.loop import Step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
@@ -150,6 +150,7 @@ class RunEnding:
 def write_run(
     folder: Path, request: RunRequest, *, nodes: Sequence[NodeWords], steps: Sequence[Step],
     frames: Iterable[NDArray[np.uint8] | None] | None, judgement: Judgement, ending: RunEnding,
+    fork: str = '',
 ) -> None:
     """Write the bag of a finished run atomically.
 
@@ -162,6 +163,7 @@ def write_run(
             bag without images.
         judgement: judgement of the run.
         ending: end of the run.
+        fork: what a forked run was forked from, as :attr:`taxinet_ros.core.fork.Fork.text`.
 
     Raises:
         UsageError: the folder exists, its name is not a valid run name, or the disk is full.
@@ -203,6 +205,8 @@ def write_run(
                 writer.flush()
             last_seq = steps[-1].observation.seq
             write(last_seq, _end(request.run_id, specs, last_seq, judgement, ending))
+            if fork:
+                writer.add_metadata(FORK_METADATA, {'fork': fork})
             writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, len(steps)))
         made.rename(folder)
         sync_folder(folder.parent)
