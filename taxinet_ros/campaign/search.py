@@ -191,6 +191,7 @@ class Search:
         """Whether one more run is needed; runs started earlier are always finished first."""
         if (broken := self.book.broken_in_a_row) >= PATIENCE:
             self.stopped = f'{broken} runs in a row were broken by the bench'
+        self.stopped = self.book.difference or self.stopped
         if self._asked >= self._campaign.runs or self.interrupted:
             return False
         if self._asked >= self._earlier.begun:
