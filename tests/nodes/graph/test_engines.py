@@ -189,12 +189,12 @@ def test_given_parts_of_a_package_then_every_byte_is_the_same(tmp_path, monkeypa
     with monkeypatch.context() as installed:
         installed.syspath_prepend(str(tmp_path / 'site'))
         lay_down(
-            tmp_path / 'site', 'light-world', PACKAGE, worlds='light = LIGHT',
+            tmp_path / 'site', 'parts-of-mine', PACKAGE, worlds='dim = LIGHT',
             perceptions='shaky = shaky', controllers='bent = steer',
         )
         check_same(
             [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path,
-            perception='shaky', controller='bent', world='light',
+            perception='shaky', controller='bent', world='dim',
         )
     provenance.cache_clear()
 
