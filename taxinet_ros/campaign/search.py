@@ -166,6 +166,7 @@ class Search:
             self.book.add_facts(news)
         if not self.book.second_chance(request, result):
             self._keep(self.book.finished_row(request, result))
+        self.stopped = self.book.difference or self.stopped
 
     def interrupt(self) -> None:
         """Request no more runs or retries; safe to call from a signal handler."""
@@ -191,7 +192,6 @@ class Search:
         """Whether one more run is needed; runs started earlier are always finished first."""
         if (broken := self.book.broken_in_a_row) >= PATIENCE:
             self.stopped = f'{broken} runs in a row were broken by the bench'
-        self.stopped = self.book.difference or self.stopped
         if self._asked >= self._campaign.runs or self.interrupted:
             return False
         if self._asked >= self._earlier.begun:

@@ -283,7 +283,7 @@ AuditOption = Annotated[
     typer.Option(
         metavar='PERCENT',
         help='with --engine loop: share of the runs to repeat on the graph; a difference ends the '
-        'command (default: 1)',
+        'command (default: 1 %)',
     ),
 ]
 FoxgloveOption = Annotated[

@@ -35,7 +35,7 @@ from taxinet_ros.campaign.experiment import (
     arm_searches,
     check_paired,
 )
-from taxinet_ros.campaign.options import AUDIT
+from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.row import RunRow
@@ -175,7 +175,7 @@ def _run_on_workers(search: Search | Shrinking) -> None:
 
 def run_experiment(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool,
-    engine: str, audit: str | None,
+    engine: str = GRAPH, audit: str | None = None,
 ) -> int:
     """Run every arm, compare them, and print the result.
 
