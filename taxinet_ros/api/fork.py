@@ -20,7 +20,6 @@ from taxinet_ros.api.run import (
     asked_controller,
     asked_perception,
     drive,
-    node_words,
 )
 from taxinet_ros.arguments import NUMBER, PATH, Kind, a, takes, told
 from taxinet_ros.bag.errors import BagEmpty
@@ -29,6 +28,7 @@ from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.message_values import error_of, stamp_of
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import check_state, states_and_commands
+from taxinet_ros.bag.run.run_bag import node_words
 from taxinet_ros.bag.run.topics import ESTIMATE
 from taxinet_ros.bag.run.trace import CameraFrame
 from taxinet_ros.core.fork import (

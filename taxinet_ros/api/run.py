@@ -40,8 +40,7 @@ from taxinet_ros.arguments import (
     takes,
     told,
 )
-from taxinet_ros.bag.run.facts import gains_text
-from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
+from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, node_words, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
 from taxinet_ros.core.camera.camera import Camera
@@ -433,41 +432,6 @@ def drive(
         nodes=nodes or node_words(perception, controller, world, timing), draws=draws,
         fork_of=fork_of,
     )
-
-
-def node_words(
-    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
-) -> tuple[NodeWords, ...]:
-    """Status texts of the ROS nodes for such a run, as recorded in bags."""
-    usual = dataclasses.asdict(SteeringGains())
-    tuned = {
-        name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
-    } if isinstance(hands, SteeringLaw) else {}
-    seen = topics.IMAGE if eyes.needs_image else topics.TRUTH
-    heard = topics.ODOMETRY, topics.TRUTH, topics.ESTIMATE, topics.COMMAND
-    nodes = [
-        NodeWords(
-            node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
-            listens=(topics.SCENARIO.name, seen.name),
-        ),
-        NodeWords(
-            node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
-            implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
-            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
-        ),
-        NodeWords(
-            node=topics.MTL_MONITOR,
-            listens=(topics.SCENARIO.name, *(topic.name for topic in heard)),
-        ),
-        NodeWords(node=topics.RECORDER),
-    ]
-    detail = '' if world.name == KMWH else world.name
-    if timing.words or detail:
-        nodes.append(NodeWords(
-            node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,
-            detail=detail,
-        ))
-    return tuple(nodes)
 
 
 def text_list(words: str | Sequence[str]) -> tuple[str, ...]:

@@ -270,6 +270,22 @@ FactorOption = Annotated[
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='run every node in its own process; same results')
 ]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar='ENGINE',
+        help='what makes the runs: graph, the nodes on ROS topics; or loop, the closed loop in one '
+        'process without ROS, with the same rows and bags'
+    ),
+]
+AuditOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='PERCENT',
+        help='with --engine loop: share of the runs to repeat on the graph; a difference ends the '
+        'command (default: 1 %)',
+    ),
+]
 FoxgloveOption = Annotated[
     int | None,
     typer.Option(

@@ -76,6 +76,9 @@ def localize(
     perception: Annotated[
         str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
+    engine: Annotated[
+        str, typer.Option(help='loop; every unchanged rerun is compared with the recorded run')
+    ] = 'loop',
     as_json: JsonOption = False,
 ) -> None:
     """Find which part causes failures: network or controller.
@@ -84,10 +87,17 @@ def localize(
     its heading error only and of its cross-track error only. After an interrupt, the same command
     continues.
     """
+    from taxinet_ros.campaign.options import LOOP
     from taxinet_ros.campaign.past_runs.localisation import make_localize_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.analysis.localize import run_localize
+    from taxinet_ros.errors import UsageError
 
+    if engine != LOOP:
+        raise UsageError(
+            f'--engine {engine}: localize reruns in the {LOOP} only; no node of a graph has a '
+            'part of the truth'
+        )
     with missing_packages_named(campaign):
         options = make_localize_options(
             campaign, runs=runs, words=substitutions or (), workers=workers, out=out,

@@ -12,11 +12,13 @@ from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
     AptDatOption,
+    AuditOption,
     BoundOption,
     BudgetOption,
     CameraOption,
     ControllerCommandOption,
     ControllerOption,
+    EngineOption,
     FactorOption,
     FailedRunArgument,
     FoxgloveOption,
@@ -90,13 +92,15 @@ def run(
     free: FreeOption = False,
     real_time_factor: FactorOption = None,
     foxglove: FoxgloveOption = None,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
     Every run writes its own bag and a row of the campaign's table. With --from, the run of a bag is
     rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
-    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.options import LOOP, make_options
     from taxinet_ros.cli.run.campaign import run_campaign
     from taxinet_ros.errors import UsageError
 
@@ -110,12 +114,15 @@ def run(
         )
     if scenario is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
+    if foxglove is not None and engine == LOOP:
+        raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
         specs=spec or (), out=out, processes=processes, images=images, stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=word_of(context, 'controller'),
         latency=latency or (), free=free, real_time_factor=real_time_factor, world=world,
+        engine=engine, audit=audit,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -168,6 +175,8 @@ def falsify(
     rate: RateOption = None,
     latency: LatencyOption = None,
     free: FreeOption = False,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -195,6 +204,7 @@ def falsify(
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=word_of(context, 'controller'), latency=latency or (), world=world,
+            engine=engine, audit=audit,
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -233,6 +243,8 @@ def shrink(
     controller: OwnControllerOption = None,
     spec: OwnSpecOption = None,
     images: ImagesOption = 'none',
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Shrink a failed run to the nearest scenario that still fails.
@@ -247,6 +259,7 @@ def shrink(
         options = make_shrink_options(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
             workers=workers, out=out, resume=resume, images=images, controller=controller,
+            engine=engine, audit=audit,
         )
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
@@ -495,6 +508,8 @@ def experiment(
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Confirm a cause by running the same scenes with and without it.
@@ -518,6 +533,6 @@ def experiment(
     raise typer.Exit(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
-            workers=workers, resume=resume, as_json=as_json,
+            workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
         )
     )
