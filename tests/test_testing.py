@@ -159,11 +159,11 @@ SAMPLERS = {
 
 
 def test_given_a_sampler_that_learns_but_says_not_when_checked_then_it_is_told(site: Path) -> None:
-    code = '''
+    code = """
 from taxinet_ros.campaign.samplers.registry import MAB, DependsOn, SamplerKind
 
 LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, depends_on=DependsOn.INDEX)
-'''
+"""
     lay_down(site, 'sampler-learns', code, samplers='learns = LEARNS')
     with pytest.raises(ContractError, match='its points depend on results, but depends_on says'):
         check_sampler('learns', 24)
