@@ -50,6 +50,7 @@ from taxinet_ros.cli.options import (
     SceneArgument,
     SeedOption,
     SetOption,
+    ShardOption,
     SpecOption,
     StopOnOption,
     UntilOption,
@@ -169,6 +170,7 @@ def falsify(
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
+    shard: ShardOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
@@ -187,6 +189,7 @@ def falsify(
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
+    from taxinet_ros.campaign.record.shard import parse_shard
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -197,6 +200,7 @@ def falsify(
             f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
             'use taxinet run --runs N --free, or search with --latency'
         )
+    part = None if shard is None else parse_shard(shard)
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
@@ -205,12 +209,38 @@ def falsify(
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=word_of(context, 'controller'), latency=latency or (), world=world,
             engine=engine, audit=audit,
+            part='' if part is None else f'shard{part.number}of{part.count}',
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget,
+            resume=resume, until=until, budget_min=budget, shard=part,
         )
     raise typer.Exit(run_falsify(options, quiet=quiet))
+
+
+def merge(
+    shards: Annotated[
+        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of all shards')
+    ],
+    out: Annotated[Path, typer.Option(help='folder for the campaign; must be new')],
+    bags: Annotated[
+        str,
+        typer.Option(
+            metavar='HOW',
+            help='hardlink (no further space), copy, or symlink, which needs the shards to stay',
+        ),
+    ] = 'hardlink',
+    quiet: QuietOption = False,
+) -> None:
+    """Merge the shards of a search into the campaign that it would be without --shard.
+
+    Checks every file of the shards first, and that they are of one search: the same program,
+    weights, versions, seed, sampler, options and world, every run once and none missing. The shards
+    are left as they are. Exit codes: 0 merged, 2 refused.
+    """
+    from taxinet_ros.cli.run.merge import run_merge
+
+    raise typer.Exit(run_merge(shards, out, bags=bags, quiet=quiet))
 
 
 def learned(
