@@ -80,12 +80,15 @@ EXTRAS = {
     'ros': ROS_WHEELS,
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
+    # taxinet run --camera xplane: pictures of X-Plane's window.
+    'xplane': ['mss'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
+        'mss',
         'playwright',
         'pybind11',
         'pytest',

@@ -222,7 +222,7 @@ class Run:
         """Camera frames of all control steps in order, rendered lazily.
 
         Frames are not stored (216 kB each): replaying the run's commands reproduces them to the
-        byte.
+        byte. Those of a camera that does not take the same picture twice are stored.
         """
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
@@ -284,6 +284,9 @@ class Run:
 
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Replay the run: number and image of each step; None where not wanted or not available."""
+        if self.world.again_words:
+            yield from ((step.observation.seq, step.observation.image) for step in self.steps)
+            return
         world = self.world.make(self.scenario)
         commands = LateCommands(self.timing, *self.draws, self.scenario)
         for step in self.steps:
@@ -355,7 +358,8 @@ def run(
         rates: assumed maximum changes per second, such as ``cte=3``.
         latency: delay of answers [s], such as ``perception=0.15`` or
             ``controller=uniform(0.1,0.3)``; append ``draws=SEED.INDEX`` for other random draws.
-        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md).
+        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md); with
+            ``+CAMERA``, who takes its pictures, as in ``kmwh+flightgear``.
 
     Returns:
         The run with its trace, robustness and outcome.
@@ -418,7 +422,10 @@ def drive(
 
     def keep(step: Step) -> None:
         on_step(step)
-        seen = dataclasses.replace(step.observation, image=None)
+        # A frame that can be taken again is not kept: 216 kB each.
+        seen = step.observation if world.again_words else dataclasses.replace(
+            step.observation, image=None
+        )
         steps.append(dataclasses.replace(step, observation=seen))
 
     judgement = run_closed_loop(

@@ -50,6 +50,7 @@ from taxinet_ros.cli.run.commands import (
     run,
     shrink,
     up,
+    xplane_app,
 )
 from taxinet_ros.cli.streams import (
     OutputUnreadError,
@@ -145,6 +146,7 @@ app.add_typer(camera_app, name='camera')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
+app.add_typer(xplane_app, name='xplane')
 
 
 @app.command()
