@@ -159,6 +159,17 @@ SAMPLERS = {
 }
 
 
+def test_given_a_sampler_that_learns_but_says_not_when_checked_then_it_is_told(site: Path) -> None:
+    code = """
+from taxinet_ros.campaign.samplers.registry import MAB, DependsOn, SamplerKind
+
+LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, depends_on=DependsOn.INDEX)
+"""
+    lay_down(site, 'sampler-learns', code, samplers='learns = LEARNS')
+    with pytest.raises(ContractError, match='its points depend on results, but depends_on says'):
+        check_sampler('learns', 24)
+
+
 @pytest.mark.parametrize('case', SAMPLERS)
 def test_given_a_wrong_sampler_when_checked_then_it_is_told_how(case: str, site: Path) -> None:
     body, said = SAMPLERS[case]
