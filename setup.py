@@ -80,12 +80,15 @@ EXTRAS = {
     'ros': ROS_WHEELS,
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
+    # taxinet camera compare --against mitsuba.
+    'mitsuba': ['mitsuba', 'shapely>=2.1'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
+        'mitsuba',
         'playwright',
         'pybind11',
         'pytest',
