@@ -311,7 +311,9 @@ def compare(
 
     if against is not None:
         why = '--against renders scenes of its own, without labelled frames'
-        refuse_given(context, ('folder', 'perception', 'distance_offset'), why)
+        if folder is not None:
+            raise UsageError(f'DIR: {why}')
+        refuse_given(context, ('perception', 'distance_offset'), why)
         raise typer.Exit(run_second_opinion(
             against, settings=settings or (), out=out, json_wanted=json
         ))
