@@ -7,8 +7,8 @@ flat and its surfaces are uniform, without wear, rubber, joints or haze.
 
 The scene's origin is below the aircraft, as Mitsuba's numbers are of single precision. Layers of
 the ground lie 0.1 mm below each other, paint at the height of the ground. Equal scenes give equal
-pictures: samples depend on their pixels, and a box filter keeps the threads' blocks apart. The
-variant is ``scalar_rgb``, which needs no LLVM on the machine.
+pictures with any number of threads: samples depend on pixel and block, and a box filter keeps the
+blocks apart. The variant is ``scalar_rgb``, which needs no LLVM on the machine.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ _CROSSING_REACH_M = 3_000.0
 _LAYER_M = 1e-4
 _FINENESS = 2
 """Film pixels along a pixel's longer side."""
+_BLOCK_PX = 32
+"""Side of what one thread renders at a time; else it would depend on the number of threads."""
 _AWAY_M = 2_000.0
 _KINDS = ('paint', 'pavement', 'ground')
 _TURBIDITY = 3.0
@@ -82,10 +84,21 @@ def check_installed() -> None:
     """Check that Mitsuba can be imported.
 
     Raises:
-        UsageError: it is not installed.
+        UsageError: it is not installed, or does not work here.
     """
+    _mitsuba()
+
+
+def _mitsuba() -> Any:
     if importlib.util.find_spec('mitsuba') is None:
         raise UsageError(NOT_INSTALLED)
+    try:
+        import mitsuba
+
+        mitsuba.set_variant(_VARIANT)
+    except ImportError as error:
+        raise UsageError(f'mitsuba is installed but cannot be imported: {error}') from error
+    return mitsuba
 
 
 def check_shown(scenario: Scenario) -> None:
@@ -122,12 +135,8 @@ class MitsubaScene:
         Raises:
             UsageError: Mitsuba is not installed, or the scenario has what it does not show.
         """
-        check_installed()
         check_shown(scenario)
-        import mitsuba
-
-        mitsuba.set_variant(_VARIANT)
-        self._mi: Any = mitsuba
+        self._mi = _mitsuba()
         self._scenario, self._state = scenario, state
         self._layers = _layers(scenario, scenario.runway)
         # Only to the sampling of the lens, not to the scene.
@@ -205,6 +214,7 @@ class MitsubaScene:
             },
             'sampler': {'type': 'stratified', 'sample_count': samples},
         })
+        integrator = {**integrator, 'block_size': _BLOCK_PX}
         scene = mi.load_dict({'type': 'scene', 'integrator': integrator, **meshes})
         picture = np.array(mi.render(scene, sensor=sensor, spp=samples, seed=0), np.float64)
         return self._lens.pixels(picture[:, :, -3:])
@@ -279,16 +289,24 @@ class _Lens:
 
     def pixels(self, film: Floats) -> Floats:
         """Mean of the film over each pixel of the picture."""
-        found: Floats = np.einsum('hy,yxc,wx->hwc', self._rows, film, self._columns, optimize=True)
-        return found
+        def along(shares: Any, planes: Floats) -> Floats:
+            found: Floats = shares @ planes.reshape(len(planes), -1)
+            return found.reshape(-1, *planes.shape[1:])
+
+        wide = along(self._rows, film)
+        return along(self._columns, wide.swapaxes(0, 1)).swapaxes(0, 1)
 
 
-def _shares(count: int, wide: float, film: int) -> Floats:
-    """Share of each film pixel in the mean of each of ``count`` pixels, (count, film)."""
+def _shares(count: int, wide: float, film: int) -> Any:
+    """Share of each film pixel in the mean of each of ``count`` pixels, (count, film).
+
+    Sparse, as products of dense matrices depend on the number of threads.
+    """
+    from scipy.sparse import csr_array
+
     left, at = wide * np.arange(count)[:, None], np.arange(film)[None]
     overlap = np.minimum(left + wide, at + 1) - np.maximum(left, at)
-    found: Floats = np.maximum(overlap, 0) / wide
-    return found
+    return csr_array(np.maximum(overlap, 0) / wide)
 
 
 def _deg(angle_rad: float) -> float:

@@ -426,6 +426,11 @@ def _scan(
     crossing = (high[:, 1:] != high[:, :-1]) & steep[:, :-1] & steep[:, 1:]
     found, at, shifts = 0, [], []
     width = share.shape[1]
+    blurred = [
+        cv2.GaussianBlur(
+            share, (2 * math.ceil(4 * px) + 1, 1), px, borderType=cv2.BORDER_REPLICATE
+        ) for px in _BLURS_PX
+    ]
     for v, u in np.argwhere(crossing):
         room = slice(u - _LEAST_ROOM_PX, u + _LEAST_ROOM_PX + 2)
         if room.start < 0 or room.stop > width or blocked[v, room].any():
@@ -434,7 +439,8 @@ def _scan(
             continue
         found += 1
         near = np.arange(max(u - _REACH_PX, 0), min(u + _REACH_PX + 2, width))
-        shift, fit = _fitted(share[v], signal[v], near[~blocked[v, near]], u + 0.5)
+        rows = [plane[v] for plane in blurred]
+        shift, fit = _fitted(rows, signal[v], near[~blocked[v, near]], u + 0.5)
         if fit >= _LEAST_FIT:
             at.append((v, u))
             shifts.append(shift)
@@ -442,7 +448,7 @@ def _scan(
 
 
 def _fitted(
-    share: Floats, signal: Floats, at: NDArray[np.intp], middle: float
+    shares: Iterable[Floats], signal: Floats, at: NDArray[np.intp], middle: float
 ) -> tuple[float, float]:
     """Shift of the signal along a row and the explained part of its variance, 0..1."""
     weights = np.exp(-0.5 * ((at - middle) / _WINDOW_PX) ** 2)
@@ -451,11 +457,8 @@ def _fitted(
     spread = max(float(weights @ values**2), 1e-12)
     shifts = np.arange(-_MOST_PX, _MOST_PX + _STEP_PX / 2, _STEP_PX)
     best = 0.0, -1.0
-    for blur_px in _BLURS_PX:
-        soft = cv2.GaussianBlur(
-            share[None], (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE
-        )[0]
-        models = np.interp(at[None] - shifts[:, None], np.arange(len(share)), soft)
+    for share in shares:
+        models = np.interp(at[None] - shifts[:, None], np.arange(len(share)), share)
         models -= (models @ weights)[:, None]
         together, own = (models * weights) @ values, (models**2) @ weights
         fits = np.where(together > 0, together**2 / (np.maximum(own, 1e-12) * spread), 0.0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -184,13 +185,21 @@ def test_given_a_clear_day_then_ground_and_paint_are_as_bright_and_shade_as_dark
 
 
 def test_given_a_scene_when_rendered_three_times_then_all_are_equal_to_the_bit(mitsuba):
+    """With any number of threads."""
+    drjit = pytest.importorskip('drjit')
     scenario = scenario_from_human({**second_opinion.SCENES[0], 'camera': SMALL})
     state = Aircraft(scenario).state
-    found = []
-    for _ in range(3):
-        scene = mitsuba_scene.MitsubaScene(scenario, state)
-        seen = scene.coverage()
-        found.append([seen.paint, seen.pavement, seen.ground, scene.sunlit(), *scene.radiance(1)])
+    found, threads = [], drjit.thread_count()
+    try:
+        for count in (threads, 1, 3):
+            drjit.set_thread_count(count)
+            scene = mitsuba_scene.MitsubaScene(scenario, state)
+            seen = scene.coverage()
+            found.append(
+                [seen.paint, seen.pavement, seen.ground, scene.sunlit(), *scene.radiance(1)]
+            )
+    finally:
+        drjit.set_thread_count(threads)
     assert found[0][3].std() > 0.1
     for again in found[1:]:
         for one, other in zip(found[0], again, strict=True):
@@ -212,6 +221,14 @@ def test_given_what_its_scene_does_not_show_then_it_is_refused_by_name(case, mit
     scenario = scenario_from_human(settings)
     with pytest.raises(UsageError, match=words):
         compare_scene(scenario)
+
+
+def test_given_a_mitsuba_that_does_not_work_here_then_one_line_says_so(monkeypatch, tmp_path):
+    (tmp_path / 'mitsuba.py').write_text("raise ImportError('libX is missing')")
+    monkeypatch.delitem(sys.modules, 'mitsuba', raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UsageError, match='installed but cannot be imported: libX is missing'):
+        mitsuba_scene.check_installed()
 
 
 def test_given_no_mitsuba_then_the_extra_is_named(monkeypatch):
