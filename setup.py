@@ -82,6 +82,8 @@ EXTRAS = {
     'foxglove': ['foxglove-sdk'],
     # taxinet camera compare --against mitsuba.
     'mitsuba': ['mitsuba', 'shapely>=2.1'],
+    # taxinet run --camera xplane: pictures of X-Plane's window.
+    'xplane': ['mss'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
@@ -89,6 +91,7 @@ EXTRAS = {
         'hypothesis',
         'mcap-ros2-support',
         'mitsuba',
+        'mss',
         'playwright',
         'pybind11',
         'pytest',
