@@ -29,6 +29,7 @@ from taxinet_ros.cli.analysis.commands import (
     analyze,
     doctor,
     explain,
+    fork,
     gate,
     localize,
     monitor,
@@ -134,8 +135,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    run, up, check_node, falsify, learned, shrink, analyze, localize, explain, fork, experiment,
+    gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -28,7 +28,7 @@ from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
+from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
 _START_M = 1.0
@@ -167,6 +167,29 @@ class SimulatedWorld(World):
         # Created for the first image: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
 
+    def change(
+        self, scenario: Scenario, *, aircraft: Aircraft | None = None, wheel_rad: float = 0.0
+    ) -> None:
+        """Go on from this step in another scene.
+
+        Args:
+            scenario: the scene; its start values have no effect.
+            aircraft: placed at this step; None: the aircraft rolls on, in the wind and with the
+                friction of the scene.
+            wheel_rad: angle of the nose wheel until now [rad].
+        """
+        if aircraft is None:
+            self._aircraft.change(scenario)
+        else:
+            self._aircraft = aircraft
+        self._scenario = scenario
+        self.__dict__.pop('_camera', None)
+        self._steering = SteeringFaults(
+            scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS, wheel_rad
+        )
+        if shown_step(scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
+            self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
+
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
         stamp_ns = self._seq * CONTROL_PERIOD_NS
@@ -210,6 +233,10 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
         UsageError: unknown name, a package that cannot be imported or has no such callable, or a
             hash that differs from the required one.
     """
+    if name == FORK:
+        raise UsageError(
+            'world fork: a forked run is repeated by forking its run again: taxinet fork'
+        )
     extension = find(WORLDS, name)
     if extension is None:
         raise UsageError(f'world: {name!r} is unknown; known: {known(WORLDS)}')

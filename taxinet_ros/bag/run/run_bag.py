@@ -42,7 +42,7 @@ from taxinet_ros.bag.run.messages import (
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.loop import Step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
@@ -299,19 +299,25 @@ class RunBag:
         self._write(now.seq, [*ordered, *readings])
         self._writer.flush()
 
-    def end(self, ending: RunEnding, seq: int, judgement: Judgement | None) -> None:
+    def end(
+        self, ending: RunEnding, seq: int, judgement: Judgement | None, *, fork: str = ''
+    ) -> None:
         """Complete the bag.
 
         Args:
             ending: end of the run.
             seq: its last control step.
             judgement: judgement of the run; None if it broke.
+            fork: what a forked run was forked from, as
+                :attr:`taxinet_ros.core.fork.Fork.text`.
 
         Raises:
             BagWriteError: an error of the operating system.
         """
         seq = max(seq, 0)
         self._write(seq, _end(self._run_id, self._specs, seq, judgement, ending))
+        if fork:
+            self._writer.add_metadata(FORK_METADATA, {'fork': fork})
         self._writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, self._steps))
         self._writer.close()
 
@@ -328,6 +334,7 @@ class RunBag:
 def write_run(
     folder: Path, request: RunRequest, *, nodes: Sequence[NodeWords], steps: Sequence[Step],
     frames: Iterable[NDArray[np.uint8] | None] | None, judgement: Judgement, ending: RunEnding,
+    fork: str = '',
 ) -> None:
     """Write the bag of a finished run atomically.
 
@@ -340,6 +347,7 @@ def write_run(
             bag without images.
         judgement: judgement of the run.
         ending: end of the run.
+        fork: what a forked run was forked from, as :attr:`taxinet_ros.core.fork.Fork.text`.
 
     Raises:
         UsageError: the folder exists, its name is not a valid run name, or the disk is full.
@@ -360,7 +368,7 @@ def write_run(
             pictures = itertools.repeat(None) if frames is None else frames
             for step, picture in zip(steps, pictures, strict=frames is not None):
                 bag.step(step, picture)
-            bag.end(ending, steps[-1].observation.seq, judgement)
+            bag.end(ending, steps[-1].observation.seq, judgement, fork=fork)
         except BaseException:
             bag.abandon()
             raise

@@ -90,6 +90,11 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
+        if run.fork:
+            raise UsageError(
+                f'{recording.path}: is a fork, which the graph cannot repeat; fork its run again: '
+                'taxinet fork'
+            )
         recorded_world(recording.path, run)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
