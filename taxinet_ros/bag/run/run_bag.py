@@ -40,7 +40,7 @@ from taxinet_ros.bag.run.messages import (
     robustness_cdr,
 )
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
-from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
@@ -244,7 +244,6 @@ class RunBag:
         self._run_id = request.run_id
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
-        self._transform_of = OdometryTransforms()
         self._steps = 0
         named = bag_topics(images)
         self._canonical = _canonical(images)
@@ -294,9 +293,10 @@ class RunBag:
         # By name, as hashing a topic takes as long as serialising its message.
         observed = observation_messages(seen, self._run_id, self._camera)
         said = {topic.name: cdr for topic, cdr in (*observed, *answers)}
-        said[topics.TF.name] = self._transform_of(said[topics.ODOMETRY.name])
+        said[topics.TF.name] = aircraft_transform(now.state, now.stamp_ns)
         ordered = [(topic, said[topic.name]) for topic in _STEPPED if topic.name in said]
-        self._write(now.seq, [*ordered, *readings])
+        for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
+            self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
         self._writer.flush()
 
     def end(
