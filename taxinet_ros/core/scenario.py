@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from taxinet_ros.core.datarefs import NO_DATAREFS, Number, find_datarefs
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
@@ -95,6 +96,8 @@ class Scenario:
             :mod:`taxinet_ros.core.traffic`.
         camera: a shipped name, or the whole camera as JSON, see
             :mod:`taxinet_ros.core.rig.camera_model`.
+        datarefs: ``none``, or values of X-Plane's datarefs as JSON, see
+            :mod:`taxinet_ros.core.datarefs`.
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -135,6 +138,7 @@ class Scenario:
     fault_seed: float = 0.0
     traffic: str = NOBODY
     camera: str = DEFAULT_CAMERA
+    datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -240,6 +244,11 @@ class Scenario:
     def camera_model(self) -> CameraModel:
         """Its camera."""
         return find_camera(self.camera)
+
+    @property
+    def dataref_values(self) -> Mapping[str, Number]:
+        """Its datarefs, by name."""
+        return find_datarefs(self.datarefs).values
 
     @property
     def duration_ns(self) -> int:

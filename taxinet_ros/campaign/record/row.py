@@ -46,8 +46,8 @@ class RunRow:
             runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
             lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, camera, duration_s, place: the scenario, see
-            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+            fault_onset_s, fault_seed, traffic, camera, datarefs, duration_s, place: the scenario,
+            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: outcome; the other three explain an unjudged run.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
             exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
@@ -115,6 +115,7 @@ class RunRow:
     fault_seed: float | None = None
     traffic: str = ''
     camera: str = ''
+    datarefs: str = ''
     duration_s: float | None = None
     place: str = ''
     kind: str = ''
