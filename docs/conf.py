@@ -1,4 +1,4 @@
-"""The documentation's site, made by ``make docs``; pages are Markdown, and read well as they are."""
+"""The documentation's site, made by ``make docs``."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ myst_heading_anchors = 4
 autodoc_member_order = 'bysource'
 autodoc_typehints = 'none'  # the signature has them; napoleon has the words
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+toc_object_entries = False  # the page has a heading for each name
 python_use_unqualified_type_names = True
 
 html_theme = 'furo'

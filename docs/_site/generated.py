@@ -159,7 +159,8 @@ def scenario_keys() -> str:
 
 def _scenario_key(field: ScenarioField, default: Any) -> list[str]:
     if field.kind is Kind.NUMBER:
-        may_be = f'{field.low / field.si:g} to {field.high / field.si:g}{field.unit_mark}{field.counted}'
+        low, high = field.low / field.si, field.high / field.si
+        may_be = f'{low:g} to {high:g}{field.unit_mark}{field.counted}'
     elif field.kind is Kind.SWITCH:
         may_be = 'on, off'
     elif field.catalogue is not None:

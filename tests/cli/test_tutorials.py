@@ -1,4 +1,4 @@
-"""The tutorials do what they say: their files are written, their commands run, their output is as shown.
+"""The tutorials do what they say: files are written, commands run, and the output is as shown.
 
 A fenced block whose first line is a file's name is that file. The lines of a block ``sh`` are
 commands; one that does not end with 0 says ``# exit code N``. A block ``text`` after it shows lines
