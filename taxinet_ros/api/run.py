@@ -494,6 +494,11 @@ def render(
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, which ends at its last row.
 
+    >>> import pandas as pd
+    >>> import taxinet_ros as tx
+    >>> tx.robustness('always(gap_m >= 2)', pd.DataFrame({'t_s': [0, 1], 'gap_m': [4.0, 2.5]}))
+    0.5
+
     Args:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
         trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
