@@ -55,6 +55,14 @@ from taxinet_ros.errors import UsageError
 class Scenario:
     """Initial condition and environment of one run, validated on construction.
 
+    >>> import taxinet_ros as tx
+    >>> tx.Scenario(cross_track_m=3.0, time_of_day_s=9.5 * 3600).clouds
+    'clear'
+    >>> tx.Scenario(rain_fraction=2.0)
+    Traceback (most recent call last):
+    ...
+    taxinet_ros.errors.UsageError: scenario: rain_fraction is 2, outside 0..1 as a fraction
+
     Attributes:
         cross_track_m: start cross-track error [m], left positive.
         distance_m: start distance along the track [m]: past the threshold, on the runway's
