@@ -53,7 +53,10 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
     WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
-    CAMERAS: {'ours': 'taxinet_ros.core.camera.camera:Camera'},
+    CAMERAS: {
+        'ours': 'taxinet_ros.core.camera.camera:Camera',
+        'flightgear': 'taxinet_ros.simulators.flightgear.camera:FlightGearCamera',
+    },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
