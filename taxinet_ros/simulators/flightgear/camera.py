@@ -12,15 +12,23 @@ from __future__ import annotations
 import itertools
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.camera.camera import SensorNoise
+from taxinet_ros.core.camera.light import display_code, linear_exposure
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
-from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.flightgear.client import FlightGear, check_instance, failed
+from taxinet_ros.errors import InfraKind
+from taxinet_ros.simulators.flightgear.client import (
+    FlightGear,
+    check_instance,
+    failed,
+    flightgear_address,
+)
 from taxinet_ros.simulators.flightgear.scene import (
     _FEET,
     Eye,
@@ -34,13 +42,23 @@ from taxinet_ros.simulators.flightgear.scene import (
 )
 
 _TOLD, _REQUEST = '/taxinet/told', '/taxinet/request'
-_BUSY_HZ, _IDLE_HZ = 0, 5
-"""Limit of FlightGear's frame rate while it is in use (none), and between runs."""
+_RATE = '/sim/frame-rate-throttle-hz'
+_BUSY_HZ, _IDLE_HZ, _IDLE_FRAMES = 0, 5, 600
+"""Limit of FlightGear's frame rate while it is in use (none), and so many frames later."""
 _HOOK = f"""
 if (!contains(globals, "taxinet_told")) {{
+  globals.taxinet_since = 0;
+  globals.taxinet_last = "";
   globals.taxinet_told = func {{
+    var request = getprop("{_REQUEST}") or "none";
+    globals.taxinet_since += 1;
+    if (request != globals.taxinet_last) {{
+      globals.taxinet_last = request;
+      globals.taxinet_since = 0;
+    }}
+    if (globals.taxinet_since == {_IDLE_FRAMES}) setprop("{_RATE}", {_IDLE_HZ});
     setprop("{_TOLD}", sprintf("%s %d %.4f %.4f %.4f %.6f %.6f %.6f %.6f %.5f %s %.5f %.1f %s %.4f",
-      getprop("{_REQUEST}") or "none", getprop("/sim/rendering/sim-frame-count") or 0,
+      request, getprop("/sim/rendering/sim-frame-count") or 0,
       getprop("/sim/current-view/viewer-x-m"), getprop("/sim/current-view/viewer-y-m"),
       getprop("/sim/current-view/viewer-z-m"), getprop("/sim/current-view/raw-orientation[0]"),
       getprop("/sim/current-view/raw-orientation[1]"),
@@ -55,7 +73,7 @@ if (!contains(globals, "taxinet_told")) {{
 }}
 """
 _NEAR_M, _NEAR_TURN, _NEAR_DEG = 0.005, 2e-5, 0.002
-_NEAR_SUN_RAD = 0.035
+_NEAR_SUN_RAD = 0.05
 """Tolerance of the sun's angle: FlightGear's sun is where it should be about 14 minutes later."""
 _POLLS, _PICTURES = 200, 12
 """How often its view is asked for, and how many pictures are compared, for one frame."""
@@ -95,22 +113,20 @@ class FlightGearCamera:
             UsageError: FlightGear cannot show the scenario.
             InfraError: it is not there, or not as ``taxinet flightgear start`` starts it.
         """
-        model = scenario.camera_model
-        if model.noise_codes or model.exposure_ev:
-            raise UsageError(
-                f'camera flightgear: has no noise_codes and exposure_ev, which camera {model.name} '
-                'gives'
-            )
-        self._scenario, self._model = scenario, model
+        self._model = model = scenario.camera_model
+        self._noise = SensorNoise(scenario, model)
+        # FlightGear has no exposure: the camera's is applied to its codes as light.
+        light = linear_exposure(np.minimum(np.arange(256.0), 254.5)) * 2.0**model.exposure_ev
+        self._exposed = np.rint(display_code(light)).astype(np.uint8)
         self._weather = weather_of(scenario)
-        self._flightgear = FlightGear()
-        check_instance(self._flightgear)
+        self._flightgear = _connection(flightgear_address())
         with self._flightgear.alone():
-            self._flightgear.run(
-                f'setprop("/sim/frame-rate-throttle-hz", {_BUSY_HZ});{_HOOK}'
-            )
+            if not self._flightgear.ready:
+                check_instance(self._flightgear)
+                self._flightgear.run(_HOOK)
+                self._flightgear.ready = True
             self.ground = _ground(self._flightgear, scenario)
-            height_px, width_px, _ = self._flightgear.picture().shape
+        width_px, height_px = self._flightgear.window_px
         self.lens = lens_of(model, width_px, height_px)
 
     def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
@@ -126,16 +142,15 @@ class FlightGearCamera:
             raise failed(
                 InfraKind.SIM, f'its window has been resized to {taken.shape[1]} x {taken.shape[0]}'
             )
-        return np.asarray(
-            cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR), np.uint8
-        )
+        picture = cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR)
+        if self._model.exposure_ev:
+            picture = cv2.LUT(picture, self._exposed)
+        if self._model.noise_codes:
+            picture = cv2.add(picture, self._noise.at(stamp_ns), dtype=cv2.CV_8U)
+        return np.asarray(picture, np.uint8)
 
     def close(self) -> None:
-        """Let FlightGear draw slowly again."""
-        try:
-            self._flightgear.run(f'setprop("/sim/frame-rate-throttle-hz", {_IDLE_HZ});')
-        finally:
-            self._flightgear.close()
+        """Nothing: the connection serves the next run of this process."""
 
     def _taken(self, eye: Eye) -> NDArray[np.uint8]:
         """The whole window's picture from an eye, when it shows it."""
@@ -152,12 +167,13 @@ class FlightGearCamera:
             raise failed(
                 InfraKind.SIM, f'its picture goes on changing, {_PICTURES} times, where it is put'
             )
-        after = self._told()
-        if after.request != request or self._unlike(after, eye):
-            raise failed(InfraKind.INTRUDER, 'somebody else has set it while a picture was taken')
-        if not after.frame > shown.frame:
-            raise failed(InfraKind.SIM, f'it draws no frames: still frame {after.frame}')
-        return now
+        for _ in range(_POLLS):
+            after = self._told()
+            if after.request != request or self._unlike(after, eye):
+                raise failed(InfraKind.INTRUDER, 'somebody has set it while a picture was taken')
+            if after.frame > shown.frame:
+                return now
+        raise failed(InfraKind.SIM, f'it draws no frames: still frame {shown.frame}')
 
     def _await_view(self, request: str, eye: Eye) -> Told:
         """Wait until FlightGear's view is where it was put."""
@@ -225,7 +241,7 @@ def _script(request: str, eye: Eye, weather: Weather, lens: Lens) -> str:
         '/sim/current-view/field-of-view': lens.field_of_view_deg,
         **{f'/sim/current-view/{axis}-offset-m': 0.0 for axis in 'xyz'},
         **{f'/sim/current-view/{angle}-offset-deg': 0.0 for angle in ('heading', 'pitch', 'roll')},
-        _REQUEST: request,
+        _RATE: _BUSY_HZ, _REQUEST: request,
     }
     pairs = ', '.join(
         f'["{path}", {f"{value!r}" if not isinstance(value, str) else _quoted(value)}]'
@@ -239,6 +255,12 @@ def _script(request: str, eye: Eye, weather: Weather, lens: Lens) -> str:
 
 def _quoted(text: str) -> str:
     return f'"{text}"'
+
+
+@lru_cache(maxsize=4)
+def _connection(address: tuple[str, int]) -> FlightGear:
+    """The connection of this process, which lasts longer than a run."""
+    return FlightGear(address)
 
 
 _GROUNDS: dict[tuple[str, str], Ground] = {}

@@ -72,6 +72,10 @@ class FlightGear:
         self.host, self.port = address or flightgear_address()
         self._connection = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
         self._answered = False
+        self.ready = False
+        """Whether it has been prepared; False again when the connection was lost."""
+        self.window_px = 0, 0
+        """Width and height of its window, known after :func:`check_instance`."""
 
     @property
     def where(self) -> str:
@@ -80,6 +84,7 @@ class FlightGear:
 
     def close(self) -> None:
         """Close the connection; FlightGear goes on."""
+        self.ready = False
         self._connection.close()
 
     @contextlib.contextmanager
@@ -194,3 +199,5 @@ def check_instance(flightgear: FlightGear) -> None:
             )
     if flightgear.value('/sim/sceneryloaded') is not True:
         raise failed(InfraKind.NOT_READY, f'{flightgear.where} is still loading its scenery')
+    height_px, width_px, _ = flightgear.picture().shape
+    flightgear.window_px = width_px, height_px
