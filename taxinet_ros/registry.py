@@ -31,6 +31,9 @@ OURS = 'taxinet_ros'
 KMWH = 'kmwh'
 """The shipped world: an aircraft on runway 04 of Grant County airport."""
 
+FORK = 'fork'
+"""Word of the world of a forked run (:mod:`taxinet_ros.core.fork`)."""
+
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
     'iterative-crossing', 'iterative-learned',
@@ -52,10 +55,14 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
+    WORLDS: {
+        KMWH: 'taxinet_ros.core.world:SimulatedWorld',
+        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+    },
     CAMERAS: {
         'ours': 'taxinet_ros.core.camera.camera:Camera',
         'flightgear': 'taxinet_ros.simulators.flightgear.camera:FlightGearCamera',
+        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
     },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
@@ -65,7 +72,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in
 which they are listed to users. setup.py declares them as entry points."""
 
-RESERVED = frozenset({'external', 'python', 'onnx', 'weights'})
+RESERVED = frozenset({'external', 'python', 'onnx', 'weights', FORK})
 """Words with another meaning on the command line or in records; not allowed as names."""
 
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
@@ -144,7 +144,8 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     [0, 1) within the space that depend only on seed, options and results, in each process. The
     weight of a run must be positive or None, and learned values must be probabilities. A run
     without a result must be accepted, and a sampler that learns must be copyable
-    (:func:`copy.deepcopy`).
+    (:func:`copy.deepcopy`). Points of one whose kind says that they do not depend on results
+    (``depends_on``), so that searches can be run in shards, must not.
 
     Args:
         name: name of the sampler.
@@ -166,6 +167,9 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
             complain.unless(points == again, 'equal seeds give different points')
             other = _sample(name, number, 2, runs, options)
             complain.unless(points != other, 'different seeds give equal points')
+            against = _sample(name, number, 1, runs, options, -1.0)
+            free = kind is None or kind.depends_on is DependsOn.RESULTS or points == against
+            complain.unless(free, 'its points depend on results, but depends_on says otherwise')
             _check_book(complain, name, space, runs, options)
         told = _elsewhere(_sample, name, 0, 1, runs, options)
         here = _sample(name, 0, 1, runs, options)
@@ -475,14 +479,15 @@ def _steer(word: str, after_others: bool = False) -> list[Any]:
 
 
 def _sample(
-    name: str, space: int, seed: int, runs: int, options: Mapping[str, str | float]
+    name: str, space: int, seed: int, runs: int, options: Mapping[str, str | float],
+    scale: float = 1.0,
 ) -> list[Point]:
     sampler = make_sampler(name, _SPACES[space], seed, runs, **options)
     points = []
     for _ in range(runs):
         index, point = sampler.next()
         points.append(point)
-        sampler.tell(index, _bowl(point))
+        sampler.tell(index, scale * _bowl(point))
     return points
 
 

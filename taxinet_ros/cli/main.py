@@ -29,6 +29,7 @@ from taxinet_ros.cli.analysis.commands import (
     analyze,
     doctor,
     explain,
+    fork,
     gate,
     localize,
     monitor,
@@ -44,11 +45,13 @@ from taxinet_ros.cli.run.commands import (
     falsify,
     flightgear_app,
     learned,
+    merge,
     place_app,
     plugins,
     run,
     shrink,
     up,
+    xplane_app,
 )
 from taxinet_ros.cli.streams import (
     OutputUnreadError,
@@ -135,8 +138,9 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
+    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
+    improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -144,6 +148,7 @@ app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
 app.add_typer(flightgear_app, name='flightgear')
+app.add_typer(xplane_app, name='xplane')
 
 
 @app.command()

@@ -303,6 +303,22 @@ FactorOption = Annotated[
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='run every node in its own process; same results')
 ]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar='ENGINE',
+        help='what makes the runs: graph, the nodes on ROS topics; or loop, the closed loop in one '
+        'process without ROS, with the same rows and bags'
+    ),
+]
+AuditOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='PERCENT',
+        help='with --engine loop: share of the runs to repeat on the graph; a difference ends the '
+        'command (default: 1 %)',
+    ),
+]
 FoxgloveOption = Annotated[
     int | None,
     typer.Option(
@@ -344,6 +360,14 @@ UntilOption = Annotated[
     typer.Option(
         metavar='RULE',
         help='stop early: failures=K, or half-width=W of the interval of the failure rate',
+    ),
+]
+ShardOption = Annotated[
+    str | None,
+    typer.Option(
+        '--shard', metavar='I/N',
+        help='run only every N-th run, from the I-th on (1/N to N/N), with a sampler that ignores '
+        'results; taxinet merge joins the shards',
     ),
 ]
 BudgetOption = Annotated[

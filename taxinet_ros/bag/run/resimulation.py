@@ -21,7 +21,7 @@ from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
 from taxinet_ros.core.world import ChosenWorld, Observation, closing, find_world
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.registry import KMWH
+from taxinet_ros.registry import FORK, KMWH
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
@@ -39,7 +39,7 @@ def observations(
 ) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
-    recorded, commands = _states_and_commands(recording)
+    recorded, commands = states_and_commands(recording)
     chosen = recorded_world(path, run)
     held = _held(recording, run, commands)
     with closing(chosen.make(run.request.scenario)) as world:
@@ -52,7 +52,7 @@ def observations(
                     path=path,
                 )
             now = world.observe(picture=wanted(seq))
-            _compare(path, seq, recorded[seq], _numbers(now.state))
+            check_state(path, seq, recorded[seq], now.state)
             yield now
             command = held(seq)
             if command is None:
@@ -67,12 +67,24 @@ def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
     """Find the world of the run in the bag at ``path``.
 
     Raises:
-        UsageError: the package of the world is not installed, or has changed.
+        UsageError: the package of the world is not installed, or has changed; or the record of a
+            fork is damaged.
     """
     try:
+        if run.world == FORK:
+            return _world_of_fork(run)
         return find_world(run.world or KMWH, run.world_fingerprint)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
+
+
+def _world_of_fork(run: RecordedRun) -> ChosenWorld:
+    from taxinet_ros.core.fork import fork_of_text, forked_world
+
+    fork = fork_of_text(run.fork)
+    if fork.fingerprint != run.world_fingerprint:
+        raise UsageError('the record of the fork is not that of the run')
+    return forked_world(fork)
 
 
 def _held(
@@ -99,9 +111,14 @@ def _held(
     return held
 
 
-def _states_and_commands(
+def states_and_commands(
     recording: StoredRuns,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
+    """Numbers of the recorded odometry, and the recorded commands, by control step.
+
+    Raises:
+        BagError: the bag is damaged, or a message is not of its type.
+    """
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
     messages = recording.messages((ODOMETRY, COMMAND), strict=True)
@@ -136,7 +153,19 @@ def _numbers(state: AircraftState) -> dict[str, float]:
     }
 
 
-def _compare(path: Path, seq: int, before: dict[str, float], now: dict[str, float]) -> None:
+def check_state(path: Path, seq: int, before: dict[str, float], state: AircraftState) -> None:
+    """Check a state against the recorded one of its step, to the bit.
+
+    Args:
+        path: the bag.
+        seq: the control step.
+        before: the recorded numbers, see :func:`states_and_commands`.
+        state: the state now.
+
+    Raises:
+        WorldDiffers: they differ.
+    """
+    now = _numbers(state)
     for name, value in before.items():
         if now[name] != value:
             raise WorldDiffers(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.scenes.programs import program_digest, program_text
+from taxinet_ros.campaign.scenes.programs import SUFFIX, program_digest, program_text
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.core.renderer import OURS
@@ -40,6 +40,9 @@ _TYPED = ('overrides', 'laid_over')
 
 WORLD = 'world'
 """The fact that names the world of the runs; absent in versions with a single world."""
+
+ENGINE, AUDIT_PERCENT = 'engine', 'audit_percent'
+"""The facts that name the engine of the latest session, and the share of its runs to audit."""
 
 WORLD_SHA256 = 'world_sha256'
 """The fact that identifies a world with another camera than its own."""
@@ -80,6 +83,8 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,
+        ENGINE: options.engine,
+        AUDIT_PERCENT: options.audit_percent,
         **({ARMS: list(options.arms)} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
         # A standing graph has its own world, which is recorded in the bags.
@@ -212,6 +217,26 @@ def read_facts(folder: Path) -> SealedJson | None:
         return None
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def program_attachment(program: str, out: Path) -> dict[str, bytes]:
+    """Text of a run's Scenic program by file name, to be attached to its bag.
+
+    A run of a campaign has it from the campaign's folder. Empty for a run requested by hand, or
+    if the facts are missing or damaged.
+
+    Args:
+        program: name of the program.
+        out: folder of the bags.
+    """
+    try:
+        facts = read_facts(out)
+        if facts is not None and Path(facts.values['program']).stem == program:
+            text = str(facts.values['program_text'])
+            return {f'{program}{SUFFIX}': text.encode()} if text else {}
+    except (UsageError, KeyError, TypeError):
+        pass
+    return {}
 
 
 def write_facts(out: Path, facts: Mapping[str, Any]) -> None:

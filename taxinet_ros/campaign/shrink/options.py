@@ -16,7 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.options import DEFAULT_ROOT, CampaignOptions, make_options, new_folder
+from taxinet_ros.campaign.options import (
+    DEFAULT_ROOT,
+    GRAPH,
+    CampaignOptions,
+    make_options,
+    new_folder,
+)
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.overrides import WEATHER
@@ -263,6 +269,7 @@ class ShrinkOptions:
 def make_shrink_options(
     path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
     workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
+    engine: str = GRAPH, audit: str | None = None,
 ) -> ShrinkOptions:
     """Check the command-line arguments.
 
@@ -277,6 +284,8 @@ def make_shrink_options(
         resume: continue the shrinking in ``out``.
         images: record ``all`` or ``none`` of the camera frames.
         controller: controller, if not the run's.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
 
     Raises:
         UsageError: one line on the first error.
@@ -303,6 +312,7 @@ def make_shrink_options(
         program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
         controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
         processes=False, images=images, resume=resume, world=run.world,
+        engine=engine, audit=audit,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
