@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.camera import SensorNoise
 from taxinet_ros.core.camera.light import display_code, linear_exposure
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraKind
@@ -30,14 +31,13 @@ from taxinet_ros.simulators.flightgear.client import (
     flightgear_address,
 )
 from taxinet_ros.simulators.flightgear.scene import (
-    _FEET,
+    FEET_M,
     Eye,
     Ground,
     Lens,
     Weather,
     eye_of,
     lens_of,
-    place_of,
     weather_of,
 )
 
@@ -72,7 +72,8 @@ if (!contains(globals, "taxinet_told")) {{
   globals.taxinet_told();
 }}
 """
-_NEAR_M, _NEAR_TURN, _NEAR_DEG = 0.005, 2e-5, 0.002
+_NEAR_M, _NEAR_TURN, _NEAR_DEG = 0.005, 1e-4, 0.002
+"""Tolerances of position [m], the attitude's quaternion (0.01 degrees) and the view [deg]."""
 _NEAR_SUN_RAD = 0.05
 """Tolerance of the sun's angle: FlightGear's sun is where it should be about 14 minutes later."""
 _POLLS, _PICTURES = 200, 12
@@ -207,7 +208,8 @@ class FlightGearCamera:
         away_m = float(np.linalg.norm(told.ecef_m - eye.ecef_m))
         if not away_m <= _NEAR_M:
             return f'the eye is {away_m:.3f} m away'
-        if not 1 - abs(float(told.attitude @ eye.attitude)) <= _NEAR_TURN:
+        turned = min(float(np.linalg.norm(told.attitude + sign * eye.attitude)) for sign in (1, -1))
+        if not turned <= _NEAR_TURN:
             return 'the eye is turned otherwise'
         if not abs(told.field_of_view_deg - self.lens.field_of_view_deg) <= _NEAR_DEG:
             return f'the field of view is {told.field_of_view_deg:g} degrees'
@@ -235,7 +237,7 @@ def _script(request: str, eye: Eye, weather: Weather, lens: Lens) -> str:
     wanted: dict[str, str | float] = {
         **weather.settings,
         '/position/latitude-deg': eye.latitude_deg, '/position/longitude-deg': eye.longitude_deg,
-        '/position/altitude-ft': eye.altitude_m / _FEET,
+        '/position/altitude-ft': eye.altitude_m / FEET_M,
         '/orientation/heading-deg': eye.heading_deg, '/orientation/pitch-deg': eye.pitch_deg,
         '/orientation/roll-deg': eye.roll_deg,
         '/sim/current-view/field-of-view': lens.field_of_view_deg,
@@ -270,5 +272,5 @@ def _ground(flightgear: FlightGear, scenario: Scenario) -> Ground:
     """The ground of the scenario's place, asked for once per process."""
     key = flightgear.where, scenario.place
     if key not in _GROUNDS:
-        _GROUNDS[key] = Ground(flightgear, place_of(scenario))
+        _GROUNDS[key] = Ground(flightgear, find_place(scenario.place))
     return _GROUNDS[key]

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.camera import pose
 from taxinet_ros.core.camera.light import scenario_light
-from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway_frame import MapPose, RunwayFrame
 from taxinet_ros.core.rig.camera_model import CameraModel
@@ -222,7 +221,7 @@ def eye_of(state: AircraftState, camera: CameraModel, ground: Ground) -> Eye:
     )
 
 
-_FEET = 0.3048
+FEET_M = 0.3048
 _COVERAGES = {
     # Kind: coverage of the layer, its base and thickness [ft]. Flat layers: 3-D clouds are off.
     'clear': ('clear', 3000.0, 1000.0), 'cirrus': ('cirrus', 26000.0, 1000.0),
@@ -350,8 +349,3 @@ def lens_of(camera: CameraModel, width_px: int, height_px: int) -> Lens:
         columns=np.asarray(width_px / 2 - 0.5 + focal * x, np.float32),
         rows=np.asarray(height_px / 2 - 0.5 + focal * y, np.float32),
     )
-
-
-def place_of(scenario: Scenario) -> Place:
-    """The scenario's place."""
-    return find_place(scenario.place)
