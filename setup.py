@@ -99,6 +99,8 @@ EXTRAS = {
         'pytest-xdist',
         'websockets',
     ],
+    # make docs.
+    'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
     'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML', 'types-psutil'],
 }
 
