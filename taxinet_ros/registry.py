@@ -1,10 +1,10 @@
-"""Extension points: perceptions, controllers, samplers, worlds and requirements by name.
+"""Extension points: perceptions, controllers, samplers, worlds, cameras and requirements by name.
 
 Installed packages add extensions through entry points in the groups ``taxinet_ros.perceptions``,
-``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds`` and
-``taxinet_ros.requirements``; docs/extending.md describes the requirements for each. The shipped
-ones use the same groups. An extension is imported only when its name is looked up, so a broken
-package affects only those who use it.
+``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds``,
+``taxinet_ros.cameras`` and ``taxinet_ros.requirements``; docs/extending.md describes the
+requirements for each. The shipped ones use the same groups. An extension is imported only when its
+name is looked up, so a broken package affects only those who use it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from taxinet_ros.processes.interrupts import refuse_exits
 from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
-WORLDS, REQUIREMENTS = 'worlds', 'requirements'
+WORLDS, CAMERAS, REQUIREMENTS = 'worlds', 'cameras', 'requirements'
 OURS = 'taxinet_ros'
 
 KMWH = 'kmwh'
@@ -55,7 +55,14 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
+    WORLDS: {
+        KMWH: 'taxinet_ros.core.world:SimulatedWorld',
+        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+    },
+    CAMERAS: {
+        'ours': 'taxinet_ros.core.camera.camera:Camera',
+        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
+    },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),

@@ -98,6 +98,7 @@ if TYPE_CHECKING:
 CALLER = 4
 """Stack level of the caller for warnings, past the frames that check arguments."""
 _MOST_S = 1e9
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 _DRAWS = 0, 0
 """Default seed and index for drawing the latencies of a run."""
 _SCENARIO = a('a tx.Scenario', Scenario)
@@ -222,25 +223,29 @@ class Run:
         """Camera frames of all control steps in order, rendered lazily.
 
         Frames are not stored (216 kB each): replaying the run's commands reproduces them to the
-        byte.
+        byte. Those of a camera that does not take the same picture twice are stored.
         """
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
 
-    def fork(self, at_s: float, **changes: Any) -> Run:
+    def fork(
+        self, at_s: float, *, settings: Mapping[str, Any] = NOTHING,
+        moved: Mapping[str, float] = NOTHING, perception: str | Perception | Look | None = None,
+        controller: str | Controller | Steer | None = None,
+    ) -> Run:
         """Repeat the run up to a moment and go on in a changed world.
 
-        Args:
-            at_s: from when, in seconds; a control step, every 0.1 s.
-            changes: ``settings``, ``moved``, ``perception`` and ``controller`` of
-                :func:`taxinet_ros.fork`.
+        Arguments and errors are those of :func:`taxinet_ros.fork`.
         """
         from taxinet_ros.api.fork import fork
         from taxinet_ros.bag.run.recording import open_recording
 
         with tempfile.TemporaryDirectory(prefix='taxinet-fork-') as scratch:
             bag = self.save_bag(Path(scratch) / 'run', images=False)
-            return fork(open_recording(bag), at_s=at_s, **changes)
+            return fork(
+                open_recording(bag), at_s=at_s, settings=settings, moved=moved,
+                perception=perception, controller=controller,
+            )
 
     @takes(path=PATH, images=FLAG)
     def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
@@ -284,6 +289,9 @@ class Run:
 
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Replay the run: number and image of each step; None where not wanted or not available."""
+        if self.world.again_words:
+            yield from ((step.observation.seq, step.observation.image) for step in self.steps)
+            return
         world = self.world.make(self.scenario)
         commands = LateCommands(self.timing, *self.draws, self.scenario)
         for step in self.steps:
@@ -355,7 +363,8 @@ def run(
         rates: assumed maximum changes per second, such as ``cte=3``.
         latency: delay of answers [s], such as ``perception=0.15`` or
             ``controller=uniform(0.1,0.3)``; append ``draws=SEED.INDEX`` for other random draws.
-        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md).
+        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md); with
+            ``+CAMERA``, who takes its pictures, as in ``kmwh+flightgear``.
 
     Returns:
         The run with its trace, robustness and outcome.
@@ -418,7 +427,10 @@ def drive(
 
     def keep(step: Step) -> None:
         on_step(step)
-        seen = dataclasses.replace(step.observation, image=None)
+        # A frame that can be taken again is not kept: 216 kB each.
+        seen = step.observation if world.again_words else dataclasses.replace(
+            step.observation, image=None
+        )
         steps.append(dataclasses.replace(step, observation=seen))
 
     judgement = run_closed_loop(
@@ -481,6 +493,11 @@ def render(
 @says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, which ends at its last row.
+
+    >>> import pandas as pd
+    >>> import taxinet_ros as tx
+    >>> tx.robustness('always(gap_m >= 2)', pd.DataFrame({'t_s': [0, 1], 'gap_m': [4.0, 2.5]}))
+    0.5
 
     Args:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.

@@ -151,7 +151,7 @@ def mend(folder: Path) -> list[str]:
     for place in _places(folder):
         _check_regular(place)
         for path in sorted(place.glob('[!.]*.jsonl')):
-            with _locked(path):
+            with locked(path):
                 done += _mend_journal(path)
                 if path.name == LEDGER_NAME:
                     done += _mend_campaign(place)
@@ -703,7 +703,7 @@ def _free_name(path: Path) -> Path:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
     """Lock a journal against appends by others."""
     with path.open('rb') as file:
         try:

@@ -44,7 +44,7 @@ from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by
 from taxinet_ros.core.user_code import is_node_elsewhere, short_word
 from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
-from taxinet_ros.core.world import find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.plain_values import Section, read_yaml
@@ -226,7 +226,9 @@ class CampaignOptions:
         found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
+        again = find_world(self.world).again_words
+        told = [f'{again}, so every frame is recorded'] if again and self.bags else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen, *told))
 
     @property
     def standing_graph(self) -> bool:
@@ -239,7 +241,7 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
+    free: bool = False, real_time_factor: str | None = None, world: str = KMWH, part: str = '',
     engine: str = GRAPH, audit: str | None = None,
 ) -> CampaignOptions:
     """Check the command-line arguments.
@@ -265,6 +267,7 @@ def make_options(
         world: see :class:`CampaignOptions`.
         engine: see :class:`CampaignOptions`.
         audit: share of the runs to audit as text; None for the default of the engine.
+        part: word on the part of a search, for the name of a new folder.
 
     Raises:
         UsageError: one line on the first error.
@@ -272,7 +275,7 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
-    find_world(world)
+    chosen = find_world(world)
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
@@ -288,11 +291,13 @@ def make_options(
     needs_graph = {'--processes': processes, '--free': timing.free}
     for option in (name for name, given in needs_graph.items() if given and engine == LOOP):
         raise UsageError(f'{option}: not with --engine {LOOP}, which has no nodes')
+    if engine == LOOP and chosen.again_words:
+        raise UsageError(f'--engine {LOOP}: {chosen.again_words}, so it could not be audited')
     audit_percent = check_engine(engine, audit, perception, controller, gains)
     if resume and out is None:
         raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
-        words = (Path(program).stem, short_word(perception), f'seed{seed}')
+        words = (Path(program).stem, short_word(perception), f'seed{seed}', part)
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     if not resume:
@@ -300,7 +305,8 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=images, controller=controller, timing=timing, world=world,
+        images=recorded_images(chosen, images), controller=controller, timing=timing,
+        world=chosen.name,
         engine=engine, audit_percent=audit_percent,
     )
 
@@ -352,6 +358,11 @@ def _audit_percent(text: str) -> float:
     if not 0 <= percent <= 100:
         raise UsageError(f'--audit {text}: expected a percentage of the runs, such as 1 or 0.5')
     return percent
+
+
+def recorded_images(world: ChosenWorld, images: str) -> str:
+    """Runs whose camera frames are recorded: all of them, if they cannot be had again."""
+    return 'all' if world.again_words else images
 
 
 def make_judging(

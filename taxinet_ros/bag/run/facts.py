@@ -50,8 +50,8 @@ class RecordedRun:
         gains: steering gains that differ from the defaults.
         controller: description reported by a controller other than the steering law; else ''.
         controller_fingerprint: SHA-256 reported by it, or ''.
-        world, world_fingerprint: name and SHA-256 of a world from a package; '' for the simulated
-            one.
+        world, world_fingerprint: name (with the camera that took its pictures, if that is not its
+            own) and SHA-256 of a world or camera from a package; '' for the simulated one.
         timing: timing of the answers.
         fork: what a forked run was forked from, as :attr:`taxinet_ros.core.fork.Fork.text`; else
             ''.
@@ -100,7 +100,7 @@ def recorded_run(recording: StoredRuns) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
-            world=world.detail.partition(' ')[0] if world and world.fingerprint else '',
+            world=world.detail.partition(' of ')[0] if world else '',
             world_fingerprint=world.fingerprint if world else '',
             fork=recording.metadata.get(FORK_METADATA, {}).get('fork', ''),
         )

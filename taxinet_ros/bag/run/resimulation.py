@@ -19,7 +19,7 @@ from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import ChosenWorld, Observation, find_world
+from taxinet_ros.core.world import ChosenWorld, Observation, closing, find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import FORK, KMWH
 
@@ -27,7 +27,11 @@ if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
-    """The re-simulated aircraft deviates: the bag is from another version or machine."""
+    """A frame cannot be had again.
+
+    The re-simulated aircraft deviates, as the bag is from another version or machine; or the camera
+    does not take the same picture twice.
+    """
 
 
 def observations(
@@ -36,21 +40,27 @@ def observations(
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
     recorded, commands = states_and_commands(recording)
-    world = recorded_world(path, run).make(run.request.scenario)
+    chosen = recorded_world(path, run)
     held = _held(recording, run, commands)
-    for seq in range(world.last_seq + 1):
-        if seq not in recorded:
-            return
-        now = world.observe(picture=wanted(seq))
-        check_state(path, seq, recorded[seq], now.state)
-        yield now
-        command = held(seq)
-        if command is None:
-            return
-        try:
-            world.advance(command)
-        except InfraError:  # The simulator failed here during the recording, too.
-            return
+    with closing(chosen.make(run.request.scenario)) as world:
+        for seq in range(world.last_seq + 1):
+            if seq not in recorded:
+                return
+            if not chosen.reproducible and wanted(seq):
+                raise WorldDiffers(
+                    f'{path}: step {seq} has no recorded frame: {chosen.again_words}',
+                    path=path,
+                )
+            now = world.observe(picture=wanted(seq))
+            check_state(path, seq, recorded[seq], now.state)
+            yield now
+            command = held(seq)
+            if command is None:
+                return
+            try:
+                world.advance(command)
+            except InfraError:  # The simulator failed here during the recording, too.
+                return
 
 
 def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:

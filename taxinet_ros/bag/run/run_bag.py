@@ -59,7 +59,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import ChosenWorld, Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
-from taxinet_ros.registry import CONTROLLERS, PERCEPTIONS, WORLDS, origin_words
+from taxinet_ros.registry import CONTROLLERS, PERCEPTIONS, origin_words
 from taxinet_ros.version import __version__
 
 _TOPICS = (*topics.TOPICS, *topics.TRANSFORMS)
@@ -186,7 +186,7 @@ def node_words(
         ),
         NodeWords(node=topics.RECORDER),
     ]
-    detail = origin_words(WORLDS, world.name)
+    detail = world.origin
     if timing.words or detail:
         nodes.append(NodeWords(
             node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,

@@ -38,6 +38,7 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
@@ -411,11 +412,11 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
-    for name in now:
-        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now[name]):
+    for name in dict.fromkeys((*now, SHARD)):  # the whole, which is no shard, has no such fact
+        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now[name])}; repeat its options, or choose another --out'
+                f'{short_json(now.get(name))}; repeat its options, or choose another --out'
             )
 
 

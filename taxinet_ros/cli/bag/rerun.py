@@ -95,7 +95,8 @@ def run_again(
                 f'{recording.path}: is a fork, which the graph cannot repeat; fork its run again: '
                 'taxinet fork'
             )
-        recorded_world(recording.path, run)
+        if again := recorded_world(recording.path, run).again_words:
+            raise UsageError(f'{recording.path}: {again}, so a rerun differs anyway')
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

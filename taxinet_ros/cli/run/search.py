@@ -78,7 +78,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
         *columns, console=console, transient=True, disable=not shown,
         refresh_per_second=_REFRESH_PER_S,
     ) as progress:
-        progress.add_task('', total=search.options.campaign.runs)
+        progress.add_task('', total=search.options.runs)
         yield
 
 
@@ -103,12 +103,13 @@ class _Figures(ProgressColumn):
         pace = (len(rows) - self._before) / max(minutes, 1e-3)
         words = [f'{failed} failed', f'{pace:.1f}/min']
         if pace > 0:
-            left = self._search.options.campaign.runs - len(rows)
+            left = self._search.options.runs - len(rows)
             words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
         if rows:
             words.append(f'lowest rho {least:+.2f}')
         # A viewer may stop at any time: use the interval that is valid at every look.
-        found = failure_rate(rows, 0).rate
+        planned = self._search.first_planned or range(0)
+        found = failure_rate(rows, range(planned.start, 0, planned.step)).rate
         if found is not None:
             words.append(f'failing {found.words()}')
         if self._search.interrupted:
@@ -144,7 +145,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
-    if search.interrupted and len(search.rows) < options.campaign.runs:
+    if search.interrupted and len(search.rows) < options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
