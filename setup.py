@@ -82,6 +82,8 @@ EXTRAS = {
     'foxglove': ['foxglove-sdk'],
     # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
     'store': ['fsspec', 's3fs'],
+    # taxinet run --camera xplane: pictures of X-Plane's window.
+    'xplane': ['mss'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
@@ -92,6 +94,7 @@ EXTRAS = {
         'hypothesis',
         'mcap-ros2-support',
         'moto',
+        'mss',
         'playwright',
         'pybind11',
         'pytest',

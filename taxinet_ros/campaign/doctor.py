@@ -33,6 +33,7 @@ from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.store import STORED_NAME, stored_bag
 from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
+from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.record.ledger import (
@@ -159,11 +160,13 @@ def mend(folder: Path) -> list[str]:
 
 
 def _places(folder: Path) -> Iterator[Path]:
-    """The folder and its subfolders, except bags."""
+    """The folder and its subfolders, except bags and those of audits, which are no record."""
     if not folder.is_dir():
         raise UsageError(f'{folder}: no such folder; name that of a campaign, experiment or study')
     yield folder
     for path in sorted(folder.iterdir()):
+        if path == folder / AUDIT_FOLDER.name and folder.name == AUDIT_FOLDER.parent.name:
+            continue
         if path.is_dir() and not path.is_symlink() and not _is_bag(path):
             yield from _places(path)
 

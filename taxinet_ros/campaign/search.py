@@ -173,6 +173,7 @@ class Search:
             self.book.add_facts(news)
         if not self.book.second_chance(request, result):
             self._keep(self.book.finished_row(request, result))
+        self.stopped = self.book.difference or self.stopped
 
     def interrupt(self) -> None:
         """Request no more runs or retries; safe to call from a signal handler."""

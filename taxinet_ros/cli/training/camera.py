@@ -31,6 +31,7 @@ from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import UsageError
@@ -39,25 +40,28 @@ SUFFIX = '.png'
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
-def save_frame(settings: Iterable[str], out: Path | None) -> None:
+def save_frame(settings: Iterable[str], out: Path | None, camera: str = OURS) -> None:
     """Write the frame of one scene and print its path.
 
     Raises:
-        UsageError: bad settings, or a file that cannot be written.
+        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
+        InfraError: the camera failed.
     """
     scene = scenario_from_human(read_settings(settings))
     path = new_picture(out, 'camera-frame')
-    write_picture(path, lambda: Image.fromarray(scene_picture(scene)).save(path))
+    write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
 
 
 def save_sheet(
-    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None
+    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None,
+    camera: str = OURS,
 ) -> None:
     """Write the sheet of one pose and print its path.
 
     Raises:
-        UsageError: bad settings, or a file that cannot be written.
+        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
+        InfraError: the camera failed.
     """
     values = read_settings(settings)
     for key, option in _AXES.items():
@@ -68,7 +72,7 @@ def save_sheet(
     kinds = _words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
     scenes = sheet_scenes(values, columns, kinds, rains)
     path = new_picture(out, 'camera-sheet')
-    write_picture(path, lambda: camera_sheet(scenes, path))
+    write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
 
 

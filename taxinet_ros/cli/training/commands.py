@@ -15,11 +15,13 @@ from taxinet_ros.cli.options import (
     PerceptionOption,
     PictureOption,
     PicturesArgument,
+    RendererOption,
     RunwayOption,
     ScenarioArgument,
     SeedOption,
     VariedOption,
     refuse_given,
+    renderer_of,
     scene_settings,
 )
 
@@ -116,6 +118,7 @@ def dataset(
     ] = 'random',
     seed: SeedOption = 0,
     varied: VariedOption = False,
+    camera: RendererOption = 'ours',
     workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command')
@@ -127,7 +130,7 @@ def dataset(
 
     run_dataset(DatasetOptions(
         program=program, out=out, count=count, sampler=sampler, seed=seed, varied=varied,
-        workers=workers, resume=resume,
+        camera=camera, workers=workers, resume=resume,
     ))
 
 
@@ -142,6 +145,7 @@ def evaluate(
     seed: Annotated[
         int, typer.Option(min=0, help='seed of the scenes; must differ from that of the training')
     ] = 2,
+    camera: RendererOption = 'ours',
     workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
@@ -153,10 +157,10 @@ def evaluate(
 
     if data is not None and program is None:
         why = 'for rendered scenes; with --data every image is read in order, leave it out'
-        refuse_given(context, ('images', 'seed', 'workers'), why)
+        refuse_given(context, ('images', 'seed', 'camera', 'workers'), why)
     run_evaluate(
         program, data, perception=perception, images=images, seed=seed, workers=workers,
-        as_json=as_json,
+        as_json=as_json, camera=camera,
     )
 
 
@@ -214,7 +218,10 @@ def frame(
     """Render the first camera frame of a run of one scene, as large as its camera makes it."""
     from taxinet_ros.cli.training.camera import save_frame
 
-    save_frame(scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out)
+    save_frame(
+        scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out,
+        camera=renderer_of(camera) or 'ours',
+    )
 
 
 @camera_app.command()
@@ -239,6 +246,7 @@ def sheet(
     save_sheet(
         hours=hours, clouds=clouds, rain=rain,
         settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out=out,
+        camera=renderer_of(camera) or 'ours',
     )
 
 
