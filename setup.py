@@ -87,7 +87,6 @@ EXTRAS = {
     'test': [
         'colcon-package-selection',
         'colcon-ros',
-        'boto3',
         'flask',
         'flask-cors',
         'foxglove-sdk',
