@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,8 @@ from taxinet_ros.files.sealed_json import file_sha256, read_sealed, write_sealed
 STORED_NAME = 'stored.json'
 """File that says where a bag is stored."""
 
-_URL = re.compile(r'([a-z0-9]{1,20})://([^\s]+)')
+_KINDS = ('s3', 'file', 'gs', 'abfs', 'sftp', 'hdfs')
+"""Kinds of stores; other file systems of fsspec hold other things than files, or need options."""
 _SECRETS = ('AWS_SECRET_ACCESS_KEY', 'AWS_SESSION_TOKEN', 'AWS_ACCESS_KEY_ID')
 _BLOCK_BYTES = 8 << 20
 
@@ -58,25 +58,31 @@ def check_store(url: str) -> str:
         UsageError: it is no address, contains credentials, a package is missing, or it does not
             answer.
     """
-    found = _URL.fullmatch(url)
-    if not found:
-        shown = url if '@' not in url else '…'
-        raise UsageError(f'--store {shown}: expected an address such as s3://BUCKET/FOLDER or '
-                         'file:///FOLDER')
-    kind, place = found.groups()
-    if any(sign in place for sign in '@?#') or '::' in url:
-        raise UsageError(
-            f'--store {kind}://…: an address must not contain credentials or options; set them in '
-            'the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY'
-        )
-    if kind == 'file' and not place.startswith('/'):
-        raise UsageError(f'--store {url}: write file:///FOLDER, with three slashes')
     url = url.rstrip('/')
     try:
+        _check_address(url)
         _Far(url).check_root()
-    except RecordError as error:
+    except (UsageError, RecordError) as error:
         raise UsageError(f'--store {error}') from error
     return url
+
+
+def _check_address(url: str) -> None:
+    """Check the form of an address, given by a user or a record, before anything is contacted."""
+    kind, _, place = url.partition('://')
+    if kind not in _KINDS or not place or place.split() != [place] or '::' in place:
+        shown = '…' if '@' in url or '?' in url else url
+        raise UsageError(
+            f'{shown}: expected an address such as s3://BUCKET/FOLDER or file:///FOLDER; known: '
+            f'{", ".join(_KINDS)}'
+        )
+    if any(sign in place for sign in '@?#'):
+        raise UsageError(
+            f'{kind}://…: an address must not contain credentials or options; set them in the '
+            'environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY'
+        )
+    if kind == 'file' and not place.startswith('/'):
+        raise UsageError(f'{url}: write file:///FOLDER, with three slashes')
 
 
 def stored_bag(folder: Path) -> StoredBag | None:
@@ -93,8 +99,9 @@ def stored_bag(folder: Path) -> StoredBag | None:
         files = {str(name): (int(size), str(sha)) for name, (size, sha) in values['files'].items()}
         if any(Path(name).name != name or name == STORED_NAME for name in files):
             raise ValueError('a name is no plain file name')
-        return StoredBag(url=str(values['url']), files=files)
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        _check_address(values['url'])
+        return StoredBag(url=values['url'], files=files)
+    except (UsageError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise UsageError(f'{path}: damaged ({error})') from error
 
 
@@ -116,14 +123,17 @@ def store_bag(folder: Path, url: str, *, keep: bool = False) -> bool:
     """
     target, before = f'{url}/{folder.name}', stored_bag(folder)
     files = _files_here(folder)
-    uploaded = False
-    if before is None or before.url != target or not files.items() <= before.files.items():
+    there = before.files if before is not None and before.url == target else {}
+    if there and not files:
+        return False
+    changed = not there or not files.items() <= there.items()
+    if changed:
         bring_back(folder)
         files = _files_here(folder)
-        far = _Far(target)
-        for name, told in files.items():
-            old = before.files.get(name) if before and before.url == target else None
-            uploaded |= far.put(folder / name, told, replaces=old)
+    far, uploaded = _Far(target), False
+    for name, told in files.items():  # also those stored before: they may be gone there
+        uploaded |= far.put(folder / name, told, replaces=there.get(name))
+    if changed:
         write_sealed(folder / STORED_NAME, {'url': target, 'files': files})
     if not keep:
         for name in files:
@@ -179,7 +189,7 @@ class _Far:
             if self._kind == 's3':
                 bucket = self.url.partition('://')[2].partition('/')[0]
                 if not self._fs.exists(bucket):
-                    raise UsageError(f'--store {self.url}: no such bucket, or no access to it')
+                    raise UsageError(f'{self.url}: no such bucket, or no access to it')
             else:
                 self._fs.exists(self.url)
 
@@ -225,6 +235,8 @@ class _Far:
                 for block in self._blocks(path.name):
                     sha256.update(block)
                     size += len(block)
+                    if size > told[0]:
+                        break
                     file.write(block)
                 file.flush()
                 os.fsync(file.fileno())

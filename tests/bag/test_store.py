@@ -15,6 +15,7 @@ from taxinet_ros.bag import store as store_module
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.store import STORED_NAME, bring_back, check_store, store_bag, stored_bag
 from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.sealed_json import write_sealed
 
 MCAP = random.Random(1).randbytes(300_000)
 FILES = {'metadata.yaml': b'rosbag2: 1\n', 'r_0.mcap': MCAP}
@@ -171,6 +172,32 @@ def test_given_a_stored_bag_when_stored_elsewhere_then_it_is_moved_there(url, ba
     assert content(bag) == {}
 
 
+def test_given_a_store_that_lost_a_bag_that_is_here_then_it_is_uploaded_again_before_it_goes(
+    url, bag
+):
+    store_bag(bag, url)
+    bring_back(bag)
+    files, place = fsspec.core.url_to_fs(f'{url}/r/r_0.mcap')
+    files.rm(place)
+    assert store_bag(bag, url)
+    assert content(bag) == {}
+    assert far_content(f'{url}/r') == FILES
+
+
+@pytest.mark.parametrize('values', [
+    {'url': 'https://host/x', 'files': {'r_0.mcap': [1, 'ab']}},
+    {'url': 'zip://x::s3://taxi/x', 'files': {'r_0.mcap': [1, 'ab']}},
+    {'url': 's3://taxi/x', 'files': {'../r_0.mcap': [1, 'ab']}},
+    {'url': 's3://taxi/x', 'files': {'/etc/passwd': [1, 'ab']}},
+    {'url': 3, 'files': {}}, {'url': 's3://taxi/x'},
+])
+def test_given_a_record_of_somebody_else_then_nothing_odd_is_contacted_or_written(values, bag):
+    write_sealed(bag / STORED_NAME, values)
+    with pytest.raises(UsageError, match=rf'{STORED_NAME}: damaged'):
+        bring_back(bag)
+    assert content(bag) == FILES
+
+
 @pytest.mark.parametrize('damage', ['gone', 'bit', 'longer', 'shorter'])
 def test_given_a_stored_file_that_is_gone_or_changed_then_it_is_named_and_not_taken(
     damage, url, bag
@@ -203,9 +230,11 @@ def test_given_any_flipped_bit_of_the_record_then_it_is_refused(bag, tmp_path):
     ('bags', 'expected an address such as'),
     ('file://bags', 'with three slashes'),
     ('s3://key:word@bucket/x', 'must not contain credentials'),
-    ('https://host/x?sig=word', 'must not contain credentials'),
+    ('abfs://host/x?sig=word', 'must not contain credentials'),
+    ('https://host/x?sig=word', 'expected an address such as'),
     ('zip::s3://bucket/x', 'expected an address such as'),
-    ('nowhere://bucket/x', r'nowhere://: .*pip install .taxinet_ros\[store\]'),
+    ('nowhere://bucket/x', 'known: s3, file, gs, abfs, sftp, hdfs'),
+    ('gs://bucket/x', r'--store gs://: .*pip install .taxinet_ros\[store\]'),
 ])
 def test_given_no_address_or_one_with_credentials_then_it_is_refused_without_showing_them(
     address, said
