@@ -82,6 +82,8 @@ EXTRAS = {
     'foxglove': ['foxglove-sdk'],
     # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
     'store': ['fsspec', 's3fs'],
+    # taxinet camera compare --against mitsuba.
+    'mitsuba': ['mitsuba', 'shapely>=2.1'],
     # taxinet run --camera xplane: pictures of X-Plane's window.
     'xplane': ['mss'],
     'test': [
@@ -92,6 +94,7 @@ EXTRAS = {
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
+        'mitsuba',
         'moto',
         'mss',
         'playwright',
@@ -102,6 +105,8 @@ EXTRAS = {
         's3fs',
         'websockets',
     ],
+    # make docs.
+    'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
     'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML', 'types-psutil'],
 }
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.api.run import (
+    NOTHING,
     Look,
     Run,
     Steer,
@@ -147,7 +148,7 @@ def _without_gap(found: Mapping[int, Any]) -> list[Any]:
 )
 def fork(
     run: Run | Recording | str | os.PathLike[str], *, at_s: float,
-    settings: Mapping[str, Any] = {}, moved: Mapping[str, float] = {},
+    settings: Mapping[str, Any] = NOTHING, moved: Mapping[str, float] = NOTHING,
     perception: str | Perception | Look | None = None,
     controller: str | Controller | Steer | None = None,
 ) -> Run:
@@ -299,10 +300,12 @@ def _controller(
         if not NUMBER.has(value):
             raise UsageError(f'fork: steering.{name} is {told(value)}, not a number')
     word = asked if asked is not None else run.controller or STEERING
-    if word != STEERING:
-        if changed:
-            raise UsageError(f'fork: steering.{min(changed)} has no effect on controller {word}')
+    if not (isinstance(word, str) and word == STEERING):
         found = asked_controller(word)
+        if changed:
+            raise UsageError(
+                f'fork: steering.{min(changed)} has no effect on controller {found.word}'
+            )
         return found, bool(found.fingerprint) and found.fingerprint == run.controller_fingerprint
     law = SteeringLaw(SteeringGains(**{**own, **changed}))
     return law, not run.controller and not changed

@@ -98,6 +98,7 @@ if TYPE_CHECKING:
 CALLER = 4
 """Stack level of the caller for warnings, past the frames that check arguments."""
 _MOST_S = 1e9
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 _DRAWS = 0, 0
 """Default seed and index for drawing the latencies of a run."""
 _SCENARIO = a('a tx.Scenario', Scenario)
@@ -227,20 +228,24 @@ class Run:
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
 
-    def fork(self, at_s: float, **changes: Any) -> Run:
+    def fork(
+        self, at_s: float, *, settings: Mapping[str, Any] = NOTHING,
+        moved: Mapping[str, float] = NOTHING, perception: str | Perception | Look | None = None,
+        controller: str | Controller | Steer | None = None,
+    ) -> Run:
         """Repeat the run up to a moment and go on in a changed world.
 
-        Args:
-            at_s: from when, in seconds; a control step, every 0.1 s.
-            changes: ``settings``, ``moved``, ``perception`` and ``controller`` of
-                :func:`taxinet_ros.fork`.
+        Arguments and errors are those of :func:`taxinet_ros.fork`.
         """
         from taxinet_ros.api.fork import fork
         from taxinet_ros.bag.run.recording import open_recording
 
         with tempfile.TemporaryDirectory(prefix='taxinet-fork-') as scratch:
             bag = self.save_bag(Path(scratch) / 'run', images=False)
-            return fork(open_recording(bag), at_s=at_s, **changes)
+            return fork(
+                open_recording(bag), at_s=at_s, settings=settings, moved=moved,
+                perception=perception, controller=controller,
+            )
 
     @takes(path=PATH, images=FLAG)
     def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
@@ -488,6 +493,11 @@ def render(
 @says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, which ends at its last row.
+
+    >>> import pandas as pd
+    >>> import taxinet_ros as tx
+    >>> tx.robustness('always(gap_m >= 2)', pd.DataFrame({'t_s': [0, 1], 'gap_m': [4.0, 2.5]}))
+    0.5
 
     Args:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.

@@ -28,6 +28,7 @@ from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     CAMERA,
     CROSSING,
+    DATAREFS,
     DATE,
     FAULTS,
     PLACE,
@@ -48,7 +49,10 @@ _USUAL = Scenario()
 OURS = 'ours'
 """The shipped renderer, :class:`~taxinet_ros.core.camera.camera.Camera`."""
 
-_LOOK = (SKY, RAIN, TIME_OF_DAY, DATE, SHADOWS, CROSSING, TRAFFIC, CAMERA, PLACE, AIRCRAFT_MODEL)
+_LOOK = (
+    SKY, RAIN, TIME_OF_DAY, DATE, SHADOWS, CROSSING, TRAFFIC, CAMERA, PLACE, AIRCRAFT_MODEL,
+    DATAREFS,
+)
 PICTURE_KEYS = tuple(field.key for field in _LOOK)
 """Scenario keys that the look of the scene depends on; ``aircraft`` is what is seen of our own."""
 

@@ -24,6 +24,7 @@ from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
+from taxinet_ros.core.datarefs import NO_DATAREFS, refuse_datarefs
 from taxinet_ros.core.faults import SteeringFaults, shown_step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.place.track import OnTrack, Track
@@ -37,6 +38,9 @@ from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, ori
 
 _T = TypeVar('_T')
 _START_M = 1.0
+
+TAKES_DATAREFS = 'takes_datarefs'
+"""Attribute of a package's world, true where it takes X-Plane's variables."""
 
 SHOWS_TRAFFIC = 'shows_traffic'
 """Attribute of a package's world, true where it shows others on the ground."""
@@ -157,6 +161,7 @@ class SimulatedWorld(World):
             aircraft: factory of the aircraft.
             camera: factory of the camera, called for the first image.
         """
+        refuse_datarefs(scenario.datarefs, f'world {KMWH}')
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
@@ -368,7 +373,9 @@ class _SeenWorld(World):
         pictures: bool = True,
     ) -> None:
         renderer.check(scenario)
-        self._world = make(scenario, pictures=False)
+        # What it shows the world need not know.
+        world_scenario = dataclasses.replace(scenario, datarefs=NO_DATAREFS)
+        self._world = make(world_scenario, pictures=False)
         self.last_seq = self._world.last_seq
         self._renderer, self._scenario, self._pictures = renderer, scenario, pictures
         self._camera: RunCamera | None = None
@@ -415,6 +422,8 @@ class _PluginWorld(World):
                 f'{extension.words}: the world does not show traffic (no attribute '
                 f'{SHOWS_TRAFFIC}); leave it out, or take the world {KMWH}'
             )
+        if not getattr(make, TAKES_DATAREFS, False):
+            refuse_datarefs(scenario.datarefs, extension.words)
         self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
         self._scenario, self._pictures = scenario, pictures

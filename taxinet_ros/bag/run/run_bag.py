@@ -40,7 +40,7 @@ from taxinet_ros.bag.run.messages import (
     robustness_cdr,
 )
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
-from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
@@ -71,6 +71,11 @@ def bag_name(topic: Topic) -> str:
 
 
 _BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
+_STEPPED = tuple(
+    topic for one in topics.TOPICS if one.each_step
+    for topic in ((one, topics.TF) if one is topics.ODOMETRY else (one,))
+)
+"""Topics of a control step in the recorder's order."""
 MIN_FREE_BYTES = 1_000_000_000
 """Free disk space needed to start the bag of a run [bytes]."""
 
@@ -89,6 +94,11 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
         )
         for topic in _TOPICS if topic.recorded and (images or topic.name != topics.IMAGE.name)
     )
+
+
+@functools.cache
+def _canonical(images: bool) -> Canonical:
+    return Canonical(bag_topics(images))
 
 
 def run_words(scenario: Any) -> dict[str, str]:
@@ -234,10 +244,9 @@ class RunBag:
         self._run_id = request.run_id
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
-        self._transform_of = OdometryTransforms()
         self._steps = 0
         named = bag_topics(images)
-        self._canonical = Canonical(named)
+        self._canonical = _canonical(images)
         scenario_cdr = message_cdr(
             topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
         )
@@ -258,10 +267,10 @@ class RunBag:
         """
         now = step.observation
         at = self._run_id, now.seq, now.stamp_ns
-        self._take(now, picture, {
-            topics.ESTIMATE: error_cdr(step.estimate, *at),
-            topics.COMMAND: command_cdr(step.command, *at),
-        }, [
+        self._take(now, picture, [
+            (topics.ESTIMATE, error_cdr(step.estimate, *at)),
+            (topics.COMMAND, command_cdr(step.command, *at)),
+        ], [
             (topics.ROBUSTNESS, robustness_cdr(spec, reading, *at))
             for spec, reading in zip(self._specs, step.readings, strict=True)
         ])
@@ -271,25 +280,23 @@ class RunBag:
         self, now: Observation, picture: NDArray[np.uint8] | None, estimate: TrackingError | None
     ) -> None:
         """Write the step in which a run broke: what was observed, and the estimate if any."""
-        said = {} if estimate is None else {
-            topics.ESTIMATE: error_cdr(estimate, self._run_id, now.seq, now.stamp_ns),
-        }
+        at = self._run_id, now.seq, now.stamp_ns
+        said = [] if estimate is None else [(topics.ESTIMATE, error_cdr(estimate, *at))]
         self._take(now, picture, said, [])
 
     def _take(
-        self, now: Observation, picture: NDArray[np.uint8] | None, answers: Mapping[Topic, bytes],
+        self, now: Observation, picture: NDArray[np.uint8] | None, answers: Sequence[Said],
         readings: Sequence[Said],
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
-        seen = dataclasses.replace(now, image=picture)
-        said = {**dict(observation_messages(seen, self._run_id, self._camera)), **answers}
-        ordered: list[Said] = []
-        for topic in topics.TOPICS:
-            if topic in said:
-                ordered.append((topic, said[topic]))
-            if topic is topics.ODOMETRY:
-                ordered.append((topics.TF, self._transform_of(said[topic])))
-        self._write(now.seq, [*ordered, *readings])
+        seen = now if now.image is picture else dataclasses.replace(now, image=picture)
+        # By name, as hashing a topic takes as long as serialising its message.
+        observed = observation_messages(seen, self._run_id, self._camera)
+        said = {topic.name: cdr for topic, cdr in (*observed, *answers)}
+        said[topics.TF.name] = aircraft_transform(now.state, now.stamp_ns)
+        ordered = [(topic, said[topic.name]) for topic in _STEPPED if topic.name in said]
+        for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
+            self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
         self._writer.flush()
 
     def end(

@@ -24,6 +24,7 @@ from taxinet_ros.cli.options import (
     renderer_of,
     scene_settings,
 )
+from taxinet_ros.errors import UsageError
 
 
 def train(
@@ -273,14 +274,23 @@ def shadow(
 
 @camera_app.command()
 def compare(
+    context: typer.Context,
     folder: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar='DIR',
             help='folder of frames with labels.csv: image, cte_m, heading_error_deg (left '
             'positive), distance_m along the runway',
         ),
-    ],
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar='RENDERER',
+            help='instead of labelled frames: our camera against another renderer, mitsuba, in '
+            'scenes of several places, cameras and poses; --set sets a value in all of them',
+        ),
+    ] = None,
     perception: Annotated[
         str, typer.Option(help='taxinet (the shipped network) or a .safetensors weights file')
     ] = 'taxinet',
@@ -296,16 +306,27 @@ def compare(
     settings: SetOption = None,
     out: PictureOption = None,
     json: Annotated[
-        bool, typer.Option('--json', help='print one JSON object with all frames')
+        bool, typer.Option('--json', help='print one JSON object with all frames or scenes')
     ] = False,
 ) -> None:
     """Measure the network on labelled frames, shown beside rendered frames of the same poses.
 
     Rendered frames have the light of the published ones, 9:04 under a clear sky, unless changed by
-    --set.
+    --set. With --against: shifts of edges of paint and shadow in pixels, and light by the hour;
+    exit status 1 if a scene misses the aim of 1 pixel.
     """
-    from taxinet_ros.cli.training.camera import run_compare
+    from taxinet_ros.cli.training.camera import run_compare, run_second_opinion
 
+    if against is not None:
+        why = '--against renders scenes of its own, without labelled frames'
+        if folder is not None:
+            raise UsageError(f'DIR: {why}')
+        refuse_given(context, ('perception', 'distance_offset'), why)
+        raise typer.Exit(run_second_opinion(
+            against, settings=settings or (), out=out, json_wanted=json
+        ))
+    if folder is None:
+        raise UsageError('give a folder DIR of labelled frames, or --against mitsuba')
     run_compare(
         folder, perception=perception, distance_offset_m=distance_offset,
         settings=settings or (), out=out, json_wanted=json,

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.camera_model import CameraModel, rotation
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA, DATE, PLACE, RAIN, SKY, TIME_OF_DAY
+from taxinet_ros.core.scenario_fields import (
+    CAMERA,
+    DATAREFS,
+    DATE,
+    PLACE,
+    RAIN,
+    SKY,
+    TIME_OF_DAY,
+)
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.simulators.xplane.screen import (
@@ -172,7 +180,9 @@ class XPlaneCamera:
     """The camera of one run."""
 
     reproducible = False
-    shows = (SKY.key, RAIN.key, TIME_OF_DAY.key, DATE.key, CAMERA.key, PLACE.key)
+    shows = (
+        SKY.key, RAIN.key, TIME_OF_DAY.key, DATE.key, CAMERA.key, PLACE.key, DATAREFS.key,
+    )
 
     def __init__(
         self, scenario: Scenario, setup: XPlaneSetup | None = None,

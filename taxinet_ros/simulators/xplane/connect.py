@@ -17,9 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind
 from taxinet_ros.simulators.xplane.native import address
-from taxinet_ros.simulators.xplane.wire import Value, failed, split_name
+from taxinet_ros.simulators.xplane.wire import Value, failed
 
 PORT = 49009
 _HEAD = 5

@@ -130,7 +130,7 @@ class Doctor:
 
     def _values(self) -> str:
         names = [
-            HELD, SPEED, *CONTROLS, *self.setup.datarefs,
+            HELD, SPEED, *CONTROLS,
             *(one.name for one in time_settings(self.scenario, 0.0)),
             *(one.name for one in weather_settings(
                 self.scenario, self._there.version, moves=True

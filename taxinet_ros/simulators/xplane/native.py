@@ -18,8 +18,9 @@ import struct
 import time
 from dataclasses import dataclass
 
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.wire import Value, failed, split_name
+from taxinet_ros.simulators.xplane.wire import Value, failed
 
 PORT = 49000
 BEACON_GROUP, BEACON_PORT = '239.255.1.1', 49707

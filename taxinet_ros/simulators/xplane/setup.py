@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.files.plain_values import Section, read_yaml
 from taxinet_ros.simulators.xplane import connect, native, web
 from taxinet_ros.simulators.xplane.connect import XPlaneConnect
 from taxinet_ros.simulators.xplane.web import WebApi
-from taxinet_ros.simulators.xplane.wire import checked_value, split_name
 
 VARIABLE = 'TAXINET_XPLANE'
 """Environment variable with the path of the file; without it, everything has its default."""
@@ -23,7 +21,7 @@ WIRES = {'web': web.PORT, 'connect': connect.PORT}
 
 _KEYS = (
     'wire', 'host', 'port', 'timeout_s', 'aircraft', 'aircraft_path', 'view', 'display',
-    'region_px', 'settle_s', 'frames', 'datarefs',
+    'region_px', 'settle_s', 'frames',
 )
 _MOST_PX = 16384
 
@@ -46,7 +44,6 @@ class XPlaneSetup:
             monitor.
         settle_s: simulated time for which the aircraft is held under new weather [s].
         frames: frames that X-Plane has to draw between a confirmed pose and its picture.
-        datarefs: further values, set at the start of each run.
     """
 
     wire: str = 'web'
@@ -60,7 +57,6 @@ class XPlaneSetup:
     region_px: tuple[int, int, int, int] | None = None
     settle_s: float = 5.0
     frames: int = 3
-    datarefs: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
 
     def open(self) -> WebApi | XPlaneConnect:
         """Open the interface.
@@ -97,7 +93,6 @@ def read_setup(path: Path) -> XPlaneSetup:
         view=view, display=top.text('display', ''), region_px=_region(top),
         settle_s=top.number('settle_s', 0, 600, XPlaneSetup.settle_s),
         frames=top.whole('frames', 1, 100, XPlaneSetup.frames),
-        datarefs=_datarefs(top.section('datarefs', optional=True)),
     )
 
 
@@ -108,17 +103,6 @@ def _region(top: Section) -> tuple[int, int, int, int] | None:
     if not (width and height):
         raise top.wrong('expected LEFT, TOP, WIDTH, HEIGHT, the last two above 0', 'region_px')
     return left, top_px, width, height
-
-
-def _datarefs(section: Section) -> dict[str, float | tuple[float, ...]]:
-    found = {}
-    for name in section:
-        try:
-            split_name(name)
-            found[name] = checked_value(name, section.take(name, 'a number'))
-        except UsageError as error:
-            raise section.wrong(str(error)) from None
-    return found
 
 
 def chosen_setup() -> XPlaneSetup:

@@ -242,7 +242,7 @@ class XPlane:
             UsageError: a dataref of the user cannot be written.
         """
         self.check_aircraft()
-        self.check_datarefs(self.setup.datarefs)
+        self.check_datarefs(scenario.dataref_values)
         self.pause(True)
         self.link.write(HELD, 1.0)
         self._go_there(start)
@@ -250,7 +250,7 @@ class XPlane:
         settings = [
             *time_settings(scenario, self.setup.settle_s),
             *weather_settings(scenario, self.version, moves=moves),
-            *(Setting(name=name, value=value) for name, value in self.setup.datarefs.items()),
+            *(Setting(name=name, value=value) for name, value in scenario.dataref_values.items()),
         ]
         for one in settings:
             self.link.write(one.name, one.value)

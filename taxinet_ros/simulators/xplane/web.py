@@ -20,9 +20,10 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 from urllib.parse import quote
 
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.simulators.xplane.wire import Value, failed, split_name
+from taxinet_ros.simulators.xplane.wire import Value, failed
 
 PORT = 8086
 VERSIONS = ('v3', 'v2', 'v1')

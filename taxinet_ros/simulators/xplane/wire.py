@@ -1,13 +1,10 @@
-"""What the clients of X-Plane's network interfaces have in common: names, values, failures."""
+"""What the clients of X-Plane's network interfaces have in common: values, failures, methods."""
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Sequence
 from typing import Protocol
 
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import InfraError, InfraKind
 
 WHO = 'x-plane'
 """Who failed, in errors and records."""
@@ -15,55 +12,9 @@ WHO = 'x-plane'
 Value = float | tuple[float, ...] | str
 """Value of a dataref: a number, an array of numbers, or the text of bytes."""
 
-MOST_NAME = 255
-"""Length limit of a name: XPlaneConnect counts it in a byte."""
-MOST_ELEMENTS = 255
-"""Length limit of an array that is written, for the same reason."""
-
-_NAME = re.compile(r'([A-Za-z0-9_.\-]+(?:/[A-Za-z0-9_.\-]+)+)(?:\[(\d{1,4})\])?')
-
-
 def failed(kind: InfraKind, detail: str) -> InfraError:
     """Create the error of a simulator that did not do its part."""
     return InfraError(kind, WHO, -1, detail)
-
-
-def split_name(text: str) -> tuple[str, int | None]:
-    """Split ``sim/weather/cloud_type[0]`` into the name and the index of an element.
-
-    X-Plane 11 has some datarefs whose names end in an index; :class:`WebApi` looks for both.
-
-    Raises:
-        UsageError: it is no name of a dataref or command.
-    """
-    found = _NAME.fullmatch(text)
-    if not found or len(text) > MOST_NAME:
-        raise UsageError(
-            f'x-plane: {text!r:.80} is no name of a dataref; expected words joined by /, as in '
-            'sim/weather/rain_percent or sim/weather/cloud_type[0]'
-        )
-    return found[1], None if found[2] is None else int(found[2])
-
-
-def checked_value(name: str, value: object) -> float | tuple[float, ...]:
-    """A finite number, or an array of them, to be written.
-
-    Raises:
-        UsageError: it is neither.
-    """
-    if isinstance(value, bool):
-        return float(value)
-    if isinstance(value, int | float) and math.isfinite(value):
-        return float(value)
-    if isinstance(value, Sequence) and not isinstance(value, str) and (
-        0 < len(value) <= MOST_ELEMENTS
-        and all(isinstance(one, int | float) and math.isfinite(one) for one in value)
-    ):
-        return tuple(map(float, value))
-    raise UsageError(
-        f'x-plane: {name} is {value!r:.60}; expected a finite number, or a list of 1 to '
-        f'{MOST_ELEMENTS} of them'
-    )
 
 
 class Link(Protocol):

@@ -63,6 +63,7 @@ class XPlaneWorld(World):
     """
 
     reproducible = False
+    takes_datarefs = True
 
     def __init__(
         self, scenario: Scenario, *, pictures: bool = True, setup: XPlaneSetup | None = None,
