@@ -61,6 +61,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CAMERAS: {
         'ours': 'taxinet_ros.core.camera.camera:Camera',
+        'flightgear': 'taxinet_ros.simulators.flightgear.camera:FlightGearCamera',
         'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
     },
     REQUIREMENTS: _constants(

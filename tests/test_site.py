@@ -96,6 +96,13 @@ def test_given_the_reference_then_it_has_every_command_key_column_and_kind(site)
     assert {f'taxinet-{command.replace(" ", "-")}' for command in commands} <= cli.anchors
 
 
+def test_given_the_gallery_then_each_film_has_the_command_that_made_it():
+    page = (DOCS / 'gallery.md').read_text(encoding='utf-8')
+    shown = re.findall(r'\(gallery/(\w+)\.webp\)', page)
+    assert sorted(shown) == sorted(film.stem for film in (DOCS / 'gallery').iterdir())
+    assert len(re.findall(r'^```sh\ntaxinet run ', page, re.MULTILINE)) == len(shown) >= 5
+
+
 @pytest.mark.parametrize(
     'page', [page for page in sorted(DOCS.rglob('*.md')) if '>>> ' in page.read_text()],
     ids=lambda page: page.stem,

@@ -26,33 +26,35 @@ DOCS = Path(__file__).resolve().parents[1]
 SECTION = re.compile(
     r'^!\[[^\]]*\]\(gallery/(\w+)\.webp\)$.*?^```sh\n(.*?)^```$', re.MULTILINE | re.DOTALL
 )
-EVERY = 2
-"""Of ten frames a second; a film at five a second plays everywhere, and is half as large."""
+EVERY, FRONT_EVERY = 2, 3
+"""Which of ten frames a second are shown; half of them are half as large."""
 SIZE = (450, 400)
 QUALITY = 42
-COLOURS = 112
-FRONT = 'taxinet run nominal --set distance_m=1300 --set time_of_day_h=10 --set duration_s=14'
+COLOURS = 64
+FRONT = (
+    'taxinet run nominal --set distance_m=1400 --set cross_track_m=1 --set heading_deg=-3 '
+    '--set time_of_day_h=9.5 --set clouds=clear --set duration_s=12'
+)
 FRONT_NETWORKS = ('original', 'taxinet')
-FRONT_SIZE = (360, 320)
+FRONT_SIZE = (312, 277)
 
 
-def recorded(command: str, out: Path) -> Iterator[Image.Image]:
+def recorded(command: str, out: Path, every: int = EVERY) -> Iterator[Image.Image]:
     """The film of the one run that a command makes, as pictures of 1080 x 960."""
     words = shlex.split(command)
     ended = subprocess.run([*words, '--out', str(out)], check=False)
     assert ended.returncode in (0, 1), command
     (bag,) = (folder for folder in out.iterdir() if (folder / 'metadata.yaml').exists())
     for number, frame in enumerate(film_frames(open_recording(bag))):
-        if number % EVERY == 0:
+        if number % every == 0:
             yield Image.fromarray(frame)
 
 
-def save(pictures: Sequence[Image.Image], path: Path) -> None:
+def save(pictures: Sequence[Image.Image], path: Path, every: int = EVERY) -> None:
     """Write an endless film in real time; the last picture stands for two seconds."""
     path.parent.mkdir(exist_ok=True)
-    step_ms = 100 * EVERY
-    durations = [step_ms] * (len(pictures) - 1) + [2000]
-    options = {'quality': QUALITY, 'method': 6} if path.suffix == '.webp' else {'optimize': True}
+    durations = [100 * every] * (len(pictures) - 1) + [2000]
+    options = {'quality': QUALITY, 'method': 4} if path.suffix == '.webp' else {'optimize': True}
     pictures[0].save(
         path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, **options,
     )
@@ -78,7 +80,7 @@ def front() -> None:
     width, height = FRONT_SIZE
     with tempfile.TemporaryDirectory() as scratch:
         sides = [
-            list(recorded(f'{FRONT} --perception {word}', Path(scratch) / word))
+            list(recorded(f'{FRONT} --perception {word}', Path(scratch) / word, FRONT_EVERY))
             for word in FRONT_NETWORKS
         ]
     pictures = []
@@ -94,7 +96,7 @@ def front() -> None:
     sample = np.vstack([np.asarray(one) for one in (*pictures[::10], *curves)])
     palette = Image.fromarray(sample).quantize(COLOURS)
     save([one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures],
-         DOCS / 'two_networks.gif')
+         DOCS / 'two_networks.gif', FRONT_EVERY)
 
 
 if __name__ == '__main__':

@@ -27,6 +27,13 @@ from taxinet_ros.nodes.running.parameters import Parameter
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def other_pages() -> str:
+    """Pages of ``docs/`` that the menu in ``index.md`` does not name, a line each."""
+    named = (ROOT / 'docs' / 'index.md').read_text(encoding='utf-8').splitlines()
+    pages = sorted(page.stem for page in (ROOT / 'docs').glob('*.md'))
+    return '\n'.join(page for page in pages if page not in (*named, 'index'))
+
+
 def commands() -> str:
     """Every command with its arguments and options, from the parsers themselves."""
     root = typer.main.get_command(app)
@@ -302,8 +309,8 @@ def _cell(text: str) -> str:
 
 PAGES: dict[str, Callable[[], str]] = {
     function.__name__: function for function in (
-        commands, python_names, messages, parameters, scenario_keys, columns, topics_in_bags,
-        exit_codes, infra_kinds, exceptions, examples,
+        other_pages, commands, python_names, messages, parameters, scenario_keys, columns,
+        topics_in_bags, exit_codes, infra_kinds, exceptions, examples,
     )
 }
 """Functions by the name that a page's placeholder has."""

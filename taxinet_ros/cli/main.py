@@ -43,6 +43,7 @@ from taxinet_ros.cli.run.commands import (
     demo,
     experiment,
     falsify,
+    flightgear_app,
     learned,
     merge,
     place_app,
@@ -146,6 +147,7 @@ app.add_typer(camera_app, name='camera')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
+app.add_typer(flightgear_app, name='flightgear')
 app.add_typer(xplane_app, name='xplane')
 
 

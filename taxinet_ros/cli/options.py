@@ -334,6 +334,13 @@ ImagesOption = Annotated[
         'bag render adds them later, bit for bit'
     ),
 ]
+RunImagesOption = Annotated[
+    str | None,
+    typer.Option(
+        help='runs whose camera frames are recorded (35 MB a run): all, failures or none (default: '
+        'all for a single run, else failures); taxinet bag render adds them later, bit for bit'
+    ),
+]
 MostRunsOption = Annotated[
     int, typer.Option(min=1, help='maximum number of runs; with --resume, including earlier ones')
 ]

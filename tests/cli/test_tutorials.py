@@ -1,8 +1,8 @@
 """The tutorials do what they say: files are written, commands run, and the output is as shown.
 
 A fenced block whose first line is a file's name is that file. The lines of a block ``sh`` are
-commands; one that does not end with 0 says ``# exit code N``. A block ``text`` after it shows lines
-of what they print, ``…`` standing for anything.
+commands; one that does not end with 0 says ``# exit code N``, or which two it may be. A block
+``text`` after it shows lines of what they print, ``…`` standing for anything.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PAGES = [
 ]
 BLOCK = re.compile(r'^```(\w+)\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 FILE = re.compile(r'^# ([\w-]+\.\w+)$')
-EXIT_CODE = re.compile(r'\s+# exit code (\d+)$')
+EXIT_CODE = re.compile(r'\s+# exit code (\d+)(?: or (\d+))?$')
 SHELL = re.compile(r'[|&;<>$]|^(?!taxinet )')
 SET_UP = ('make', '. .venv/bin/activate')
 """What stands in ``Start`` and has been done before any test."""
@@ -65,6 +65,7 @@ def missing_line(shown: str, printed: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.ros
+@pytest.mark.timeout(3600)  # seconds of work, beside whatever else the machine does
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_given_a_tutorial_when_followed_then_every_command_does_as_the_page_says(page, tmp_path):
     printed = ''
@@ -79,7 +80,8 @@ def test_given_a_tutorial_when_followed_then_every_command_does_as_the_page_says
                     continue
                 said = EXIT_CODE.search(command)
                 code, output = done(command, tmp_path)
-                assert code == (int(said[1]) if said else 0), f'{command}\n{output}'
+                allowed = {int(one) for one in said.groups() if one} if said else {0}
+                assert code in allowed, f'{command}\n{output}'
                 printed += output
         elif language == 'text':
             assert missing_line(block, printed) == '', printed

@@ -96,6 +96,8 @@ def _mitsuba() -> Any:
         import mitsuba
 
         mitsuba.set_variant(_VARIANT)
+        # Warnings of the sky's model about a sun below the horizon, or near it.
+        mitsuba.set_log_level(mitsuba.LogLevel.Error)
     except ImportError as error:
         raise UsageError(f'mitsuba is installed but cannot be imported: {error}') from error
     return mitsuba
@@ -241,15 +243,19 @@ class MitsubaScene:
 
     def _meshes(self, colours: dict[str, Floats], *, glows: bool = False) -> dict[str, Any]:
         """The ground, each material in a colour that it reflects, or glows in."""
-        found = {}
+        return {
+            f'ground_{number}': self._mesh(triangles, colours[layer.kind], glows=glows)
+            for number, (layer, triangles) in enumerate(self._ground) if len(triangles)
+        }
+
+    @cached_property
+    def _ground(self) -> list[tuple[_Layer, Floats]]:
+        """Triangles of each layer, from the paint down, (n, 3, 3) each."""
+        found = []
         for depth, layer in enumerate(reversed(self._layers)):
-            triangles = _triangles(layer.shapes)
-            if len(triangles):
-                triangles = triangles - (self._state.x_m, self._state.y_m)
-                flat = np.full((*triangles.shape[:2], 1), -depth * _LAYER_M)
-                found[f'ground_{depth}'] = self._mesh(
-                    np.concatenate([triangles, flat], axis=2), colours[layer.kind], glows=glows
-                )
+            flat = _triangles(layer.shapes) - (self._state.x_m, self._state.y_m)
+            heights = np.full((*flat.shape[:2], 1), -depth * _LAYER_M)
+            found.append((layer, np.concatenate([flat, heights], axis=2)))
         return found
 
     def _mesh(self, triangles: Floats, colour: Floats, *, glows: bool = False) -> Any:

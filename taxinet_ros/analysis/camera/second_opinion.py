@@ -78,7 +78,7 @@ _LEAST_CONTRAST, _LEAST_FIT = 0.8, 0.8
 _BLURS_PX = (0.5, 1.0, 2.0, 3.0, 5.0)
 _WINDOW_PX = 7.0
 _PURE = 0.99
-_LEAST_EDGES, _LEAST_SPREAD = 20, 0.15
+_LEAST_EDGES, _LEAST_MEASURED, _LEAST_SPREAD = 20, 0.25, 0.15
 _LOWEST_SUN = math.sin(math.radians(2.0))
 
 Floats = NDArray[np.float64]
@@ -146,10 +146,19 @@ class SceneOpinion:
     sun_apart_deg: float
 
     @property
-    def meets_aim(self) -> bool:
-        """Whether 95 % of the edges beyond :data:`NEAR_M` are within :data:`AIM_PX`."""
-        worst = self.markings.summary()['p95_beyond_8_m_px']
-        return worst is not None and worst <= AIM_PX
+    def meets_aim(self) -> bool | None:
+        """Whether 95 % of the edges of paint beyond :data:`NEAR_M` are within :data:`AIM_PX`.
+
+        None if there are too few to tell. Where most edges that Mitsuba has are not in our picture,
+        paint is more than that away.
+        """
+        edges = self.markings
+        far = np.abs(edges.shift_px[edges.distance_m >= NEAR_M])
+        if edges.found < _LEAST_EDGES:
+            return None
+        if len(edges.shift_px) < _LEAST_MEASURED * edges.found:
+            return False
+        return bool(np.percentile(far, 95) <= AIM_PX) if len(far) >= _LEAST_EDGES else None
 
     def to_dict(self) -> dict[str, object]:
         """Ready for JSON."""
@@ -172,7 +181,8 @@ class LightHour:
         sun_elevation_deg: by Mitsuba.
         ours, theirs: luminance by surface, of :data:`SURFACES`, before exposure; in each one's own
             unit. None where a surface is not in the picture.
-        shade_ours, shade_theirs: luminance of shaded over that of sunlit pavement.
+        shade_ours, shade_theirs: luminance of shaded over that of sunlit pavement; None where no
+            pavement is in the picture.
     """
 
     hour: float
@@ -180,7 +190,7 @@ class LightHour:
     ours: Mapping[str, float | None]
     theirs: Mapping[str, float | None]
     shade_ours: float
-    shade_theirs: float
+    shade_theirs: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +215,8 @@ class LightCurves:
             surface: one of :data:`SURFACES`.
             least_sun_deg: hours with a lower sun are left out.
         """
+        if not self.hours:
+            return None
         ours, theirs = self.relative(surface)
         high = np.array([hour.sun_elevation_deg >= least_sun_deg for hour in self.hours])
         apart = np.abs(np.log2(ours / theirs))[high]
@@ -221,12 +233,14 @@ class LightCurves:
 
 
 def scenes(settings: Mapping[str, object]) -> list[Scenario]:
-    """The default scenes with some values set, each once.
+    """The default scenes with some values set, each once; without their track at another place.
 
     Raises:
         UsageError: a value that no scenario may have.
     """
-    return list(dict.fromkeys(scenario_from_human({**one, **settings}) for one in SCENES))
+    lost = {'track'} if 'place' in settings else set()
+    kept = [{key: one[key] for key in one if key not in lost} for one in SCENES]
+    return list(dict.fromkeys(scenario_from_human({**one, **settings}) for one in kept))
 
 
 def light_scenes(settings: Mapping[str, object]) -> list[Scenario]:
@@ -284,7 +298,8 @@ def compare_light(day: Iterable[Scenario]) -> LightCurves:
     Raises:
         UsageError: Mitsuba is not installed, or a scenario has what its scene does not show.
     """
-    found = []
+    found: list[LightHour] = []
+    regions: dict[str, NDArray[np.bool_]] = {}
     for scenario in day:
         state = Aircraft(scenario).state
         scene = MitsubaScene(scenario, state)
@@ -294,7 +309,8 @@ def compare_light(day: Iterable[Scenario]) -> LightCurves:
         codes = _rendered(scenario, state).astype(np.float64)
         ours = linear_exposure(np.minimum(codes, 254.0)) / light.exposure @ LUMINANCE
         whole, sky = (part @ LUMINANCE for part in scene.radiance())
-        regions = _regions(scene.coverage(), _behind_aircraft(scenario))
+        # The same at each hour.
+        regions = regions or _regions(scene.coverage(), _behind_aircraft(scenario))
         shaded = regions['pavement']
         found.append(LightHour(
             hour=scenario.time_of_day_s / 3600,
@@ -302,7 +318,7 @@ def compare_light(day: Iterable[Scenario]) -> LightCurves:
             ours={name: _median(ours, where) for name, where in regions.items()},
             theirs={name: _median(whole, where) for name, where in regions.items()},
             shade_ours=float(LUMINANCE @ light.diffuse / (LUMINANCE @ light.total)),
-            shade_theirs=float(sky[shaded].sum() / whole[shaded].sum()),
+            shade_theirs=float(sky[shaded].sum() / whole[shaded].sum()) if shaded.any() else None,
         ))
     return LightCurves(hours=tuple(found))
 
@@ -373,8 +389,8 @@ def _draw_light(light: Axes, shade: Axes, curves: LightCurves) -> None:
     light.set_ylabel('luminance relative to that under the highest sun')
     light.legend(fontsize=8)
     shade.plot(hours, [hour.shade_ours for hour in curves.hours], color='k', label='ours')
-    shade.plot(hours, [hour.shade_theirs for hour in curves.hours], 'o', color='k',
-               markerfacecolor='none', label='Mitsuba')
+    theirs = np.array([hour.shade_theirs for hour in curves.hours], np.float64)
+    shade.plot(hours, theirs, 'o', color='k', markerfacecolor='none', label='Mitsuba')
     shade.set_xlabel('hour')
     shade.set_ylabel('luminance of pavement in the shade over that in the sun')
     shade.set_ylim(0, 1)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line
+from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
@@ -240,18 +242,21 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
         for frame in recording.frames(wanted.__contains__, render=False)
     }
     scenario = recording.scenario
-    taken_by = recorded_world(recording.path, recording.run).renderer
-    # A missing frame was asked of a camera that can take it again.
-    camera = Camera(scenario) if taken_by is None else taken_by.make(scenario)
+    world = recorded_world(recording.path, recording.run)
+
+    @cache
+    def camera() -> Camera | RunCamera:
+        return Camera(scenario) if world.renderer is None else world.renderer.make(scenario)
+
     for seq, row in sorted(wanted.items()):
         state = track.states.get(seq)
         step = shown_step(scenario, seq, CONTROL_PERIOD_NS)
         shown = track.states.get(step)
         image = images.get(seq)
         if image is None:
-            if shown is None:
-                continue  # a failed run may have a step without a state
-            image = camera.render(shown, step * CONTROL_PERIOD_NS)
+            if shown is None or world.again_words:
+                continue  # a failed run may have a step without a state, or without a frame
+            image = camera().render(shown, step * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
             line=scenario.line, image=image, camera=scenario.camera_model, state=state,

@@ -42,6 +42,7 @@ from taxinet_ros.cli.options import (
     RateOption,
     RendererOption,
     ResumeOption,
+    RunImagesOption,
     RunOption,
     RunsOption,
     RunwayOption,
@@ -88,7 +89,7 @@ def run(
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
-    images: ImagesOption = 'all',
+    images: RunImagesOption = None,
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
@@ -124,7 +125,8 @@ def run(
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
-        specs=spec or (), out=out, processes=processes, images=images, stop_on=stop_on,
+        specs=spec or (), out=out, processes=processes,
+        images=images or ('all' if runs == 1 else 'failures'), stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=word_of(context, 'controller'),
         latency=latency or (), free=free, real_time_factor=real_time_factor,
         world=world_word(world, renderer_of(camera)),
@@ -606,3 +608,51 @@ def experiment(
             workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
         )
     )
+
+
+flightgear_app = typer.Typer(
+    rich_markup_mode=None, help='FlightGear as a camera: start it, and see whether it works.'
+)
+
+
+@flightgear_app.callback(invoke_without_command=True)
+def _flightgear(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@flightgear_app.command('start')
+def flightgear_start(
+    at: Annotated[
+        str, typer.Option(metavar='ICAO', help='airport whose terrain is loaded first')
+    ] = 'BIKF',
+    size: Annotated[
+        str, typer.Option(metavar='WIDTHxHEIGHT', help='window; larger for sharper lenses')
+    ] = '480x288',
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help='port on this machine (default: that of TAXINET_FLIGHTGEAR, '
+            'else 5480)',
+        ),
+    ] = None,
+) -> None:
+    """Start FlightGear under a virtual display, and keep it until Ctrl-C.
+
+    Says when it has loaded; then --camera flightgear takes its pictures from it. Exit code 130
+    after Ctrl-C, 4 if FlightGear ended by itself.
+    """
+    from taxinet_ros.cli.run.flightgear import run_flightgear
+
+    run_flightgear(port=port, airport=at, size=size)
+
+
+@flightgear_app.command('doctor')
+def flightgear_doctor() -> None:
+    """Report whether FlightGear is installed, runs, and shows what is asked for.
+
+    Exit code 4 if anything is missing.
+    """
+    from taxinet_ros.cli.run.flightgear import check_flightgear
+
+    raise typer.Exit(check_flightgear())

@@ -49,7 +49,7 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 SUFFIX = '.png'
 OTHERS = ('mitsuba',)
@@ -218,11 +218,11 @@ def run_compare(
 
 def run_second_opinion(
     against: str, *, settings: Iterable[str], out: Path | None, json_wanted: bool
-) -> int:
+) -> ExitCode:
     """Compare our camera with another renderer, write the figure, and print the results.
 
     Returns:
-        Exit status: 1 if a scene misses the aim, else 0.
+        1 if a scene misses the aim, 3 if one shows too little paint to tell, else 0.
 
     Raises:
         UsageError: an unknown renderer, one that is not installed, bad settings or output file.
@@ -245,24 +245,27 @@ def run_second_opinion(
     ]
     curves = compare_light(day)
     write_picture(path, lambda: plot_opinion(opinions, curves, path))
-    missed = sum(not one.meets_aim for one in opinions)
+    missed, unclear = (
+        sum(one.meets_aim is word for one in opinions) for word in (False, None)
+    )
+    code = ExitCode.VIOLATED if missed else ExitCode.INCOMPLETE if unclear else ExitCode.OK
     if json_wanted:
         print(json.dumps({
-            'against': against, 'figure': str(path), 'missed_aim': missed,
+            'against': against, 'figure': str(path), 'missed_aim': missed, 'unclear': unclear,
             'scenes': [one.to_dict() for one in opinions], 'light': curves.to_dict(),
             'made_on': dict(provenance()),
         }, indent=2, allow_nan=False))
         notes.print(f'figure: {path}')
-        return int(missed > 0)
+        return code
     console = Console(highlight=False, soft_wrap=True)
     console.print(_opinion_table(opinions))
     console.print(_light_table(curves))
     console.print(
         f'{len(opinions)} scenes, {missed} with more than {AIM_PX:g} px in 5 % of the edges of '
-        f'paint beyond {NEAR_M:g} m'
+        f'paint beyond {NEAR_M:g} m, {unclear} with too few edges to tell'
     )
     console.print(f'figure: {path}')
-    return int(missed > 0)
+    return code
 
 
 def _opinion_table(opinions: Iterable[SceneOpinion]) -> Table:

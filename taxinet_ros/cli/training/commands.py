@@ -313,7 +313,7 @@ def compare(
 
     Rendered frames have the light of the published ones, 9:04 under a clear sky, unless changed by
     --set. With --against: shifts of edges of paint and shadow in pixels, and light by the hour;
-    exit status 1 if a scene misses the aim of 1 pixel.
+    exit status 1 if a scene misses the aim of 1 pixel, 3 if one shows too little paint to tell.
     """
     from taxinet_ros.cli.training.camera import run_compare, run_second_opinion
 

@@ -198,7 +198,7 @@ class Camera:
             across, down = (table.astype(np.float32) for table in taken_from)
             # Integer maps give the same bytes on every processor.
             self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
-        self._noise = _Noise(scenario, model)
+        self._noise = SensorNoise(scenario, model)
         self._faults = LensFaults(scenario, self._light, model.intrinsics, model.shape[:2])
 
     def render(
@@ -283,7 +283,7 @@ class Camera:
             mark('shadows of others')
 
 
-class _Noise:
+class SensorNoise:
     """Gaussian noise of a sensor: one field per run, with another offset for each image."""
 
     _SPARE_PX = 128

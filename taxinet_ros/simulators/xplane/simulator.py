@@ -16,10 +16,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
 from taxinet_ros.simulators.xplane.connect import Position, XPlaneConnect
 from taxinet_ros.simulators.xplane.setup import XPlaneSetup
 from taxinet_ros.simulators.xplane.sky import (
@@ -247,19 +248,20 @@ class XPlane:
         self.link.write(HELD, 1.0)
         self._go_there(start)
         self.place(start)
-        settings = [
+        ours = [
             *time_settings(scenario, self.setup.settle_s),
             *weather_settings(scenario, self.version, moves=moves),
-            *(Setting(name=name, value=value) for name, value in scenario.dataref_values.items()),
         ]
-        for one in settings:
+        theirs = [Setting(name=name, value=one) for name, one in scenario.dataref_values.items()]
+        for one in (*ours, *theirs):
             self.link.write(one.name, one.value)
         if major(self.version) >= 12 and getattr(self.link, 'api', '') != 'v1':
             self.link.command(REGENERATE)
         if self.setup.settle_s:
             self.run_until(self.number(FLIGHT_TIME) + self.setup.settle_s)
         self.frames(_SETTLE_FRAMES)
-        for one in settings:
+        replaced = {split_name(one.name)[0] for one in theirs}
+        for one in (*(one for one in ours if split_name(one.name)[0] not in replaced), *theirs):
             self.check(one)
         self.place(start)
 
@@ -406,7 +408,11 @@ def _take_turn(setup: XPlaneSetup) -> int:
     except OSError as error:
         raise failed(InfraKind.NOT_READY, f'{path}: {error.strerror}') from error
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            warn_once(f'x-plane at {setup.host}:{setup.port}: another run uses it; waiting')
+            fcntl.flock(lock, fcntl.LOCK_EX)
     except BaseException:
         os.close(lock)
         raise

@@ -44,6 +44,7 @@ def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags
         assert trace['x_m'][-1] - trace['x_m'][0] > 30, 'the aircraft has moved'
     facts = json.loads((out / 'campaign.json').read_text())
     assert facts['gains'] == {'heading_gain': 1.5}
+    assert facts['images'] == 'failures', 'nobody looks at the pictures of several runs'
     assert 'time_of_day' in facts['program_text']
     events = [json.loads(line) for line in (out / 'ledger.jsonl').read_text().splitlines()]
     assert [event['event'] for event in events] == [
@@ -58,6 +59,7 @@ def test_given_a_formula_that_cannot_hold_then_the_exit_code_is_one(tmp_path):
     )
     assert (done.returncode, done.stderr) == (1, '')
     table = pd.read_parquet(tmp_path / 'c' / 'runs.parquet')
+    assert json.loads((tmp_path / 'c' / 'campaign.json').read_text())['images'] == 'all'
     assert table['outcome'][0] == 'FAIL'
     assert table['rho_fast'][0] == pytest.approx(-45, abs=0.5)
     assert table['rho_on_runway'][0] > 10

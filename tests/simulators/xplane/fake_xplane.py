@@ -276,8 +276,9 @@ class FakeXPlane:
                 with self.lock:
                     self.frame()
                     replies = [made for reply in answer(packet) for made in self.udp_fault(reply)]
-                for reply in replies:
-                    one.sendto(reply, sender)
+                with contextlib.suppress(OSError):  # closed meanwhile
+                    for reply in replies:
+                        one.sendto(reply, sender)
 
         threading.Thread(target=serve, daemon=True).start()
         return one

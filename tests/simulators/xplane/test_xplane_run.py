@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fake_xplane import FakeXPlane
+from waiting import wait_for
 
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.catalogue import find_camera
@@ -484,6 +486,25 @@ def test_no_setup_file(tmp_path, monkeypatch):
         chosen_setup()
     monkeypatch.delenv('TAXINET_XPLANE')
     assert chosen_setup() == XPlaneSetup()
+
+
+def test_runs_take_turns_and_say_so(sim, capfd):
+    first = XPlane(setup(sim))
+    made: list[XPlane] = []
+    waiting = threading.Thread(target=lambda: made.append(XPlane(setup(sim))))
+    waiting.start()
+    told = ''
+
+    def says_so() -> bool:
+        nonlocal told
+        told += capfd.readouterr().err
+        return 'another run uses it; waiting' in told
+
+    wait_for(says_so)
+    assert made == []
+    first.close()
+    waiting.join()
+    made[0].close()
 
 
 def test_nothing_runs_there():
