@@ -80,6 +80,8 @@ EXTRAS = {
     'ros': ROS_WHEELS,
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
+    # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
+    'store': ['fsspec', 's3fs'],
     # taxinet camera compare --against mitsuba.
     'mitsuba': ['mitsuba', 'shapely>=2.1'],
     # taxinet run --camera xplane: pictures of X-Plane's window.
@@ -87,16 +89,20 @@ EXTRAS = {
     'test': [
         'colcon-package-selection',
         'colcon-ros',
+        'flask',
+        'flask-cors',
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
         'mitsuba',
+        'moto',
         'mss',
         'playwright',
         'pybind11',
         'pytest',
         'pytest-timeout',
         'pytest-xdist',
+        's3fs',
         'websockets',
     ],
     # make docs.

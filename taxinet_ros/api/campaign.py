@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.arguments import PATH, takes
-from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.layout import STORAGE_ID, holds_bag
 from taxinet_ros.bag.run import recording
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.past_runs import recorded_campaign
@@ -131,7 +131,7 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     folder = Path(path)
     if not (folder / LEDGER_NAME).is_file():
-        if folder.suffix == f'.{STORAGE_ID}' or any(folder.glob(f'*.{STORAGE_ID}')):
+        if folder.suffix == f'.{STORAGE_ID}' or holds_bag(folder):
             raise UsageError(f'{folder}: a bag, no campaign; open it with tx.open_recording')
         if not folder.exists():
             raise UsageError(f'{folder}: no such folder; give that of a campaign')

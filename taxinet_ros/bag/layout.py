@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.store import STORED_NAME, bring_back
 from taxinet_ros.errors import UsageError
 
 METADATA_FILE = 'metadata.yaml'
@@ -35,6 +36,11 @@ def run_folder(out: Path, run_id: str) -> Path:
     return out / run_id
 
 
+def holds_bag(folder: Path) -> bool:
+    """Whether a folder has a bag, here or far away."""
+    return any(folder.glob(f'*.{STORAGE_ID}')) or (folder / STORED_NAME).is_file()
+
+
 def mcap_path(folder: Path) -> Path:
     """Path of the storage file of the run in ``folder``, named as ``ros2 bag reindex`` requires."""
     return folder / f'{folder.name}_0.{STORAGE_ID}'
@@ -45,11 +51,14 @@ def storage_files(path: Path) -> tuple[Path, ...]:
 
     The list of files in ``metadata.yaml`` is not used, because it could point anywhere.
 
+    A bag that is stored far away is brought back first.
+
     Raises:
-        UsageError: ``path`` does not exist.
+        UsageError: ``path`` does not exist, or it is not in the store.
         BagEmpty: the folder contains no storage file.
         BagForeign: the folder contains a bag of another storage.
     """
+    bring_back(path if path.is_dir() else path.parent)
     if path.is_file():
         if path.name.endswith(f'.{STORAGE_ID}.zstd'):
             raise BagForeign(compressed(path, 'file'), path=path)

@@ -32,6 +32,7 @@ from taxinet_ros.analysis.causes.predictors import (
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.run_command import RunSettings
@@ -288,7 +289,7 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
         if len(found) >= most:
             break
         folder = runs.folder / bag
-        if bag and any(folder.glob('*.mcap')):
+        if bag and holds_bag(folder):
             with contextlib.suppress(BagError):  # the page reports a damaged one
                 open_recording(folder).check_is(str(run_id))
             found[str(run_id)] = folder

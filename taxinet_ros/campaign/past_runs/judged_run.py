@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, WORLD, recorded_world
@@ -82,7 +83,7 @@ def find_run(path: Path) -> JudgedRun:
     ledger = whole.parent / LEDGER_NAME
     content = read_ledger(ledger) if ledger.is_file() else None
     facts = content.campaign if content else _NO_FACTS
-    if any(whole.glob('*.mcap')):
+    if holds_bag(whole):
         try:
             recording = open_recording(path)
             for row in content.rows if content else ():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
@@ -163,7 +164,7 @@ def scenario_of_row(
     from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 
     bag = folder / row.run_id
-    if any(bag.glob('*.mcap')):
+    if holds_bag(bag):
         try:
             recording = open_recording(bag)
             check_same_run(row, facts, recording)

@@ -55,6 +55,7 @@ from taxinet_ros.cli.options import (
     ShardOption,
     SpecOption,
     StopOnOption,
+    StoreOption,
     UntilOption,
     WorkersOption,
     WorldOption,
@@ -177,6 +178,7 @@ def falsify(
     until: UntilOption = None,
     budget: BudgetOption = None,
     shard: ShardOption = None,
+    store: StoreOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
@@ -223,7 +225,7 @@ def falsify(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             resume=resume, until=until, budget_min=budget, shard=part,
         )
-    raise typer.Exit(run_falsify(options, quiet=quiet))
+    raise typer.Exit(run_falsify(options, quiet=quiet, store=store))
 
 
 def merge(

@@ -25,6 +25,7 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.bag.store import check_store
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.experiment import (
     JSON_NAME,
@@ -53,6 +54,7 @@ from taxinet_ros.campaign.shrink.shrinking import (
     run_command,
     shrink_heading,
 )
+from taxinet_ros.campaign.stored_bags import BagUploads
 from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_words
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
@@ -117,22 +119,28 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
+def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None) -> int:
     """Run the search and print the results.
 
     Args:
         options: options of the search.
         quiet: print warnings and the summary only.
+        store: address to which bags are uploaded, or None.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
 
     Raises:
         UsageError: bad input, or every scene was rejected.
+        RecordError: a bag could not be stored.
     """
     check_workers(options.workers)
     console = Console(highlight=False)
-    with _open_search(options, console, quiet=quiet) as search:
+    uploads = None if store is None else BagUploads(options.campaign.out, check_store(store))
+    with (
+        uploads or contextlib.nullcontext(),
+        _open_search(options, console, quiet=quiet, uploads=uploads) as search,
+    ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
@@ -145,16 +153,25 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
+    if uploads is not None:
+        console.print(uploads.finish(), soft_wrap=True, markup=False)
     if search.interrupted and len(search.rows) < options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 
 @contextlib.contextmanager
-def _open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
+def _open_search(
+    options: SearchOptions, console: Console, *, quiet: bool, uploads: BagUploads | None = None,
+) -> Iterator[Search]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
-    search = Search(options, PARTICIPANTS, lambda row: _print_row(row, console, quiet=quiet))
+    def show(row: RunRow) -> None:
+        _print_row(row, console, quiet=quiet)
+        if uploads is not None:
+            uploads.add(row)
+
+    search = Search(options, PARTICIPANTS, show)
     with print_rows_if_lost(console, search.rows, shown=shown), search:
         yield search
 
