@@ -5,6 +5,7 @@
 #   make demo     install and run the demo       make lint       the quick part of make test
 #   make format   mend what ruff can mend        make clean      remove caches and build folders
 #   make bench    times, ratios to bench.json    make distclean  the same, and .venv
+#   make docs     the documentation's site into build/docs
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
 #   JOBS=3              tests side by side, else three for two cores; 0: one after the other,
@@ -43,7 +44,7 @@ unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test bench lint format clean distclean asked-python
+.PHONY: install demo test bench docs lint format clean distclean asked-python
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -63,6 +64,11 @@ test: lint
 # not depend on the machine is far off.
 bench: $(DONE)/messages
 	$(BIN)/taxinet bench all campaign --repeats $(REPEATS) --guard --json > bench.json
+
+# Every warning, of a lost link or heading too, fails the build; so does a test.
+docs: $(DONE)/messages $(DONE)/tools
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+	@echo 'the site is in build/docs/index.html'
 
 lint: $(DONE)/messages $(DONE)/tools
 	$(BIN)/ruff check .
@@ -142,5 +148,5 @@ $(DONE)/messages: $(DONE)/packages $(INTERFACES)
 
 $(DONE)/tools: setup.py constraints.txt | $(DONE)/packages
 	@echo 'make: installing the tools for tests'
-	@$(INSTALL) --no-build-isolation -e '.[ros,test,dev]'
+	@$(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
 	@touch $@

@@ -80,12 +80,18 @@ EXTRAS = {
     'ros': ROS_WHEELS,
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
+    # taxinet camera compare --against mitsuba.
+    'mitsuba': ['mitsuba', 'shapely>=2.1'],
+    # taxinet run --camera xplane: pictures of X-Plane's window.
+    'xplane': ['mss'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
+        'mitsuba',
+        'mss',
         'playwright',
         'pybind11',
         'pytest',
@@ -93,6 +99,8 @@ EXTRAS = {
         'pytest-xdist',
         'websockets',
     ],
+    # make docs.
+    'docs': ['furo', 'myst-parser', 'sphinx', 'sphinx-copybutton'],
     'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML', 'types-psutil'],
 }
 

@@ -17,7 +17,9 @@ centreline at the place, such as 'exit_left'), camera_dropout_percent [%], camer
 lens_dirt_percent [%], lens_drops_percent [%], glare_ghost_percent [%], exposure_jump_ev [EV,
 brighter positive], loop_delay_s [s], loop_jitter_s [s], steering_bias_deg [°, left positive],
 steering_rate_limit_degps [°/s], fault_onset_s [s], fault_seed (a whole number), traffic (the path
-of a YAML file of others on the ground; in its place the objects below), duration_s [s], place (a
+of a YAML file of others on the ground; in its place the objects below), datarefs
+(the path of a YAML file of X-Plane's variables; single ones by their own names in quotes, such as
+'sim/weather/region/thermal_rate_ms'; for X-Plane only), duration_s [s], place (a
 shipped one by its name, such as 'bikf_10', or the path of a YAML file). Short forms without the
 unit (time_of_day, rain, duration) mean the same.
 

@@ -19,6 +19,7 @@ from taxinet_ros.instructions import pin
 
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
+    from taxinet_ros.api.fork import fork
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
     from taxinet_ros.bag.errors import BagError
@@ -54,6 +55,7 @@ __all__ = [
     'UsageError',
     'UserCodeError',
     'falsify',
+    'fork',
     'load_aircraft',
     'load_camera',
     'load_perception',
@@ -70,6 +72,7 @@ _MODULES = {
     'taxinet_ros.api.campaign': (
         'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
     ),
+    'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),
     'taxinet_ros.bag.errors': ('BagError',),

@@ -1,10 +1,10 @@
-"""Extension points: perceptions, controllers, samplers, worlds and requirements by name.
+"""Extension points: perceptions, controllers, samplers, worlds, cameras and requirements by name.
 
 Installed packages add extensions through entry points in the groups ``taxinet_ros.perceptions``,
-``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds`` and
-``taxinet_ros.requirements``; docs/extending.md describes the requirements for each. The shipped
-ones use the same groups. An extension is imported only when its name is looked up, so a broken
-package affects only those who use it.
+``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds``,
+``taxinet_ros.cameras`` and ``taxinet_ros.requirements``; docs/extending.md describes the
+requirements for each. The shipped ones use the same groups. An extension is imported only when its
+name is looked up, so a broken package affects only those who use it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,14 @@ from taxinet_ros.processes.interrupts import refuse_exits
 from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
-WORLDS, REQUIREMENTS = 'worlds', 'requirements'
+WORLDS, CAMERAS, REQUIREMENTS = 'worlds', 'cameras', 'requirements'
 OURS = 'taxinet_ros'
 
 KMWH = 'kmwh'
 """The shipped world: an aircraft on runway 04 of Grant County airport."""
+
+FORK = 'fork'
+"""Word of the world of a forked run (:mod:`taxinet_ros.core.fork`)."""
 
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
@@ -52,7 +55,14 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
+    WORLDS: {
+        KMWH: 'taxinet_ros.core.world:SimulatedWorld',
+        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+    },
+    CAMERAS: {
+        'ours': 'taxinet_ros.core.camera.camera:Camera',
+        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
+    },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
@@ -61,7 +71,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in
 which they are listed to users. setup.py declares them as entry points."""
 
-RESERVED = frozenset({'external', 'python', 'onnx', 'weights'})
+RESERVED = frozenset({'external', 'python', 'onnx', 'weights', FORK})
 """Words with another meaning on the command line or in records; not allowed as names."""
 
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
@@ -38,15 +38,20 @@ from taxinet_ros.core.motion.controller import check_controller as controller_fi
 from taxinet_ros.core.mtl import parse_formula, parse_spec, robustness, signal_names
 from taxinet_ros.core.perception.perception import UserPerception, make_perception
 from taxinet_ros.core.perception.perception import check_perception as perception_fingerprint
+from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import UserCodeError, pair_of_numbers
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.world import Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.registry import KMWH
 
 MOST_CTE_M = 100.0
 """Cross-track error [m] above which an estimate is assumed to be in a wrong unit."""
+
+MOST_AGAIN_CODES = 2.0
+"""Mean difference of two pictures of one state that a camera which is not reproducible may have."""
 
 MOST_SPEED_MPS = 60.0
 """Commanded speed [m/s] above which it is assumed to be in a wrong unit; no aircraft taxis so."""
@@ -139,7 +144,8 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     [0, 1) within the space that depend only on seed, options and results, in each process. The
     weight of a run must be positive or None, and learned values must be probabilities. A run
     without a result must be accepted, and a sampler that learns must be copyable
-    (:func:`copy.deepcopy`).
+    (:func:`copy.deepcopy`). Points of one whose kind says that they do not depend on results
+    (``depends_on``), so that searches can be run in shards, must not.
 
     Args:
         name: name of the sampler.
@@ -161,6 +167,9 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
             complain.unless(points == again, 'equal seeds give different points')
             other = _sample(name, number, 2, runs, options)
             complain.unless(points != other, 'different seeds give equal points')
+            against = _sample(name, number, 1, runs, options, -1.0)
+            free = kind is None or kind.depends_on is DependsOn.RESULTS or points == against
+            complain.unless(free, 'its points depend on results, but depends_on says otherwise')
             _check_book(complain, name, space, runs, options)
         told = _elsewhere(_sample, name, 0, 1, runs, options)
         here = _sample(name, 0, 1, runs, options)
@@ -198,6 +207,45 @@ def check_world(name: str) -> None:
         states = _drive(name)
         complain.unless(states == _drive(name), 'two worlds of one scenario differ')
         complain.unless(states == _elsewhere(_drive, name), 'states differ in a worker')
+
+
+def check_camera(name: str, scenario: Scenario | None = None) -> None:
+    """Check that a camera is usable in runs; with ``scenario``, in this one instead of the default.
+
+    Pictures must be uint8 RGB of the scenario's camera, and show its own state: two that are far
+    apart differ, and the first again is the first, to the byte if ``reproducible`` (in each
+    process), else within :data:`MOST_AGAIN_CODES` on average. Cameras of two runs must not disturb
+    each other.
+
+    Raises:
+        ContractError: it does not.
+    """
+    scene = scenario or _SCENE
+    with _Complaints('camera', name) as complain:
+        found = find_renderer(name)
+        if found is None:
+            return  # ours
+        first, second = _camera_states(scene)
+        cameras = [found.make(scene), found.make(scene)]
+        here, there = cameras[0].render(first, 0), cameras[1].render(second, 100_000_000)
+        away = _mean_difference(here, there)
+        complain.unless(
+            away > MOST_AGAIN_CODES,
+            f'takes the same picture 40 m and 20 degrees from its first one ({away:.2f} codes)',
+        )
+        again = cameras[0].render(first, 0)
+        cameras[0].close()
+        after = cameras[1].render(first, 0)
+        cameras[1].close()
+        for image, when in ((again, 'after another'), (after, 'by another run')):
+            away = _mean_difference(here, image)
+            complain.unless(
+                away <= (0.0 if found.reproducible else MOST_AGAIN_CODES),
+                f'the same picture, taken {when}, differs by {away:.3g} codes on average',
+            )
+        if found.reproducible and scenario is None:
+            seen = _take(name)
+            complain.unless(seen == _elsewhere(_take, name), 'pictures differ in a worker')
 
 
 def check_requirement(name: str) -> None:
@@ -431,15 +479,34 @@ def _steer(word: str, after_others: bool = False) -> list[Any]:
 
 
 def _sample(
-    name: str, space: int, seed: int, runs: int, options: Mapping[str, str | float]
+    name: str, space: int, seed: int, runs: int, options: Mapping[str, str | float],
+    scale: float = 1.0,
 ) -> list[Point]:
     sampler = make_sampler(name, _SPACES[space], seed, runs, **options)
     points = []
     for _ in range(runs):
         index, point = sampler.next()
         points.append(point)
-        sampler.tell(index, _bowl(point))
+        sampler.tell(index, scale * _bowl(point))
     return points
+
+
+def _camera_states(scene: Scenario) -> tuple[AircraftState, AircraftState]:
+    """The start of a scene, and a state 40 m on and 20 degrees aside."""
+    first = Aircraft(scene).state
+    return first, dataclasses.replace(
+        first, x_m=first.x_m + 40.0 * math.cos(first.yaw_rad),
+        y_m=first.y_m + 40.0 * math.sin(first.yaw_rad), yaw_rad=first.yaw_rad + 0.35,
+    )
+
+
+def _mean_difference(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
+    return float(np.abs(one.astype(np.int16) - other.astype(np.int16)).mean())
+
+
+def _take(name: str) -> list[str]:
+    camera = find_world(f'{KMWH}+{name}').make(_SCENE)
+    return [hashlib.sha256(np.asarray(camera.observe().image).tobytes()).hexdigest()]
 
 
 def _drive(name: str) -> list[Any]:

@@ -178,7 +178,8 @@ def test_given_a_world_where_it_has_no_effect_then_it_is_refused_by_name(
         words = () if command == 'up' else ('nominal',)
         done = taxinet(site, command, *words, '--world', 'mars', cwd=tmp_path)
         assert done.returncode == 2
-        assert "world: 'mars' is unknown; known: kmwh, bicycle" in ' '.join(done.stderr.split())
+        told = ' '.join(done.stderr.split())
+        assert "world: 'mars' is unknown; known: kmwh, xplane, bicycle" in told
 
 
 def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_known(

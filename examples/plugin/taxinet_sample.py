@@ -113,3 +113,21 @@ class Bicycle:
             x_m=now.x_m + command.speed_mps * math.cos(now.yaw_rad) * STEP_S,
             y_m=now.y_m + command.speed_mps * math.sin(now.yaw_rad) * STEP_S,
         )
+
+
+class NightVision:
+    """A camera that sees the runway in shades of green, through the shipped renderer."""
+
+    reproducible = True
+    shows = ('clouds', 'rain_percent', 'time_of_day_h', 'date', 'place', 'camera')
+
+    def __init__(self, scenario):
+        self.camera = Camera(scenario)
+
+    def render(self, state, stamp_ns):
+        """Return the frame (200, 360, 3) uint8 RGB of a state."""
+        light = self.camera.render(state, stamp_ns).max(axis=2)
+        return np.stack([light // 4, light, light // 4], axis=2)
+
+    def close(self):
+        """Nothing to give back: no other program is asked for pictures."""

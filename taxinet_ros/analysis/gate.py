@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from taxinet_ros.campaign.rates import (
+    Planned,
     ProgramRate,
     anytime_bounds,
     count_kinds,
@@ -143,13 +144,16 @@ class GateResult:
     notes: tuple[str, ...]
 
 
-def gate_result(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) -> GateResult:
+def gate_result(
+    rows: Sequence[RunRow], options: GateOptions, *, planned: int | range = 0
+) -> GateResult:
     """Evaluate acceptance criteria on a campaign.
 
     Args:
         rows: its runs.
         options: the criteria.
-        planned: number of runs planned before the first one, 0 for the actual number.
+        planned: number of runs planned before the first one, or their indices; 0 for the actual
+            number.
 
     Raises:
         UsageError: runs were stopped before it was known whether they leave the runway.
@@ -169,7 +173,9 @@ def gate_result(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
         criteria=tuple(criteria), counts=counts, judged=satisfied.runs,
-        effective=satisfied.drawn, notes=tuple(_notes(counts, satisfied, planned)),
+        effective=satisfied.drawn, notes=tuple(_notes(
+            counts, satisfied, planned if isinstance(planned, int) else len(planned)
+        )),
     )
 
 
@@ -204,7 +210,7 @@ def further_runs(found: ProgramRate, threshold: float, confidence: float) -> int
     return math.ceil((high - found.drawn) * (found.runs / found.drawn if found.drawn else 1.0))
 
 
-def _on_runway(rows: Sequence[RunRow], planned: int | None) -> ProgramRate:
+def _on_runway(rows: Sequence[RunRow], planned: Planned) -> ProgramRate:
     off = off_runway_rate(rows, planned)
     if off is None:
         judged = [row for row in rows if row.outcome.judged]

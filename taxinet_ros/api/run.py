@@ -11,6 +11,7 @@ import inspect
 import math
 import os
 import re
+import tempfile
 import warnings
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,8 +40,7 @@ from taxinet_ros.arguments import (
     takes,
     told,
 )
-from taxinet_ros.bag.run.facts import gains_text
-from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
+from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, node_words, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
 from taxinet_ros.core.camera.camera import Camera
@@ -93,9 +93,12 @@ from taxinet_ros.registry import KMWH
 if TYPE_CHECKING:
     import pandas as pd
 
+    from taxinet_ros.core.fork import Fork
+
 CALLER = 4
 """Stack level of the caller for warnings, past the frames that check arguments."""
 _MOST_S = 1e9
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 _DRAWS = 0, 0
 """Default seed and index for drawing the latencies of a run."""
 _SCENARIO = a('a tx.Scenario', Scenario)
@@ -132,6 +135,8 @@ class Run:
         judgement: final judgement.
         world: world of the run.
         nodes: status texts that perception, controller and world would report as ROS nodes.
+        draws: seed and index of the run, which determine random latencies.
+        fork_of: what it was forked from, see :func:`taxinet_ros.fork`; None for other runs.
     """
 
     scenario: Scenario
@@ -143,6 +148,8 @@ class Run:
     judgement: Judgement = field(repr=False)
     world: ChosenWorld = field(repr=False)
     nodes: tuple[NodeWords, ...] = field(repr=False)
+    draws: tuple[int, int] = _DRAWS
+    fork_of: Fork | None = None
 
     @cached_property
     def specs(self) -> tuple[Spec, ...]:
@@ -216,10 +223,29 @@ class Run:
         """Camera frames of all control steps in order, rendered lazily.
 
         Frames are not stored (216 kB each): replaying the run's commands reproduces them to the
-        byte.
+        byte. Those of a camera that does not take the same picture twice are stored.
         """
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
+
+    def fork(
+        self, at_s: float, *, settings: Mapping[str, Any] = NOTHING,
+        moved: Mapping[str, float] = NOTHING, perception: str | Perception | Look | None = None,
+        controller: str | Controller | Steer | None = None,
+    ) -> Run:
+        """Repeat the run up to a moment and go on in a changed world.
+
+        Arguments and errors are those of :func:`taxinet_ros.fork`.
+        """
+        from taxinet_ros.api.fork import fork
+        from taxinet_ros.bag.run.recording import open_recording
+
+        with tempfile.TemporaryDirectory(prefix='taxinet-fork-') as scratch:
+            bag = self.save_bag(Path(scratch) / 'run', images=False)
+            return fork(
+                open_recording(bag), at_s=at_s, settings=settings, moved=moved,
+                perception=perception, controller=controller,
+            )
 
     @takes(path=PATH, images=FLAG)
     def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
@@ -248,11 +274,12 @@ class Run:
         write_run(
             folder,
             RunRequest(
-                run_id=folder.name, index=_DRAWS[1], program='', seed=_DRAWS[0],
+                run_id=folder.name, index=self.draws[1], program='', seed=self.draws[0],
                 scenario=self.scenario, judging=self.judging, participants=PARTICIPANTS,
             ),
             nodes=self.nodes, steps=self.steps, judgement=self.judgement, ending=status,
             frames=(picture for _, picture in driven) if images else None,
+            fork='' if self.fork_of is None else self.fork_of.text,
         )
         return folder
 
@@ -262,8 +289,11 @@ class Run:
 
     def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
         """Replay the run: number and image of each step; None where not wanted or not available."""
+        if self.world.again_words:
+            yield from ((step.observation.seq, step.observation.image) for step in self.steps)
+            return
         world = self.world.make(self.scenario)
-        commands = LateCommands(self.timing, *_DRAWS, self.scenario)
+        commands = LateCommands(self.timing, *self.draws, self.scenario)
         for step in self.steps:
             now = world.observe(picture=step.observation.seq in wanted)
             if repr(now.state) != repr(step.observation.state):  # by repr, NaN equals NaN
@@ -333,7 +363,8 @@ def run(
         rates: assumed maximum changes per second, such as ``cte=3``.
         latency: delay of answers [s], such as ``perception=0.15`` or
             ``controller=uniform(0.1,0.3)``; append ``draws=SEED.INDEX`` for other random draws.
-        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md).
+        world: ``kmwh``, the simulated one, or one added by a package (docs/extending.md); with
+            ``+CAMERA``, who takes its pictures, as in ``kmwh+flightgear``.
 
     Returns:
         The run with its trace, robustness and outcome.
@@ -348,7 +379,8 @@ def run(
         UserCodeError: a function in a file failed; exceptions of a given function propagate.
         InfraError: the simulator failed.
     """
-    eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
+    eyes, hands = asked_perception(perception), asked_controller(controller)
+    chosen = find_world(world)
     judging = Judging(
         specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=text_list(bounds),
         rates=text_list(rates),
@@ -361,62 +393,57 @@ def run(
     unseen = [] if eyes.needs_image else unseen_faults(scenario)
     for line in (*check_specs(asked, scenario, gains).warnings, *unseen):
         warnings.warn(line, stacklevel=CALLER)
-    steps: list[Step] = []
-
-    def keep(step: Step) -> None:
-        seen = dataclasses.replace(step.observation, image=None)
-        steps.append(dataclasses.replace(step, observation=seen))
-
-    judgement = run_closed_loop(
-        scenario, eyes, specs=asked, controller=hands, stop_on=judging.stop_on,
-        assumptions=assumptions, on_step=keep, timing=timing, draws=_DRAWS, make_world=chosen.make,
-    )
-    broken = (step for step in steps if not all(reading.trusted for reading in step.readings))
+    done = drive(scenario, eyes, hands, judging=judging, timing=timing, world=chosen)
+    broken = (step for step in done.steps if not all(reading.trusted for reading in step.readings))
     for step in islice(broken, 1):
         warnings.warn(
             f'bounds, rates: broken at {step.observation.stamp_ns / NS_PER_S:g} s; from there on '
             'intervals are those without them', stacklevel=CALLER,
         )
-    return Run(
-        scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, judging=judging,
-        timing=timing, steps=tuple(steps), judgement=judgement, world=chosen,
-        nodes=_node_words(eyes, hands, chosen, timing),
+    return done
+
+
+def drive(
+    scenario: Scenario, perception: Perception, controller: Controller, *, judging: Judging,
+    timing: Timing, world: ChosenWorld, draws: tuple[int, int] = _DRAWS,
+    on_step: Callable[[Step], None] = lambda step: None, fork_of: Fork | None = None,
+    nodes: tuple[NodeWords, ...] | None = None,
+) -> Run:
+    """Run one scenario with what :func:`run` has made of its words.
+
+    Args:
+        scenario: initial condition and environment.
+        perception: computes estimates.
+        controller: computes commands.
+        judging: requirements, stop rule and assumptions.
+        timing: when answers take effect.
+        world: world of the run.
+        draws: seed and index of the run.
+        on_step: called with every step, with its image if the perception needs it.
+        fork_of: what the run is forked from, if it is.
+        nodes: reports of nodes; None: those of such a perception and controller.
+    """
+    steps: list[Step] = []
+
+    def keep(step: Step) -> None:
+        on_step(step)
+        # A frame that can be taken again is not kept: 216 kB each.
+        seen = step.observation if world.again_words else dataclasses.replace(
+            step.observation, image=None
+        )
+        steps.append(dataclasses.replace(step, observation=seen))
+
+    judgement = run_closed_loop(
+        scenario, perception, specs=judging.parsed_specs, controller=controller,
+        stop_on=judging.stop_on, assumptions=judging.assumptions, on_step=keep, timing=timing,
+        draws=draws, make_world=world.make,
     )
-
-
-def _node_words(
-    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
-) -> tuple[NodeWords, ...]:
-    """Status texts of the ROS nodes for such a run, as recorded in bags."""
-    usual = dataclasses.asdict(SteeringGains())
-    tuned = {
-        name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
-    } if isinstance(hands, SteeringLaw) else {}
-    seen = topics.IMAGE if eyes.needs_image else topics.TRUTH
-    heard = topics.ODOMETRY, topics.TRUTH, topics.ESTIMATE, topics.COMMAND
-    nodes = [
-        NodeWords(
-            node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
-            listens=(topics.SCENARIO.name, seen.name),
-        ),
-        NodeWords(
-            node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
-            implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
-            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
-        ),
-        NodeWords(
-            node=topics.MTL_MONITOR,
-            listens=(topics.SCENARIO.name, *(topic.name for topic in heard)),
-        ),
-        NodeWords(node=topics.RECORDER),
-    ]
-    detail = '' if world.name == KMWH else world.name
-    if timing.words or detail:
-        nodes.append(NodeWords(
-            node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,
-            detail=detail,
-        ))
-    return tuple(nodes)
+    return Run(
+        scenario=scenario, perception=perception.word, fingerprint=perception.fingerprint,
+        judging=judging, timing=timing, steps=tuple(steps), judgement=judgement, world=world,
+        nodes=nodes or node_words(perception, controller, world, timing), draws=draws,
+        fork_of=fork_of,
+    )
 
 
 def text_list(words: str | Sequence[str]) -> tuple[str, ...]:
@@ -466,6 +493,11 @@ def render(
 @says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, which ends at its last row.
+
+    >>> import pandas as pd
+    >>> import taxinet_ros as tx
+    >>> tx.robustness('always(gap_m >= 2)', pd.DataFrame({'t_s': [0, 1], 'gap_m': [4.0, 2.5]}))
+    0.5
 
     Args:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
@@ -590,7 +622,8 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
     return read_specs(f'{one.name}={one.text}' if isinstance(one, Spec) else one for one in asked)
 
 
-def _perception(given: str | Perception | Look) -> Perception:
+def asked_perception(given: str | Perception | Look) -> Perception:
+    """Perception of a word, a file, or a function, as for :func:`run`."""
     if isinstance(given, str):
         return make_perception(given)
     if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
@@ -600,7 +633,8 @@ def _perception(given: str | Perception | Look) -> Perception:
     return _FunctionPerception(given)
 
 
-def _controller(given: str | Controller | Steer) -> Controller:
+def asked_controller(given: str | Controller | Steer) -> Controller:
+    """Controller of a word, a file, or a function, as for :func:`run`."""
     if isinstance(given, str):
         return make_controller(given, SteeringGains())
     if isinstance(given, SteeringLaw | UserController):

@@ -25,8 +25,9 @@ from taxinet_ros.arguments import (
     takes,
 )
 from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.loop_run import campaign_loop
 from taxinet_ros.campaign.loop_worker import loop_worker_command
-from taxinet_ros.campaign.options import DEFAULT_SPECS, make_options
+from taxinet_ros.campaign.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
@@ -97,7 +98,7 @@ def falsify(
     )
     search = Search(
         make_search_options(
-            dataclasses.replace(options, bags=False), sampler=sampler,
+            dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
             sampler_options=_texts(sampler_options), workers=workers, resume=resume, until=until,
             budget_min=None,
         ),
@@ -107,9 +108,9 @@ def falsify(
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
             warnings.warn(python_words(line), stacklevel=CALLER)
         sha256 = search.book.facts['controller_sha256']
-        command = loop_worker_command(
+        command = loop_worker_command(campaign_loop(
             search.options.campaign, sha256, recorded_world(search.book.facts)[1]
-        )
+        ))
         with WorkerPool(command, workers, options.out / 'logs') as pool:
             run_search(search, pool)
         write_learned(search)

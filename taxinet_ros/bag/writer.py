@@ -31,6 +31,8 @@ MANIFEST = 'manifest.json'
 RUN_METADATA = 'taxinet'
 FREE_RUN_METADATA = 'taxinet_free_run'
 """Name of the metadata record of a free run's timing."""
+FORK_METADATA = 'taxinet_fork'
+"""Name of the metadata record of what a forked run was forked from."""
 
 _MEDIA_TYPES = {
     '.json': 'application/json',

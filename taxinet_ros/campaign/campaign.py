@@ -94,7 +94,7 @@ class Campaign:
         """Whether there are runs left."""
         return (
             self._next < self.options.runs and self.book.broken_in_a_row < PATIENCE
-            and not self._interrupted
+            and not self._interrupted and not self.book.difference
         )
 
     def requests(self) -> Iterator[RunRequest]:

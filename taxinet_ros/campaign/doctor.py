@@ -32,6 +32,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
+from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.record.ledger import (
@@ -150,7 +151,7 @@ def mend(folder: Path) -> list[str]:
     for place in _places(folder):
         _check_regular(place)
         for path in sorted(place.glob('[!.]*.jsonl')):
-            with _locked(path):
+            with locked(path):
                 done += _mend_journal(path)
                 if path.name == LEDGER_NAME:
                     done += _mend_campaign(place)
@@ -158,11 +159,13 @@ def mend(folder: Path) -> list[str]:
 
 
 def _places(folder: Path) -> Iterator[Path]:
-    """The folder and its subfolders, except bags."""
+    """The folder and its subfolders, except bags and those of audits, which are no record."""
     if not folder.is_dir():
         raise UsageError(f'{folder}: no such folder; name that of a campaign, experiment or study')
     yield folder
     for path in sorted(folder.iterdir()):
+        if path == folder / AUDIT_FOLDER.name and folder.name == AUDIT_FOLDER.parent.name:
+            continue
         if path.is_dir() and not path.is_symlink() and not _is_bag(path):
             yield from _places(path)
 
@@ -700,7 +703,7 @@ def _free_name(path: Path) -> Path:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
     """Lock a journal against appends by others."""
     with path.open('rb') as file:
         try:

@@ -31,7 +31,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, check_new, read_specs
+from taxinet_ros.campaign.options import (
+    DEFAULT_SPECS,
+    GRAPH,
+    CampaignOptions,
+    check_engine,
+    check_new,
+    read_specs,
+)
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
@@ -306,7 +313,8 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
 
 
 def arm_searches(
-    experiment: Experiment, out: Path, *, workers: int, resume: bool
+    experiment: Experiment, out: Path, *, workers: int, resume: bool, engine: str = GRAPH,
+    audit: str | None = None,
 ) -> dict[str, SearchOptions]:
     """One search per arm, in its own folder, by name of the arm.
 
@@ -315,9 +323,11 @@ def arm_searches(
         out: folder of the experiment.
         workers: number of concurrent graphs.
         resume: continue the existing arms.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
 
     Raises:
-        UsageError: the folder or the number of workers cannot be used.
+        UsageError: the folder, the number of workers or the engine cannot be used.
     """
     if not 1 <= workers <= LAG:
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
@@ -327,7 +337,7 @@ def arm_searches(
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
         arm.name: SearchOptions(
-            campaign=_campaign(experiment, arm, out), sampler=experiment.sampler,
+            campaign=_campaign(experiment, arm, out, engine, audit), sampler=experiment.sampler,
             sampler_options=experiment.sampler_options, workers=workers,
             resume=resume and (out / arm.name / LEDGER_NAME).is_file(),
         )
@@ -377,11 +387,14 @@ def check_paired(
                     )
 
 
-def _campaign(experiment: Experiment, arm: Arm, out: Path) -> CampaignOptions:
+def _campaign(
+    experiment: Experiment, arm: Arm, out: Path, engine: str, audit: str | None
+) -> CampaignOptions:
     return CampaignOptions(
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
         judging=Judging(specs=experiment.specs), images='none',
-        arms=tuple(one.name for one in experiment.arms),
+        arms=tuple(one.name for one in experiment.arms), engine=engine,
+        audit_percent=check_engine(engine, audit, arm.perception, arm.controller, arm.gains),
     )

@@ -16,6 +16,7 @@ self-contained: predicates are expanded.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,10 +41,10 @@ from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by_key
-from taxinet_ros.core.user_code import short_word
+from taxinet_ros.core.user_code import is_node_elsewhere, short_word
 from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
-from taxinet_ros.core.world import find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.plain_values import Section, read_yaml
@@ -134,6 +135,17 @@ DEFAULT_JUDGING = Judging(specs=DEFAULT_SPECS)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
 """Runs whose camera frames are recorded: all, only failed and broken ones, or none."""
+GRAPH, LOOP = ENGINES = ('graph', 'loop')
+"""What makes runs: nodes and ROS messages, or the closed loop in one process, without ROS.
+
+Both give the same rows and bags, to the bit.
+"""
+AUDITED_PERCENT = 1.0
+"""Share of a loop's runs that are repeated on the graph and compared, by default [%]."""
+AUDIT = 'audit'
+"""Kind of the infrastructure error of a run that came out otherwise on the graph."""
+AUDIT_FOLDER = Path('logs') / AUDIT
+"""Where in a campaign's folder the graph writes the bags of audits; only those that differ stay."""
 _GAIN_PREFIX = 'steering.'
 
 
@@ -162,6 +174,8 @@ class CampaignOptions:
         arms: if it is an arm, folders of all arms of the experiment in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
         world: name of the world of the runs, see :mod:`taxinet_ros.core.world`.
+        engine: what makes the runs, one of :data:`ENGINES`.
+        audit_percent: share of the runs to repeat on the graph and compare [%]; 0 with the graph.
     """
 
     program: str
@@ -180,6 +194,8 @@ class CampaignOptions:
     arms: tuple[str, ...] = ()
     bags: bool = True
     world: str = KMWH
+    engine: str = GRAPH
+    audit_percent: float = 0.0
 
     def check(self, first: Scenario, drawn: Callable[[], Collection[str]]) -> SpecCheck:
         """Check the requirements and overrides before the first run.
@@ -210,7 +226,9 @@ class CampaignOptions:
         found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen))
+        again = find_world(self.world).again_words
+        told = [f'{again}, so every frame is recorded'] if again and self.bags else []
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen, *told))
 
     @property
     def standing_graph(self) -> bool:
@@ -223,7 +241,8 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
+    free: bool = False, real_time_factor: str | None = None, world: str = KMWH, part: str = '',
+    engine: str = GRAPH, audit: str | None = None,
 ) -> CampaignOptions:
     """Check the command-line arguments.
 
@@ -246,6 +265,9 @@ def make_options(
         free: simulated time follows the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
         world: see :class:`CampaignOptions`.
+        engine: see :class:`CampaignOptions`.
+        audit: share of the runs to audit as text; None for the default of the engine.
+        part: word on the part of a search, for the name of a new folder.
 
     Raises:
         UsageError: one line on the first error.
@@ -253,7 +275,7 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
-    find_world(world)
+    chosen = find_world(world)
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
@@ -266,10 +288,16 @@ def make_options(
         check_perception(perception, graph=True)
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
+    needs_graph = {'--processes': processes, '--free': timing.free}
+    for option in (name for name, given in needs_graph.items() if given and engine == LOOP):
+        raise UsageError(f'{option}: not with --engine {LOOP}, which has no nodes')
+    if engine == LOOP and chosen.again_words:
+        raise UsageError(f'--engine {LOOP}: {chosen.again_words}, so it could not be audited')
+    audit_percent = check_engine(engine, audit, perception, controller, gains)
     if resume and out is None:
         raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
-        words = (Path(program).stem, short_word(perception), f'seed{seed}')
+        words = (Path(program).stem, short_word(perception), f'seed{seed}', part)
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     if not resume:
@@ -277,8 +305,64 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=images, controller=controller, timing=timing, world=world,
+        images=recorded_images(chosen, images), controller=controller, timing=timing,
+        world=chosen.name,
+        engine=engine, audit_percent=audit_percent,
     )
+
+
+def check_engine(
+    engine: str, audit: str | None, perception: str, controller: str,
+    gains: Mapping[str, float],
+) -> float:
+    """Check the arguments on the engine.
+
+    Args:
+        engine: see :class:`CampaignOptions`.
+        audit: share of the runs to audit: a percentage, with or without its sign; None for the
+            default of the engine.
+        perception: see :class:`CampaignOptions`.
+        controller: likewise.
+        gains: likewise.
+
+    Returns:
+        Share of the runs to audit [%].
+
+    Raises:
+        UsageError: unknown engine, a bad share or one without effect, or a part that only a graph
+            can have.
+    """
+    if engine not in ENGINES:
+        raise UsageError(f'--engine {engine}: unknown; known: {", ".join(ENGINES)}')
+    if engine == GRAPH:
+        if audit is not None:
+            raise UsageError(
+                f'--audit {audit}: no effect with --engine {GRAPH}, which needs no audit'
+            )
+        return 0.0
+    for role, word in (('perception', perception), ('controller', controller)):
+        if is_node_elsewhere(word):
+            raise UsageError(
+                f'--engine {LOOP}: {role} {word} is a node; use --engine {GRAPH}'
+            )
+    check_perception(perception)
+    check_controller(controller, gains)
+    return AUDITED_PERCENT if audit is None else _audit_percent(audit)
+
+
+def _audit_percent(text: str) -> float:
+    try:
+        percent = float(text.strip().removesuffix('%'))
+    except ValueError:
+        percent = math.nan
+    if not 0 <= percent <= 100:
+        raise UsageError(f'--audit {text}: expected a percentage of the runs, such as 1 or 0.5')
+    return percent
+
+
+def recorded_images(world: ChosenWorld, images: str) -> str:
+    """Runs whose camera frames are recorded: all of them, if they cannot be had again."""
+    return 'all' if world.again_words else images
 
 
 def make_judging(

@@ -177,8 +177,12 @@ class ProgramRate:
         return words
 
 
+Planned = int | range | None
+"""Runs fixed before the first one: their number, or their indices; None for those there are."""
+
+
 def rate_of(
-    rows: Sequence[RunRow], hit: Callable[[RunRow], bool], planned: int | None = None
+    rows: Sequence[RunRow], hit: Callable[[RunRow], bool], planned: Planned = None
 ) -> ProgramRate:
     """Rate of one kind of judged run under the program itself.
 
@@ -188,10 +192,10 @@ def rate_of(
     Args:
         rows: rows of a campaign.
         hit: whether a judged run is of the kind.
-        planned: number of runs fixed before the first one; None for the actual number.
+        planned: runs fixed before the first one; those of a shard are a part of all indices.
     """
     outcomes = {row.index: row.outcome for row in rows}
-    counted = without_gaps(outcomes)
+    counted = without_gaps(outcomes, planned)
     judged = [row for row in rows if row.index < counted and row.outcome.judged]
     drawn = [row for row in judged if row.from_program]
     return ProgramRate(
@@ -202,31 +206,37 @@ def rate_of(
     )
 
 
-def failure_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate:
+def failure_rate(rows: Sequence[RunRow], planned: Planned = None) -> ProgramRate:
     """Failure rate of the program; see :func:`rate_of`."""
     return rate_of(rows, lambda row: row.outcome is Outcome.FAIL, planned)
 
 
-def off_runway_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate | None:
+def off_runway_rate(rows: Sequence[RunRow], planned: Planned = None) -> ProgramRate | None:
     """Off-runway rate; None if a run was stopped before it could be determined."""
     if any(row.outcome.judged and row.left_runway is None for row in rows):
         return None
     return rate_of(rows, lambda row: bool(row.left_runway), planned)
 
 
-def without_gaps(outcomes: Mapping[int, str]) -> int:
-    """Number of runs, from run 0 on, up to the first that has no result or was interrupted.
+def without_gaps(outcomes: Mapping[int, str], planned: Planned = None) -> int:
+    """Index of the first run, in planned order, that has no result or was interrupted.
 
     Args:
         outcomes: outcome by run index.
+        planned: see :data:`Planned`; after the last planned one, indices go on in the same steps.
     """
-    number = 0
-    while outcomes.get(number, Outcome.INTERRUPTED) != Outcome.INTERRUPTED:
-        number += 1
-    return number
+    order = _indices(planned)
+    index = order.start
+    while outcomes.get(index, Outcome.INTERRUPTED) != Outcome.INTERRUPTED:
+        index += order.step
+    return index
 
 
-def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> bool:
+def _indices(planned: Planned) -> range:
+    return planned if isinstance(planned, range) else range(planned or 0)
+
+
+def sample_size_was_fixed(outcomes: Mapping[int, str], planned: Planned) -> bool:
     """Whether the number of runs equals the number planned before the first one.
 
     A rejected scene uses up its run. Which ones are rejected depends on no result, so the judged
@@ -234,9 +244,11 @@ def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> b
 
     Args:
         outcomes: outcome by run index.
-        planned: None for the actual number.
+        planned: see :data:`Planned`.
     """
-    return without_gaps(outcomes) == len(outcomes) and planned in (None, len(outcomes))
+    order = _indices(planned)
+    whole = len(range(order.start, without_gaps(outcomes, planned), order.step)) == len(outcomes)
+    return whole and (planned is None or len(order) == len(outcomes))
 
 
 def count_outcomes(rows: Sequence[RunRow], leaving_out: Iterable[Outcome] = ()) -> str:

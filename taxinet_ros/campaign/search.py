@@ -21,7 +21,8 @@ from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.samplers.registry import drawn_share, make_sampler
+from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Branch, Point
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
@@ -31,7 +32,13 @@ from taxinet_ros.campaign.scenes.source import (
     accepted_scene,
     first_scene,
 )
-from taxinet_ros.campaign.search_options import FAILURES, HALF_WIDTH, SearchOptions, with_sampler
+from taxinet_ros.campaign.search_options import (
+    FAILURES,
+    HALF_WIDTH,
+    SearchOptions,
+    check_can_be_sharded,
+    with_sampler,
+)
 from taxinet_ros.campaign.summary import (
     ON_STANDING_GRAPH,
     blind_words,
@@ -45,7 +52,7 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA, TRAFFIC
+from taxinet_ros.core.scenario_fields import CAMERA, DATAREFS, TRAFFIC
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -145,15 +152,15 @@ class Search:
             return request
         try:
             while self._sampler.ready and self._wants_more():
-                index, point = self._sampler.next()
-                self._asked, self._points[index] = index + 1, point
-                if self._replay(index):
-                    continue
-                request = self._draw(index)
+                index, self._points[index] = self._sampler.next()
+                request = self._choose(index)
+                self._asked = index + 1
                 if request is not None:
                     return request
         except Exhausted as error:
             self.stopped, self.exhausted = str(error), True
+            if self.options.shard is not None:
+                self.book.add_facts({EXHAUSTED: self._asked})
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
@@ -166,6 +173,7 @@ class Search:
             self.book.add_facts(news)
         if not self.book.second_chance(request, result):
             self._keep(self.book.finished_row(request, result))
+        self.stopped = self.book.difference or self.stopped
 
     def interrupt(self) -> None:
         """Request no more runs or retries; safe to call from a signal handler."""
@@ -177,9 +185,9 @@ class Search:
         return str(self.book.facts['perception'])
 
     @property
-    def first_planned(self) -> int:
-        """Number of runs planned before the first one; only within the ``with``."""
-        return int(self.book.facts['first_runs'])
+    def first_planned(self) -> range | None:
+        """Indices of the runs planned before the first one; only within the ``with``."""
+        return planned_runs(self.book.facts)
 
     def learned(self) -> Probabilities:
         """The sampler's failure histograms; empty if it has none."""
@@ -206,6 +214,20 @@ class Search:
         if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
             return f'the budget of {options.budget_s / 60:g} min is spent'
         return ''
+
+    def _choose(self, index: int) -> RunRequest | None:
+        """The run at the sampler's next point; None if it is rejected, done, or another shard's."""
+        if self.options.shard is not None and index not in self.options.shard:
+            self._pass_over(index)
+            return None
+        return None if self._replay(index) else self._draw(index)
+
+    def _pass_over(self, index: int) -> None:
+        """Leave a run to another shard; its refused points may determine those that follow."""
+        if SAMPLERS[self.options.sampler].depends_on is DependsOn.REFUSALS:
+            with contextlib.suppress(Rejected):
+                accepted_scene(self._source, index, self._points[index], self._sampler.again)
+        del self._points[index]
 
     def _replay(self, index: int) -> bool:
         row = self._earlier.rows.get(index)
@@ -283,6 +305,9 @@ class Search:
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names
         )
+        if options.shard is not None:
+            check_can_be_sharded(options.sampler)
+            self._sampler.ignore_results()
         if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
             options.sampler, options.sampler_options
         ):
@@ -312,12 +337,13 @@ class Search:
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
+            **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
         }
 
 
 def _digest(scenario: Scenario) -> str:
     values = scenario.to_human()
-    for field in (TRAFFIC, CAMERA):  # as in searches from before there was such a key
+    for field in (TRAFFIC, CAMERA, DATAREFS):  # as in searches from before there was such a key
         if getattr(scenario, field.attribute) == field.absent:
             del values[field.key]
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()
@@ -327,13 +353,19 @@ def search_heading(options: SearchOptions) -> str:
     """Heading that describes the search."""
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    part = '' if options.shard is None else f', {shard_words(options)}'
     verb = 'resuming' if options.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers}'
     return (
-        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
+        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs{part}, sampler '
         f'{options.sampler}, seed {campaign.seed}, '
         f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
     )
+
+
+def shard_words(options: SearchOptions) -> str:
+    """Which part of the whole search a shard is."""
+    return f'shard {options.shard} ({options.runs} of the {options.campaign.runs} runs)'
 
 
 def space_lines(space: SearchSpace) -> list[str]:
@@ -369,10 +401,12 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
     lines += [*blind_words(rows), *_worst_line(rows)]
     lines.append(table_line(rows, campaign))
+    if search.options.shard is not None:
+        lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
     why = 'interrupted' if search.interrupted else search.stopped
-    if why and len(rows) < campaign.runs:
+    if why and len(rows) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'
-        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
+        lines.append(f'ended before its {search.options.runs} runs: {why}{how}')
     elif any(row.outcome is Outcome.INFRA_ERROR for row in rows):
         lines.append(f'{resuming} tries the runs again that the bench broke')
     return lines

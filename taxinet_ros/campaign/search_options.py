@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.samplers.registry import check_sampler
+from taxinet_ros.campaign.record.shard import Shard
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -87,6 +88,7 @@ class SearchOptions:
         resume: continue an interrupted search.
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
+        shard: the part of the search to run, or None for the whole.
     """
 
     campaign: CampaignOptions
@@ -96,11 +98,18 @@ class SearchOptions:
     resume: bool = False
     stop: StopRule | None = None
     budget_s: float | None = None
+    shard: Shard | None = None
+
+    @property
+    def runs(self) -> int:
+        """Maximum number of its runs: of the whole search, or of the shard."""
+        total = self.campaign.runs
+        return total if self.shard is None else len(self.shard.runs(total))
 
 
 def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
-    resume: bool, until: str | None, budget_min: float | None,
+    resume: bool, until: str | None, budget_min: float | None, shard: Shard | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
 
@@ -112,6 +121,7 @@ def make_search_options(
         resume: continue an interrupted search.
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
+        shard: the part of the search to run, or None for the whole.
 
     Raises:
         UsageError: one line on the first error.
@@ -120,14 +130,42 @@ def make_search_options(
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+    if shard is not None:
+        _check_shard(shard, campaign.runs, until)
     options = split_options(sampler_options)
     if sampler is not None:
         check_sampler(sampler, options)
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
         workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
-        budget_s=None if budget_min is None else 60 * budget_min,
+        budget_s=None if budget_min is None else 60 * budget_min, shard=shard,
     )
+
+
+def _check_shard(shard: Shard, runs: int, until: str | None) -> None:
+    if until:
+        raise UsageError(
+            f'--until {until}: not with --shard, since only the runs of all shards could tell when '
+            'to stop; leave it out, and look at the merged campaign'
+        )
+    if not shard.runs(runs):
+        raise UsageError(f'--shard {shard}: has none of the {runs} runs; use at most {runs} shards')
+
+
+def check_can_be_sharded(sampler: str) -> None:
+    """Check that the scenes of a search do not depend on results.
+
+    Raises:
+        UsageError: they do.
+    """
+    if SAMPLERS[sampler].depends_on is DependsOn.RESULTS:
+        known = [
+            name for name, kind in SAMPLERS.items() if kind.depends_on is not DependsOn.RESULTS
+        ]
+        raise UsageError(
+            f'--shard: the sampler {sampler} chooses scenes by the results of all earlier runs, '
+            f'most of which a shard does not have; use --sampler {", ".join(known)}'
+        )
 
 
 def with_sampler(

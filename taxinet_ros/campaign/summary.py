@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.options import LOOP, CampaignOptions
 from taxinet_ros.campaign.rates import ProgramRate, count_outcomes, failure_rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
@@ -54,7 +54,13 @@ def participants_words(options: CampaignOptions) -> str:
     steers = '' if options.controller == STEERING else f', controller {options.controller}'
     there = '' if options.world == KMWH else f', world {options.world}'
     late = f', {options.timing.words}' if options.timing.words else ''
-    return f'perception {options.perception}{steers}{there}{late}'
+    loop = f', {engine_words(options)}' if options.engine == LOOP else ''
+    return f'perception {options.perception}{steers}{there}{late}{loop}'
+
+
+def engine_words(options: CampaignOptions) -> str:
+    """The engine, and which share of its runs is audited on the graph."""
+    return f'engine {options.engine}, {options.audit_percent:g} % audited'
 
 
 def requirement_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:

@@ -29,6 +29,7 @@ from taxinet_ros.cli.analysis.commands import (
     analyze,
     doctor,
     explain,
+    fork,
     gate,
     localize,
     monitor,
@@ -43,11 +44,13 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     learned,
+    merge,
     place_app,
     plugins,
     run,
     shrink,
     up,
+    xplane_app,
 )
 from taxinet_ros.cli.streams import (
     OutputUnreadError,
@@ -134,14 +137,16 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
+    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
+    improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
+app.add_typer(xplane_app, name='xplane')
 
 
 @app.command()

@@ -51,6 +51,8 @@ def scene_settings(
 ) -> list[str]:
     """Values of ``--set``, with those that the options for place, aircraft and camera select.
 
+    A camera that names who takes the pictures is no such value: see :func:`renderer_of`.
+
     Raises:
         UsageError: a part of the place is missing, or no apt.dat is found.
     """
@@ -59,8 +61,30 @@ def scene_settings(
         given.append(f'place={airport_place(airport, runway, apt_dat)}')
     elif runway is not None or apt_dat is not None:
         raise UsageError('--runway and --apt-dat: only with --airport')
-    told = {'aircraft': aircraft, 'camera': camera}
+    mounted = None if renderer_of(camera) else camera
+    told = {'aircraft': aircraft, 'camera': mounted}
     return [*given, *(f'{key}={word}' for key, word in told.items() if word is not None)]
+
+
+def renderer_of(camera: str | None) -> str | None:
+    """The word after ``--camera``, if it says who takes the pictures; None if which is mounted.
+
+    Raises:
+        UsageError: it is the name of one of each.
+    """
+    from taxinet_ros.core.rig.catalogue import CAMERAS as MOUNTED
+    from taxinet_ros.core.user_code import names_user_code
+    from taxinet_ros.registry import CAMERAS, find
+
+    if camera is None or not (names_user_code(camera) or find(CAMERAS, camera)):
+        return None
+    if camera in MOUNTED.shipped:
+        other = find(CAMERAS, camera)
+        raise UsageError(
+            f'--camera {camera}: a camera to be mounted, and {other.words if other else camera}; '
+            f'--set camera={camera} mounts it'
+        )
+    return camera
 
 
 def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
@@ -208,7 +232,16 @@ AircraftOption = Annotated[
 CameraOption = Annotated[
     str | None,
     typer.Option(
-        metavar='NAME|FILE', help='camera: wing, strut, nose, tail, or a YAML file of one'
+        metavar='NAME|FILE',
+        help='camera: wing, strut, nose, tail, or a YAML file of one; or who takes its pictures: '
+        'ours, a name that a package adds, or FILE.py:NAME (then --set camera=NAME mounts it)',
+    ),
+]
+RendererOption = Annotated[
+    str,
+    typer.Option(
+        '--camera', metavar='NAME|FILE',
+        help='who takes the pictures: ours, a name that a package adds, or FILE.py:NAME',
     ),
 ]
 SpecOption = Annotated[
@@ -270,6 +303,22 @@ FactorOption = Annotated[
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='run every node in its own process; same results')
 ]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar='ENGINE',
+        help='what makes the runs: graph, the nodes on ROS topics; or loop, the closed loop in one '
+        'process without ROS, with the same rows and bags'
+    ),
+]
+AuditOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='PERCENT',
+        help='with --engine loop: share of the runs to repeat on the graph; a difference ends the '
+        'command (default: 1 %)',
+    ),
+]
 FoxgloveOption = Annotated[
     int | None,
     typer.Option(
@@ -311,6 +360,14 @@ UntilOption = Annotated[
     typer.Option(
         metavar='RULE',
         help='stop early: failures=K, or half-width=W of the interval of the failure rate',
+    ),
+]
+ShardOption = Annotated[
+    str | None,
+    typer.Option(
+        '--shard', metavar='I/N',
+        help='run only every N-th run, from the I-th on (1/N to N/N), with a sampler that ignores '
+        'results; taxinet merge joins the shards',
     ),
 ]
 BudgetOption = Annotated[

@@ -72,19 +72,22 @@ def _chance(scenario: Scenario, name: str, stamp_ns: int) -> float:
 class SteeringFaults:
     """The nose wheel of one run between command and aircraft: biased, or too slow."""
 
-    def __init__(self, scenario: Scenario, max_steering_rad: float, period_ns: int) -> None:
-        """Begin straight ahead.
+    def __init__(
+        self, scenario: Scenario, max_steering_rad: float, period_ns: int, wheel_rad: float = 0.0
+    ) -> None:
+        """Begin straight ahead, or where the wheel is.
 
         Args:
             scenario: with the faults.
             max_steering_rad: largest angle of the wheel [rad].
             period_ns: control period [ns].
+            wheel_rad: angle of the wheel until now [rad].
         """
         self._scenario, self._max_rad = scenario, max_steering_rad
         self._bias_rad = scenario.steering_bias_rad
         rate_radps = scenario.steering_rate_limit_radps
         self._max_step_rad = rate_radps * period_ns / NS_PER_S
-        self._wheel_rad = 0.0
+        self._wheel_rad = _clip(wheel_rad, max_steering_rad)
 
     def apply(self, command: TaxiCommand, stamp_ns: int) -> TaxiCommand:
         """What the aircraft obeys from ``stamp_ns`` on; call once per step, in order."""

@@ -22,7 +22,13 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import StopOn
-from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker, check_picture
+from taxinet_ros.core.world import (
+    Observation,
+    SimulatedWorld,
+    WorldMaker,
+    check_picture,
+    closing,
+)
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 """Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
@@ -138,36 +144,36 @@ def run_closed_loop(
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
     controller.begin(scenario)
-    world = make_world(scenario, pictures=perception.needs_image)
-    commands = LateCommands(timing, *draws, scenario)
-    horizon_ns = world.last_seq * CONTROL_PERIOD_NS
-    judge = Judge(
-        specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
-    )
-    clearance = Clearance(scenario)
-    while True:
-        now = world.observe()
-        if perception.needs_image:
-            check_picture(now, f'perception {perception.word}')
-        along_m, cte_m, he_rad = now.on_track
-        estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
-        command = controller.command(estimate)
-        clearance_m = clearance.of_state(now.stamp_ns, now.state)
-        sample = signals(
-            cte_m=cte_m,
-            he_rad=he_rad,
-            x_m=along_m,
-            speed_mps=now.state.speed_mps,
-            estimate=estimate,
-            command=command,
-            clearance_m=clearance_m,
+    with closing(make_world(scenario, pictures=perception.needs_image)) as world:
+        commands = LateCommands(timing, *draws, scenario)
+        horizon_ns = world.last_seq * CONTROL_PERIOD_NS
+        judge = Judge(
+            specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
         )
-        readings = judge.push(now.stamp_ns, sample)
-        if on_step is not None:
-            on_step(Step(
-                observation=now, estimate=estimate, command=command, readings=readings,
+        clearance = Clearance(scenario)
+        while True:
+            now = world.observe()
+            if perception.needs_image:
+                check_picture(now, f'perception {perception.word}')
+            along_m, cte_m, he_rad = now.on_track
+            estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
+            command = controller.command(estimate)
+            clearance_m = clearance.of_state(now.stamp_ns, now.state)
+            sample = signals(
+                cte_m=cte_m,
+                he_rad=he_rad,
+                x_m=along_m,
+                speed_mps=now.state.speed_mps,
+                estimate=estimate,
+                command=command,
                 clearance_m=clearance_m,
-            ))
-        if now.seq == world.last_seq or judge.stopped_early:
-            return judge.judgement
-        world.advance(commands.at(now.seq, command))
+            )
+            readings = judge.push(now.stamp_ns, sample)
+            if on_step is not None:
+                on_step(Step(
+                    observation=now, estimate=estimate, command=command, readings=readings,
+                    clearance_m=clearance_m,
+                ))
+            if now.seq == world.last_seq or judge.stopped_early:
+                return judge.judgement
+            world.advance(commands.at(now.seq, command))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from taxinet_ros.core.datarefs import NO_DATAREFS, Number, find_datarefs
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
@@ -53,6 +54,14 @@ from taxinet_ros.errors import UsageError
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
     """Initial condition and environment of one run, validated on construction.
+
+    >>> import taxinet_ros as tx
+    >>> tx.Scenario(cross_track_m=3.0, time_of_day_s=9.5 * 3600).clouds
+    'clear'
+    >>> tx.Scenario(rain_fraction=2.0)
+    Traceback (most recent call last):
+    ...
+    taxinet_ros.errors.UsageError: scenario: rain_fraction is 2, outside 0..1 as a fraction
 
     Attributes:
         cross_track_m: start cross-track error [m], left positive.
@@ -95,6 +104,8 @@ class Scenario:
             :mod:`taxinet_ros.core.traffic`.
         camera: a shipped name, or the whole camera as JSON, see
             :mod:`taxinet_ros.core.rig.camera_model`.
+        datarefs: ``none``, or values of X-Plane's datarefs as JSON, see
+            :mod:`taxinet_ros.core.datarefs`.
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
@@ -135,6 +146,7 @@ class Scenario:
     fault_seed: float = 0.0
     traffic: str = NOBODY
     camera: str = DEFAULT_CAMERA
+    datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
@@ -240,6 +252,11 @@ class Scenario:
     def camera_model(self) -> CameraModel:
         """Its camera."""
         return find_camera(self.camera)
+
+    @property
+    def dataref_values(self) -> Mapping[str, Number]:
+        """Its datarefs, by name."""
+        return find_datarefs(self.datarefs).values
 
     @property
     def duration_ns(self) -> int:

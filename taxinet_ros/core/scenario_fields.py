@@ -24,6 +24,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from taxinet_ros.arguments import is_number, told
+from taxinet_ros.core.datarefs import DATAREF_SETS
 from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
@@ -265,7 +266,7 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
     """
     return ''.join(
         f', {field.title} {field.value_words(scene[field.key])}'
-        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC)
+        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, DATAREFS)
         if scene[field.key] not in (None, '', field.to_human(field.absent))
     )
 
@@ -412,6 +413,10 @@ CAMERA = ScenarioField(
     key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
     absent=CAMERAS.default,
 )
+DATAREFS = ScenarioField(
+    key='datarefs', attribute='datarefs', title='datarefs of X-Plane', kind=Kind.DOCUMENT,
+    catalogue=DATAREF_SETS, absent=DATAREF_SETS.default,
+)
 DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
@@ -436,7 +441,7 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
-    TRAFFIC, CAMERA, DURATION, PLACE,
+    TRAFFIC, CAMERA, DATAREFS, DURATION, PLACE,
 )
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)

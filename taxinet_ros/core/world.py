@@ -1,14 +1,18 @@
 """The world of one run, observed and advanced step by step.
 
 The simulated world is the aircraft on its runway with its wing camera. A package may add another
-(:mod:`taxinet_ros.registry`).
+(:mod:`taxinet_ros.registry`). Its pictures may be taken by another camera than its own
+(:mod:`taxinet_ros.core.renderer`): the world ``kmwh+flightgear`` is ours, seen by FlightGear.
 """
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
+import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
@@ -20,18 +24,23 @@ from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
+from taxinet_ros.core.datarefs import NO_DATAREFS, refuse_datarefs
 from taxinet_ros.core.faults import SteeringFaults, shown_step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.place.track import OnTrack, Track
+from taxinet_ros.core.renderer import OURS, ChosenRenderer, RunCamera, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
+from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, origin_words
 
 _T = TypeVar('_T')
 _START_M = 1.0
+
+TAKES_DATAREFS = 'takes_datarefs'
+"""Attribute of a package's world, true where it takes X-Plane's variables."""
 
 SHOWS_TRAFFIC = 'shows_traffic'
 """Attribute of a package's world, true where it shows others on the ground."""
@@ -152,6 +161,7 @@ class SimulatedWorld(World):
             aircraft: factory of the aircraft.
             camera: factory of the camera, called for the first image.
         """
+        refuse_datarefs(scenario.datarefs, f'world {KMWH}')
         self.last_seq = last_step(scenario)
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
@@ -166,6 +176,29 @@ class SimulatedWorld(World):
     def _camera(self) -> Camera:
         # Created for the first image: its ground takes most of the set-up time and 63 MB.
         return self._make_camera(self._scenario)
+
+    def change(
+        self, scenario: Scenario, *, aircraft: Aircraft | None = None, wheel_rad: float = 0.0
+    ) -> None:
+        """Go on from this step in another scene.
+
+        Args:
+            scenario: the scene; its start values have no effect.
+            aircraft: placed at this step; None: the aircraft rolls on, in the wind and with the
+                friction of the scene.
+            wheel_rad: angle of the nose wheel until now [rad].
+        """
+        if aircraft is None:
+            self._aircraft.change(scenario)
+        else:
+            self._aircraft = aircraft
+        self._scenario = scenario
+        self.__dict__.pop('_camera', None)
+        self._steering = SteeringFaults(
+            scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS, wheel_rad
+        )
+        if shown_step(scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
+            self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
@@ -189,32 +222,107 @@ class ChosenWorld:
     """A world selected by name.
 
     Attributes:
-        name: name of the world.
-        fingerprint: SHA-256 of the package that adds it; empty for the simulated one.
+        name: name of the world, ``WORLD`` or ``WORLD+CAMERA``.
+        fingerprint: SHA-256 of the packages that add it; empty for the simulated one.
         make: factory, called once per run.
+        renderer: who takes its pictures; None: the world itself.
+        repeats: whether equal commands give equal runs.
     """
 
     name: str
     fingerprint: str
     make: WorldMaker
+    renderer: ChosenRenderer | None = None
+    repeats: bool = True
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether a picture that was not recorded can be had again from states and scenario."""
+        return not self.again_words
+
+    @property
+    def again_words(self) -> str:
+        """Why a picture cannot be had again; '' where it can."""
+        if not self.repeats:
+            return f'world {world_and_camera(self.name)[0]} does not run the same way twice'
+        return '' if self.renderer is None or self.renderer.reproducible else (
+            f'camera {self.renderer.name} does not take the same picture twice'
+        )
+
+    @property
+    def origin(self) -> str:
+        """``NAME of PACKAGE VERSION``, in bags; ``fork`` of a forked run, '' of ours."""
+        if self.name == FORK:
+            return FORK
+        world = world_and_camera(self.name)[0]
+        if self.renderer is None:
+            return origin_words(WORLDS, world)
+        package = origin_words(WORLDS, world).partition(' of ')[2]
+        packages = ', '.join(filter(None, (package, self.renderer.origin)))
+        return f'{self.name} of {packages}' if packages else self.name
+
+
+def world_and_camera(word: str) -> tuple[str, str]:
+    """Split the word of a world: ``kmwh+flightgear`` is kmwh with the camera flightgear."""
+    world, _, camera = word.partition('+')
+    return world, camera or OURS
+
+
+def world_word(world: str, camera: str | None) -> str:
+    """Word of a world with a camera; the inverse of :func:`world_and_camera`.
+
+    Raises:
+        UsageError: the world names another camera.
+    """
+    if camera is None:
+        return world
+    alone, named = world_and_camera(world)
+    if named not in (OURS, camera):
+        raise UsageError(f'--camera {camera}: --world {world} names another; leave one out')
+    return alone if camera == OURS else f'{alone}+{camera}'
 
 
 def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
-    """Find a world by name: ``kmwh`` or one added by a package.
+    """Find a world by name: ``kmwh`` or one added by a package, with ``+CAMERA`` or without.
 
     Args:
         name: name of the world.
-        fingerprint: required hash of its package; '' for any.
+        fingerprint: required hash of its packages; '' for any.
 
     Raises:
         UsageError: unknown name, a package that cannot be imported or has no such callable, or a
             hash that differs from the required one.
     """
+    if name == FORK:
+        raise UsageError(
+            'world fork: a forked run is repeated by forking its run again: taxinet fork'
+        )
+    world_name, camera = world_and_camera(name)
+    world, renderer = _find_alone(world_name), find_renderer(camera)
+    if renderer is not None:
+        marks = [one for one in (world.fingerprint, renderer.fingerprint) if one]
+        world = ChosenWorld(
+            name=f'{world_name}+{renderer.name}', renderer=renderer, repeats=world.repeats,
+            fingerprint=marks[0] if len(marks) == 1 else
+            hashlib.sha256(' '.join(marks).encode()).hexdigest() if marks else '',
+            make=functools.partial(_SeenWorld, world.make, renderer),
+        )
+    now = world.fingerprint
+    if fingerprint and now != fingerprint:
+        raise UsageError(
+            f'{world.origin or name}: world {name} is {now[:12]} now, it was {fingerprint[:12]}; '
+            'put the package back as it was'
+        )
+    return world
+
+
+def _find_alone(name: str) -> ChosenWorld:
+    """The world of a name, with its own camera."""
     extension = find(WORLDS, name)
     if extension is None:
         raise UsageError(f'world: {name!r} is unknown; known: {known(WORLDS)}')
     made: Any = extension.load()
-    if extension.shipped:
+    if name == KMWH:
         return ChosenWorld(name=name, fingerprint='', make=made)
     if not callable(made):
         raise UsageError(
@@ -226,20 +334,77 @@ def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
             f'{extension.words}: {extension.target} cannot be called as {extension.target}('
             'scenario, pictures=True), which makes the world of a run'
         )
-    now = extension.fingerprint
-    if fingerprint and now != fingerprint:
-        raise UsageError(
-            f'{extension.words}: world {name} is {now[:12]} now, it was {fingerprint[:12]}; put '
-            'the package back as it was'
-        )
     return ChosenWorld(
-        name=name, fingerprint=now, make=functools.partial(_PluginWorld, extension, made)
+        name=name, fingerprint='' if extension.shipped else extension.fingerprint,
+        make=functools.partial(_PluginWorld, extension, made),
+        repeats=getattr(made, 'reproducible', True) is not False,
     )
 
 
 def world_options(name: str) -> list[str]:
     """Command-line options that select a world."""
-    return [] if name == KMWH else ['--world', name]
+    world, camera = world_and_camera(name)
+    return [
+        *([] if world == KMWH else ['--world', world]),
+        *([] if camera == OURS else ['--camera', camera]),
+    ]
+
+
+@contextlib.contextmanager
+def closing(world: World) -> Iterator[World]:
+    """Context of a run in a world; :func:`close_world` at its end."""
+    try:
+        yield world
+    finally:
+        close_world(world)
+
+
+def close_world(world: World) -> None:
+    """End a world's run: another simulator is given back."""
+    if isinstance(world, _SeenWorld | _PluginWorld):
+        world.close()
+
+
+class _SeenWorld(World):
+    """A world whose pictures another camera takes, frozen frames included."""
+
+    def __init__(
+        self, make: WorldMaker, renderer: ChosenRenderer, scenario: Scenario, *,
+        pictures: bool = True,
+    ) -> None:
+        renderer.check(scenario)
+        # What it shows the world need not know.
+        world_scenario = dataclasses.replace(scenario, datarefs=NO_DATAREFS)
+        self._world = make(world_scenario, pictures=False)
+        self.last_seq = self._world.last_seq
+        self._renderer, self._scenario, self._pictures = renderer, scenario, pictures
+        self._camera: RunCamera | None = None
+        self._shown, self._seq = self._world.observe(picture=False), 0
+        self._frame: NDArray[np.uint8] | None = None
+
+    def observe(self, *, picture: bool = True) -> Observation:
+        now = self._world.observe(picture=False)
+        image = self._picture().copy() if picture and self._pictures else None
+        return dataclasses.replace(now, image=image)
+
+    def _picture(self) -> NDArray[np.uint8]:
+        """The frame of the shown step, taken once: another would be a different one."""
+        if self._frame is None:
+            if self._camera is None:
+                self._camera = self._renderer.make(self._scenario)
+            self._frame = self._camera.render(self._shown.state, self._shown.stamp_ns)
+        return self._frame
+
+    def advance(self, command: TaxiCommand) -> None:
+        self._world.advance(command)
+        self._seq += 1
+        if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
+            self._shown, self._frame = self._world.observe(picture=False), None
+
+    def close(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        close_world(self._world)
 
 
 class _PluginWorld(World):
@@ -257,6 +422,8 @@ class _PluginWorld(World):
                 f'{extension.words}: the world does not show traffic (no attribute '
                 f'{SHOWS_TRAFFIC}); leave it out, or take the world {KMWH}'
             )
+        if not getattr(make, TAKES_DATAREFS, False):
+            refuse_datarefs(scenario.datarefs, extension.words)
         self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
         self._scenario, self._pictures = scenario, pictures
@@ -335,12 +502,24 @@ class _PluginWorld(World):
         self._call(lambda: self._world.advance(obeyed))
         self._seq += 1
 
+    def close(self) -> None:
+        """Let it give back what it took; the run is over, and keeps its result whatever comes."""
+        close = getattr(self._world, 'close', None)
+        if close is not None:
+            with contextlib.suppress(InfraError, UsageError):
+                self._call(close)
+
     def _call(self, work: Callable[[], _T]) -> _T:
-        with contained(
-            lambda error: self._broken(str(self._extension.failure(error))),
-            passing=(InfraError, UsageError),
-        ):
-            return work()
+        try:
+            with contained(
+                lambda error: self._broken(str(self._extension.failure(error))),
+                passing=(InfraError, UsageError),
+            ):
+                return work()
+        except InfraError as error:
+            if error.step >= 0 or self._seq < 0:
+                raise
+            raise InfraError(error.kind, error.who, self._seq, error.detail) from error
 
     def _broken(self, detail: str) -> InfraError:
         return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)

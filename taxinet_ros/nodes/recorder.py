@@ -39,8 +39,7 @@ from taxinet_ros.bag.run.run_bag import (
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
-from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.scenes.programs import SUFFIX
+from taxinet_ros.campaign.record.facts import program_attachment
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
@@ -48,7 +47,7 @@ from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.core.world import last_step
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
@@ -133,34 +132,6 @@ class LateFrames:
             self._node.get_logger().error(trouble)
         # An infrastructure error has its own reason to report.
         self._on_end(trouble if self._judged else '')
-
-
-def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
-    """Files attached to the bag of a run, by name.
-
-    A run of a campaign has the text of its Scenic program, stored in the campaign's folder; a run
-    requested by hand has none.
-
-    Args:
-        scenario: scenario of the run.
-        out: folder of the bags.
-    """
-    files = {'scenario.json': scenario_json(scenario)}
-    text = _program_text(scenario.program, out)
-    if text:
-        files[f'{scenario.program}{SUFFIX}'] = text.encode()
-    return files
-
-
-def _program_text(program: str, out: Path) -> str:
-    """Program text in the campaign's facts, or '' if missing or damaged."""
-    try:
-        facts = read_facts(out)
-        if facts is not None and Path(facts.values['program']).stem == program:
-            return str(facts.values['program_text'])
-    except (UsageError, KeyError, TypeError):
-        pass
-    return ''
 
 
 _REST_LOOK_S = 0.05
@@ -268,7 +239,10 @@ class Recorder(Participant):
             run_folder(self._out, scenario.run_id),
             self._topics,
             metadata=run_words(scenario),
-            attachments=run_attachments(scenario, self._out),
+            attachments={
+                'scenario.json': scenario_json(scenario),
+                **program_attachment(scenario.program, self._out),
+            },
             min_free_bytes=self._min_free,
             beside=commit_words(),
             make_parents=self._make_out,

@@ -28,7 +28,7 @@ from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, outcome_of
-from taxinet_ros.core.world import check_picture, find_world
+from taxinet_ros.core.world import check_picture, close_world, find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -78,7 +78,7 @@ from taxinet_ros.nodes.running.parameters import (
     subscribed_topics,
 )
 from taxinet_ros.nodes.running.remaps import cut_off
-from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
+from taxinet_ros.registry import CAMERAS, KMWH, WORLDS, names
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -119,8 +119,9 @@ _OPTIONS = (
         'goes',
     ),
     Parameter(
-        name='world', default=KMWH, takes=', '.join(names(WORLDS)),
-        description='the world that runs take place in',
+        name='world', default=KMWH,
+        takes=f'{", ".join(names(WORLDS))}, each with +CAMERA: {", ".join(names(CAMERAS))}',
+        description='the world that runs take place in, and who takes its pictures',
     ),
     Parameter(
         name='world_sha256', default='', takes='64 hexadecimal digits, or empty',
@@ -265,6 +266,7 @@ class Simulator(Node):
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        close_world(run.world)
         self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
@@ -283,7 +285,7 @@ class Simulator(Node):
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
             fingerprint=self._world.fingerprint,
-            detail=origin_words(WORLDS, self._world.name),
+            detail=self._world.origin,
         )
 
     # Messages of the graph ---------------------------------------------------------------------

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.weights import ERROR_QUANTITIES
+from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
@@ -96,6 +97,7 @@ def evaluate_program(
     seed: int = 2,
     workers: int = 2,
     progress: Progress = no_progress,
+    camera: str = OURS,
 ) -> list[SliceErrors]:
     """Evaluate a perception at the start of a program's scenes, in total and by :data:`SLICES`.
 
@@ -106,16 +108,20 @@ def evaluate_program(
         seed: seed of the scenes; it must differ from that of the training.
         workers: number of rendering processes.
         progress: called in the stages ``scenes`` and ``images``.
+        camera: who takes the pictures (:mod:`taxinet_ros.core.renderer`).
 
     Raises:
-        UsageError: the program cannot be used.
+        UsageError: the program or the camera cannot be used.
         InfraError: a worker process died, or the simulator failed.
     """
     for name, value in (('images', images), ('workers', workers)):
         if value < 1:
             raise UsageError(f'evaluate: {name} is {value}; it has to be at least 1')
+    find_renderer(camera)
     scenes = draw_scenes(program, seed=seed, images=images, progress=progress)
-    taken = photographs(enumerate(scenes), _whole, varied=False, seed=seed, workers=workers)
+    taken = photographs(
+        enumerate(scenes), _whole, varied=False, seed=seed, workers=workers, camera=camera
+    )
     with closing(taken) as frames:
         errors = _errors(perception, frames, images, progress)
     return by_slice(errors, scenes)

@@ -48,7 +48,8 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
     assert found.rows.drop(columns=PER_MACHINE).equals(there.rows.drop(columns=PER_MACHINE))
     assert found.rows['bag'].eq('').all()
     assert there.rows['bag'].ne('').all()
-    assert {**there.facts, 'bags': False} == found.facts
+    assert (there.facts['engine'], found.facts['engine']) == ('graph', 'loop')
+    assert {**there.facts, 'bags': False, 'engine': 'loop'} == found.facts
 
 
 def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_sitting(tmp_path):

@@ -43,7 +43,7 @@ def test_given_the_word_of_the_simulated_world_when_found_then_it_is_the_one_tha
 ):
     chosen = find_world(KMWH)
     assert (chosen.make, chosen.fingerprint) == (SimulatedWorld, '')
-    with pytest.raises(UsageError, match="'mars' is unknown; known: kmwh; packages add"):
+    with pytest.raises(UsageError, match="'mars' is unknown; known: kmwh, xplane; packages add"):
         find_world('mars')
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.catalogue import find_place
+from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 
@@ -193,9 +195,22 @@ POSE = {'cross_track_m': 1.0, 'heading_deg': 4.0, 'distance_m': 900.0}
 """Default pose of a sheet: it shows the centreline, both edges and our shadow after noon."""
 
 
-def scene_picture(scene: Scenario) -> Picture:
-    """The first camera frame of a run of ``scene``, (200, 360, 3) uint8 RGB."""
-    return Camera(scene).render(Aircraft(scene).state, 0)
+def scene_picture(scene: Scenario, camera: str = OURS) -> Picture:
+    """The first camera frame of a run of ``scene``, (200, 360, 3) uint8 RGB.
+
+    Args:
+        scene: the scene.
+        camera: who takes the picture (:mod:`taxinet_ros.core.renderer`).
+
+    Raises:
+        UsageError: the camera is unknown, or cannot show the scene.
+        InfraError: it failed.
+    """
+    state, renderer = Aircraft(scene).state, find_renderer(camera)
+    if renderer is None:
+        return Camera(scene).render(state, 0)
+    with contextlib.closing(renderer.make(scene)) as theirs:
+        return theirs.render(state, 0)
 
 
 def sheet_scenes(
@@ -226,12 +241,13 @@ def sheet_scenes(
     ]
 
 
-def camera_sheet(scenes: Sequence[Sequence[Scenario]], path: Path) -> None:
+def camera_sheet(
+    scenes: Sequence[Sequence[Scenario]], path: Path, camera: str = OURS
+) -> None:
     """Draw the scenes of :func:`sheet_scenes` as a table of pictures, into a PNG file."""
     first = scenes[0][0]
-    state = Aircraft(first).state
     grid_sheet(
-        [[Camera(scene).render(state, 0) for scene in row] for row in scenes],
+        [[scene_picture(scene, camera) for scene in row] for row in scenes],
         [_weather(row[0]) for row in scenes],
         [clock_words(scene.time_of_day_s / 3600) for scene in scenes[0]],
         path, title=f'{find_place(first.place).title}, {first.date}, {pose_words(first)}',

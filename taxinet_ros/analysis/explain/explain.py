@@ -40,10 +40,13 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.registry import KMWH
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, the number of steps done and their total."""
@@ -84,6 +87,7 @@ class Explanation:
         reruns: the whole run as recorded, and without what failed in it or pushed the aircraft;
             empty if nothing did.
         not_rerun: why there are none, though something did; '' otherwise.
+        not_modified: why its scenes are not modified; '' otherwise.
     """
 
     bag: Path
@@ -96,6 +100,7 @@ class Explanation:
     training: NearestImages | None
     reruns: tuple[Rerun, ...] = ()
     not_rerun: str = ''
+    not_modified: str = ''
 
     @property
     def own(self) -> bool:
@@ -135,22 +140,24 @@ def explain(
         return perception.estimate(image, None)
 
     bag, run = recording.path, recording.run
-    if run.world:
-        raise UsageError(
-            f'{bag}: used world {run.world}, whose modified scenes cannot be rendered'
-        )
+    world, camera = world_and_camera(run.world or KMWH)
+    if world != KMWH:
+        raise UsageError(f'{bag}: used world {world}, whose modified scenes cannot be rendered')
+    theirs = '' if camera == OURS else (
+        f'its pictures are of the camera {camera}, whose scenes are not modified'
+    )
     track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
     chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:
         raise BagEmpty(f'{bag}: none of its camera frames can be examined', path=bag)
     found: tuple[Effect, ...] = ()
-    if not track.differs and all(moment.state is not None for moment in chosen):
+    if not theirs and not track.differs and all(moment.state for moment in chosen):
         found = effects(
             run.request.scenario, chosen, look, track.gains,
             lambda done, all_: on_progress('scenes', done, all_),
         )
     driven, not_rerun = _driven_again(
-        run, perception, lambda done, all_: on_progress('runs', done, all_)
+        run, perception, theirs, lambda done, all_: on_progress('runs', done, all_)
     )
     insights = []
     for number, moment in enumerate(chosen):
@@ -159,17 +166,18 @@ def explain(
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
         track=track, insights=tuple(insights), effects=found, training=training,
-        reruns=driven, not_rerun=not_rerun,
+        reruns=driven, not_rerun=not_rerun, not_modified=theirs,
     )
 
 
 def _driven_again(
-    run: RecordedRun, perception: Perception, on_progress: Callable[[int, int], None]
+    run: RecordedRun, perception: Perception, theirs: str,
+    on_progress: Callable[[int, int], None],
 ) -> tuple[tuple[Rerun, ...], str]:
     """Its reruns; else why there are none."""
-    if run.timing.free:
-        wanted = run_factors(run.request.scenario)
-        return (), f'a free run: {NOT_REPRODUCIBLE}' if wanted else ''
+    why = theirs or (f'a free run: {NOT_REPRODUCIBLE}' if run.timing.free else '')
+    if why:
+        return (), why if run_factors(run.request.scenario) else ''
     try:
         return reruns(run, perception, on_progress), ''
     except (InfraError, UsageError, UserCodeError) as error:
@@ -328,7 +336,7 @@ def _cause(found: Explanation) -> Iterator[str]:
         )
         return
     if not found.effects:
-        why = track.differs or 'a state is missing'
+        why = found.not_modified or track.differs or 'a state is missing'
         yield f'The cause within the scene cannot be determined: {why}.'
         return
     blamed = found.blamed

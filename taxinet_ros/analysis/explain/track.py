@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
@@ -239,10 +239,13 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
         frame.seq: np.ascontiguousarray(frame.image)
         for frame in recording.frames(wanted.__contains__, render=False)
     }
-    camera = Camera(recording.scenario)
+    scenario = recording.scenario
+    taken_by = recorded_world(recording.path, recording.run).renderer
+    # A missing frame was asked of a camera that can take it again.
+    camera = Camera(scenario) if taken_by is None else taken_by.make(scenario)
     for seq, row in sorted(wanted.items()):
         state = track.states.get(seq)
-        step = shown_step(recording.scenario, seq, CONTROL_PERIOD_NS)
+        step = shown_step(scenario, seq, CONTROL_PERIOD_NS)
         shown = track.states.get(step)
         image = images.get(seq)
         if image is None:
@@ -251,8 +254,8 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
             image = camera.render(shown, step * CONTROL_PERIOD_NS)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
-            line=recording.scenario.line, image=image,
-            camera=camera.model, state=state, truth=track.truth(row), estimate=track.estimate(row),
+            line=scenario.line, image=image, camera=scenario.camera_model, state=state,
+            truth=track.truth(row), estimate=track.estimate(row),
             misled_rad=float(track.misled_rad[row]), shown=shown,
         )
 

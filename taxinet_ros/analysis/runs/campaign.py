@@ -32,6 +32,7 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, recorded_stacks
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
+from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import timing_words
@@ -400,13 +401,13 @@ def _bounds(frame: pd.DataFrame, *, anytime: bool) -> tuple[float, float]:
 
 def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
     """Whether the number of runs was not fixed beforehand, and the index below which runs count."""
-    planned = facts.get('first_runs', facts.get('runs'))
+    planned = planned_runs(facts)
     outcomes = dict(zip(table['index'].tolist(), table['outcome'].tolist(), strict=True))
     if len(outcomes) < len(table):
         return planned is not None, math.inf  # several campaigns, joined
-    if sample_size_was_fixed(outcomes, None if planned is None else int(planned)):
+    if sample_size_was_fixed(outcomes, planned):
         return False, math.inf
-    return True, without_gaps(outcomes)
+    return True, without_gaps(outcomes, planned)
 
 
 def _unrecorded(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:

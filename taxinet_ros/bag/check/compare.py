@@ -243,8 +243,11 @@ _DECISIVE = frozenset({
     'machine', 'numpy_features', 'blas', 'libc', 'numpy', 'opencv-python-headless', 'jsbsim',
     'astral', 'pymap3d',
 })
-"""Facts that the last bits of these runs depend on. The processor is not one: on every x86-64-v3 the
-features that numpy and its BLAS use are the same. Nor is the commit, as it is under test."""
+"""Facts that the last bits of these runs depend on.
+
+The processor is not one: on every x86-64-v3 the features that numpy and its BLAS use are the same.
+Nor is the commit, as it is under test.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

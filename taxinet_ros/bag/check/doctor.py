@@ -29,7 +29,7 @@ from taxinet_ros.bag.errors import BagEmpty, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.bag.run.topics import IMAGE
 from taxinet_ros.bag.run.trace import Frame
 from taxinet_ros.bag.storage.summary import index_troubles
@@ -246,6 +246,9 @@ class FrameComparison:
 def check_recorded_frames(recording: Recording) -> Check:
     """Check the recorded frames of a bag; see :func:`compare_recorded_frames`."""
     try:
+        again = recorded_world(recording.path, recording.run).again_words
+        if again:
+            return Check(name='frames', looked_at=f'not compared: {again}', skipped=True)
         found = compare_recorded_frames(recording)
     except (BagError, UsageError) as error:
         return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)

@@ -26,7 +26,7 @@ from taxinet_ros.bag.run.topics import (
     SIMULATOR,
     VERDICT,
 )
-from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
+from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
@@ -50,9 +50,11 @@ class RecordedRun:
         gains: steering gains that differ from the defaults.
         controller: description reported by a controller other than the steering law; else ''.
         controller_fingerprint: SHA-256 reported by it, or ''.
-        world, world_fingerprint: name and SHA-256 of a world from a package; '' for the simulated
-            one.
+        world, world_fingerprint: name (with the camera that took its pictures, if that is not its
+            own) and SHA-256 of a world or camera from a package; '' for the simulated one.
         timing: timing of the answers.
+        fork: what a forked run was forked from, as :attr:`taxinet_ros.core.fork.Fork.text`; else
+            ''.
     """
 
     request: RunRequest
@@ -64,6 +66,7 @@ class RecordedRun:
     world: str = ''
     world_fingerprint: str = ''
     timing: Timing = AT_ONCE
+    fork: str = ''
 
 
 def recorded_run(recording: StoredRuns) -> RecordedRun:
@@ -97,8 +100,9 @@ def recorded_run(recording: StoredRuns) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
-            world=world.detail.partition(' ')[0] if world and world.fingerprint else '',
+            world=world.detail.partition(' of ')[0] if world else '',
             world_fingerprint=world.fingerprint if world else '',
+            fork=recording.metadata.get(FORK_METADATA, {}).get('fork', ''),
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error

@@ -19,15 +19,19 @@ from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.loop import LateCommands, rolling_on
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import ChosenWorld, Observation, find_world
+from taxinet_ros.core.world import ChosenWorld, Observation, closing, find_world
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.registry import KMWH
+from taxinet_ros.registry import FORK, KMWH
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
-    """The re-simulated aircraft deviates: the bag is from another version or machine."""
+    """A frame cannot be had again.
+
+    The re-simulated aircraft deviates, as the bag is from another version or machine; or the camera
+    does not take the same picture twice.
+    """
 
 
 def observations(
@@ -35,34 +39,52 @@ def observations(
 ) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
-    recorded, commands = _states_and_commands(recording)
-    world = recorded_world(path, run).make(run.request.scenario)
+    recorded, commands = states_and_commands(recording)
+    chosen = recorded_world(path, run)
     held = _held(recording, run, commands)
-    for seq in range(world.last_seq + 1):
-        if seq not in recorded:
-            return
-        now = world.observe(picture=wanted(seq))
-        _compare(path, seq, recorded[seq], _numbers(now.state))
-        yield now
-        command = held(seq)
-        if command is None:
-            return
-        try:
-            world.advance(command)
-        except InfraError:  # The simulator failed here during the recording, too.
-            return
+    with closing(chosen.make(run.request.scenario)) as world:
+        for seq in range(world.last_seq + 1):
+            if seq not in recorded:
+                return
+            if not chosen.reproducible and wanted(seq):
+                raise WorldDiffers(
+                    f'{path}: step {seq} has no recorded frame: {chosen.again_words}',
+                    path=path,
+                )
+            now = world.observe(picture=wanted(seq))
+            check_state(path, seq, recorded[seq], now.state)
+            yield now
+            command = held(seq)
+            if command is None:
+                return
+            try:
+                world.advance(command)
+            except InfraError:  # The simulator failed here during the recording, too.
+                return
 
 
 def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
     """Find the world of the run in the bag at ``path``.
 
     Raises:
-        UsageError: the package of the world is not installed, or has changed.
+        UsageError: the package of the world is not installed, or has changed; or the record of a
+            fork is damaged.
     """
     try:
+        if run.world == FORK:
+            return _world_of_fork(run)
         return find_world(run.world or KMWH, run.world_fingerprint)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
+
+
+def _world_of_fork(run: RecordedRun) -> ChosenWorld:
+    from taxinet_ros.core.fork import fork_of_text, forked_world
+
+    fork = fork_of_text(run.fork)
+    if fork.fingerprint != run.world_fingerprint:
+        raise UsageError('the record of the fork is not that of the run')
+    return forked_world(fork)
 
 
 def _held(
@@ -89,9 +111,14 @@ def _held(
     return held
 
 
-def _states_and_commands(
+def states_and_commands(
     recording: StoredRuns,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
+    """Numbers of the recorded odometry, and the recorded commands, by control step.
+
+    Raises:
+        BagError: the bag is damaged, or a message is not of its type.
+    """
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
     messages = recording.messages((ODOMETRY, COMMAND), strict=True)
@@ -126,7 +153,19 @@ def _numbers(state: AircraftState) -> dict[str, float]:
     }
 
 
-def _compare(path: Path, seq: int, before: dict[str, float], now: dict[str, float]) -> None:
+def check_state(path: Path, seq: int, before: dict[str, float], state: AircraftState) -> None:
+    """Check a state against the recorded one of its step, to the bit.
+
+    Args:
+        path: the bag.
+        seq: the control step.
+        before: the recorded numbers, see :func:`states_and_commands`.
+        state: the state now.
+
+    Raises:
+        WorldDiffers: they differ.
+    """
+    now = _numbers(state)
     for name, value in before.items():
         if now[name] != value:
             raise WorldDiffers(

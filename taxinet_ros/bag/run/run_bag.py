@@ -11,9 +11,10 @@ import functools
 import itertools
 import json
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.bag.layout import run_folder
+from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.message_values import (
     reading_values,
     scenario_json,
@@ -38,20 +40,26 @@ from taxinet_ros.bag.run.messages import (
     robustness_cdr,
 )
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
-from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.loop import Step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.mtl import Spec
+from taxinet_ros.core.pacing.timing import Timing
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import RunRequest
+from taxinet_ros.core.world import ChosenWorld, Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
+from taxinet_ros.registry import CONTROLLERS, PERCEPTIONS, origin_words
 from taxinet_ros.version import __version__
 
 _TOPICS = (*topics.TOPICS, *topics.TRANSFORMS)
@@ -60,6 +68,16 @@ _TOPICS = (*topics.TOPICS, *topics.TRANSFORMS)
 def bag_name(topic: Topic) -> str:
     """Name of a topic in a bag, independent of the graph's namespace."""
     return '/' + topic.name.lstrip('/')
+
+
+_BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
+_STEPPED = tuple(
+    topic for one in topics.TOPICS if one.each_step
+    for topic in ((one, topics.TF) if one is topics.ODOMETRY else (one,))
+)
+"""Topics of a control step in the recorder's order."""
+MIN_FREE_BYTES = 1_000_000_000
+"""Free disk space needed to start the bag of a run [bytes]."""
 
 
 @functools.cache
@@ -76,6 +94,11 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
         )
         for topic in _TOPICS if topic.recorded and (images or topic.name != topics.IMAGE.name)
     )
+
+
+@functools.cache
+def _canonical(images: bool) -> Canonical:
+    return Canonical(bag_topics(images))
 
 
 def run_words(scenario: Any) -> dict[str, str]:
@@ -135,6 +158,43 @@ class NodeWords:
     listens: tuple[str, ...] = ()
 
 
+def node_words(
+    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
+) -> tuple[NodeWords, ...]:
+    """Reports of the nodes that a ROS graph would have with these parts."""
+    usual = dataclasses.asdict(SteeringGains())
+    tuned = {
+        name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
+    } if isinstance(hands, SteeringLaw) else {}
+    seen = topics.IMAGE if eyes.needs_image else topics.TRUTH
+    heard = topics.ODOMETRY, topics.TRUTH, topics.ESTIMATE, topics.COMMAND
+    nodes = [
+        NodeWords(
+            node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
+            detail=origin_words(PERCEPTIONS, eyes.word),
+            listens=(topics.SCENARIO.name, seen.name),
+        ),
+        NodeWords(
+            node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
+            implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
+            detail=origin_words(CONTROLLERS, hands.word),
+            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
+        ),
+        NodeWords(
+            node=topics.MTL_MONITOR,
+            listens=(topics.SCENARIO.name, *(topic.name for topic in heard)),
+        ),
+        NodeWords(node=topics.RECORDER),
+    ]
+    detail = world.origin
+    if timing.words or detail:
+        nodes.append(NodeWords(
+            node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,
+            detail=detail,
+        ))
+    return tuple(nodes)
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunEnding:
     """End of a run; fields of its last ``RunStatus``."""
@@ -147,21 +207,147 @@ class RunEnding:
     fingerprint: str
 
 
+Said = tuple[Topic, bytes]
+
+
+class RunBag:
+    """Bag of a run without ROS graph, written step by step as the recorder node does.
+
+    The file has its final name from the start; :meth:`end` marks it as complete.
+
+    Attributes:
+        folder: the run folder.
+    """
+
+    def __init__(
+        self, folder: Path, request: RunRequest, nodes: Sequence[NodeWords], *, images: bool,
+        attachments: Mapping[str, bytes] = MappingProxyType({}),
+        min_free_bytes: int = MIN_FREE_BYTES, make_parents: bool = True,
+    ) -> None:
+        """Start the bag.
+
+        Args:
+            folder: the run folder, named like the run; it must not exist.
+            request: the run request.
+            nodes: reports of the nodes that a ROS graph would have, without nodes that report
+                nothing.
+            images: whether there will be camera frames.
+            attachments: files to attach besides the request, by name.
+            min_free_bytes: required free disk space [bytes].
+            make_parents: whether to create the folder's parents.
+
+        Raises:
+            UsageError: the folder exists, its name is not a valid run name, or the disk is full.
+            BagWriteError: an error of the operating system.
+        """
+        self.folder = folder
+        self._run_id = request.run_id
+        self._specs = request.judging.parsed_specs
+        self._camera = request.scenario.camera_model
+        self._steps = 0
+        named = bag_topics(images)
+        self._canonical = _canonical(images)
+        scenario_cdr = message_cdr(
+            topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
+        )
+        scenario = decode(named[0], scenario_cdr)
+        self._writer = BagWriter(
+            folder, named, metadata=run_words(scenario), beside=commit_words(),
+            attachments={'scenario.json': scenario_json(scenario), **attachments},
+            min_free_bytes=min_free_bytes, make_parents=make_parents,
+        )
+        ready = _ready(request.run_id, nodes, self._camera)
+        self._write(0, [(topics.SCENARIO, scenario_cdr), *ready])
+
+    def step(self, step: Step, picture: NDArray[np.uint8] | None) -> None:
+        """Write a control step, with its frame (200, 360, 3) uint8 RGB if there is one.
+
+        Raises:
+            BagWriteError: an error of the operating system.
+        """
+        now = step.observation
+        at = self._run_id, now.seq, now.stamp_ns
+        self._take(now, picture, [
+            (topics.ESTIMATE, error_cdr(step.estimate, *at)),
+            (topics.COMMAND, command_cdr(step.command, *at)),
+        ], [
+            (topics.ROBUSTNESS, robustness_cdr(spec, reading, *at))
+            for spec, reading in zip(self._specs, step.readings, strict=True)
+        ])
+        self._steps += 1
+
+    def torn_step(
+        self, now: Observation, picture: NDArray[np.uint8] | None, estimate: TrackingError | None
+    ) -> None:
+        """Write the step in which a run broke: what was observed, and the estimate if any."""
+        at = self._run_id, now.seq, now.stamp_ns
+        said = [] if estimate is None else [(topics.ESTIMATE, error_cdr(estimate, *at))]
+        self._take(now, picture, said, [])
+
+    def _take(
+        self, now: Observation, picture: NDArray[np.uint8] | None, answers: Sequence[Said],
+        readings: Sequence[Said],
+    ) -> None:
+        """Write a step's messages in the recorder's order, that of the topic table."""
+        seen = now if now.image is picture else dataclasses.replace(now, image=picture)
+        # By name, as hashing a topic takes as long as serialising its message.
+        observed = observation_messages(seen, self._run_id, self._camera)
+        said = {topic.name: cdr for topic, cdr in (*observed, *answers)}
+        said[topics.TF.name] = aircraft_transform(now.state, now.stamp_ns)
+        ordered = [(topic, said[topic.name]) for topic in _STEPPED if topic.name in said]
+        for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
+            self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
+        self._writer.flush()
+
+    def end(
+        self, ending: RunEnding, seq: int, judgement: Judgement | None, *, fork: str = ''
+    ) -> None:
+        """Complete the bag.
+
+        Args:
+            ending: end of the run.
+            seq: its last control step.
+            judgement: judgement of the run; None if it broke.
+            fork: what a forked run was forked from, as
+                :attr:`taxinet_ros.core.fork.Fork.text`.
+
+        Raises:
+            BagWriteError: an error of the operating system.
+        """
+        seq = max(seq, 0)
+        self._write(seq, _end(self._run_id, self._specs, seq, judgement, ending))
+        if fork:
+            self._writer.add_metadata(FORK_METADATA, {'fork': fork})
+        self._writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, self._steps))
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Stop without marking the bag as complete; keeps what was written."""
+        self._writer.abandon()
+
+    def _write(self, seq: int, messages: Iterable[Said]) -> None:
+        for topic, cdr in messages:
+            name = _BAG_NAMES[topic.name]
+            self._writer.write(name, self._canonical.message(name, cdr), seq * CONTROL_PERIOD_NS)
+
+
 def write_run(
     folder: Path, request: RunRequest, *, nodes: Sequence[NodeWords], steps: Sequence[Step],
     frames: Iterable[NDArray[np.uint8] | None] | None, judgement: Judgement, ending: RunEnding,
+    fork: str = '',
 ) -> None:
     """Write the bag of a finished run atomically.
 
     Args:
         folder: the run folder, named like the run; it must not exist, its parents are created.
         request: the run request.
-        nodes: reports of the nodes that a ROS graph would have, without nodes that report nothing.
+        nodes: as for :class:`RunBag`.
         steps: control steps in order; their images are not used.
         frames: for each step (200, 360, 3) uint8 RGB, or None for a step without image; None for a
             bag without images.
         judgement: judgement of the run.
         ending: end of the run.
+        fork: what a forked run was forked from, as :attr:`taxinet_ros.core.fork.Fork.text`.
 
     Raises:
         UsageError: the folder exists, its name is not a valid run name, or the disk is full.
@@ -174,36 +360,18 @@ def write_run(
     # In a separate parent folder, because the storage file is named after the run folder.
     draft = draft_path(folder)
     made = run_folder(draft, folder.name)
-    named = bag_topics(frames is not None)
-    canonical = Canonical(named)
-    scenario_cdr = message_cdr(
-        topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
-    )
-    scenario = decode(named[0], scenario_cdr)
     try:
         if draft.exists():
             shutil.rmtree(draft)
-        with BagWriter(
-            made, named, metadata=run_words(scenario),
-            attachments={'scenario.json': scenario_json(scenario)}, beside=commit_words(),
-        ) as writer:
-
-            def write(seq: int, messages: Iterable[Said]) -> None:
-                for topic, cdr in messages:
-                    name = bag_name(topic)
-                    writer.write(name, canonical.message(name, cdr), seq * CONTROL_PERIOD_NS)
-
-            camera = request.scenario.camera_model
-            write(0, [(topics.SCENARIO, scenario_cdr), *_ready(request.run_id, nodes, camera)])
-            specs, transform_of = request.judging.parsed_specs, OdometryTransforms()
+        bag = RunBag(made, request, nodes, images=frames is not None)
+        try:
             pictures = itertools.repeat(None) if frames is None else frames
             for step, picture in zip(steps, pictures, strict=frames is not None):
-                said = _step(step, picture, request.run_id, specs, transform_of, camera)
-                write(step.observation.seq, said)
-                writer.flush()
-            last_seq = steps[-1].observation.seq
-            write(last_seq, _end(request.run_id, specs, last_seq, judgement, ending))
-            writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, len(steps)))
+                bag.step(step, picture)
+            bag.end(ending, steps[-1].observation.seq, judgement, fork=fork)
+        except BaseException:
+            bag.abandon()
+            raise
         made.rename(folder)
         sync_folder(folder.parent)
     except OSError as error:
@@ -212,9 +380,6 @@ def write_run(
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-
-
-Said = tuple[Topic, bytes]
 
 
 def _ready(
@@ -228,38 +393,18 @@ def _ready(
     yield topics.TF_STATIC, camera_transform(camera)
 
 
-def _step(
-    step: Step, picture: NDArray[np.uint8] | None, run_id: str, specs: Sequence[Spec],
-    transform_of: OdometryTransforms, camera: CameraModel,
-) -> Iterator[Said]:
-    """Messages of a control step, in the recorder's order (that of the topic table)."""
-    now = step.observation
-    at = run_id, now.seq, now.stamp_ns
-    said = dict(observation_messages(dataclasses.replace(now, image=picture), run_id, camera))
-    said |= {
-        topics.ESTIMATE: error_cdr(step.estimate, *at),
-        topics.COMMAND: command_cdr(step.command, *at),
-    }
-    for topic in topics.TOPICS:
-        if topic in said:
-            yield topic, said[topic]
-        if topic is topics.ODOMETRY:
-            yield topics.TF, transform_of(said[topic])
-    for spec, reading in zip(specs, step.readings, strict=True):
-        yield topics.ROBUSTNESS, robustness_cdr(spec, reading, *at)
-
-
 def _end(
-    run_id: str, specs: Sequence[Spec], seq: int, judgement: Judgement, ending: RunEnding
+    run_id: str, specs: Sequence[Spec], seq: int, judgement: Judgement | None, ending: RunEnding
 ) -> Iterator[Said]:
     header = header_values(seq * CONTROL_PERIOD_NS)
-    readings = [
-        {'header': header, **reading_values(spec, reading, run_id, seq)}
-        for spec, reading in zip(specs, judgement.readings, strict=True)
-    ]
-    yield topics.VERDICT, message_cdr(topics.VERDICT, {
-        'header': header, 'specs': readings, **verdict_values(judgement, run_id),
-    })
+    if judgement is not None:
+        readings = [
+            {'header': header, **reading_values(spec, reading, run_id, seq)}
+            for spec, reading in zip(specs, judgement.readings, strict=True)
+        ]
+        yield topics.VERDICT, message_cdr(topics.VERDICT, {
+            'header': header, 'specs': readings, **verdict_values(judgement, run_id),
+        })
     yield topics.RUN_STATUS, message_cdr(topics.RUN_STATUS, {
         'header': header, 'run_id': run_id, 'state': RUN_ENDED, 'seq': seq,
         **dataclasses.asdict(ending),

@@ -12,11 +12,12 @@ import struct
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
-from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME
+from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core import topics
 from taxinet_ros.core.camera.camera import WING
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion
 
 _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
 
@@ -48,6 +49,14 @@ class OdometryTransforms:
             stamp.sec, stamp.nanosec, message.header.frame_id, message.child_frame_id,
             place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w,
         )
+
+
+def aircraft_transform(state: AircraftState, stamp_ns: int) -> bytes:
+    """Serialised ``TFMessage`` with the pose of the aircraft in ``map``, as from its odometry."""
+    return _transform(
+        *divmod(stamp_ns, NS_PER_S), MAP_FRAME, BASE_FRAME, state.x_m, state.y_m, state.z_m,
+        *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
+    )
 
 
 @functools.lru_cache(16)

@@ -142,6 +142,8 @@ _MESSAGE = struct.Struct('<BQHIQQ')
 _CHUNK = struct.Struct('<BQQQQII4sQ')
 _INDEX = struct.Struct('<BQHI')
 _INDEX_ENTRY = struct.Struct('<QQ')
+_INDEX_OF_ONE = struct.Struct('<BQHIQQ')
+_LATEST_NS = 2**64 - 1
 _CHUNK_INDEX = struct.Struct('<BQQQQQI')
 _CHUNK_INDEX_ENTRY = struct.Struct('<HQ')
 _CHUNK_INDEX_TAIL = struct.Struct('<QI4sQQ')
@@ -170,6 +172,7 @@ class ChunkBuilder:
         """Start with the records ``head``."""
         self.data = bytearray(head)
         self._entries: dict[int, list[tuple[int, int]]] = {}
+        self._start_ns, self._end_ns = _LATEST_NS, 0
 
     @property
     def empty(self) -> bool:
@@ -186,14 +189,17 @@ class ChunkBuilder:
             self._entries[channel] = [entry]
         else:
             entries.append(entry)
+        if stamp_ns < self._start_ns:
+            self._start_ns = stamp_ns
+        if stamp_ns > self._end_ns:
+            self._end_ns = stamp_ns
         length = _MESSAGE.size - _HEAD + len(data)
         self.data += _MESSAGE.pack(_MESSAGE_CODE, length, channel, number, stamp_ns, published_ns)
         self.data += data
 
     def packed(self, compressor: zstandard.ZstdCompressor, offset: int) -> PackedChunk:
         """Serialise the chunk, which must contain a message, for ``offset`` in the file."""
-        stamps = [stamp for entries in self._entries.values() for stamp, _ in entries]
-        start_ns, end_ns = min(stamps), max(stamps)
+        start_ns, end_ns = self._start_ns, self._end_ns
         packed = compressor.compress(self.data)
         chunk = _CHUNK.pack(
             Opcode.CHUNK, _CHUNK.size - _HEAD + len(packed), start_ns, end_ns,
@@ -220,6 +226,10 @@ class ChunkBuilder:
 
 def _message_index(channel: int, entries: list[tuple[int, int]]) -> bytes:
     """Message index record of a channel: stamps and offsets of its messages in a chunk."""
+    if len(entries) == 1:
+        return _INDEX_OF_ONE.pack(
+            _INDEX_CODE, _INDEX_OF_ONE.size - _HEAD, channel, _INDEX_ENTRY.size, *entries[0]
+        )
     size = _INDEX_ENTRY.size * len(entries)
     head = _INDEX.pack(_INDEX_CODE, _INDEX.size - _HEAD + size, channel, size)
     return head + b''.join([_INDEX_ENTRY.pack(*entry) for entry in entries])

@@ -16,7 +16,8 @@ from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.camera.ground.atlas import ground_atlas
+from taxinet_ros.core.camera.ground.atlas import ground_atlas, make_ground_atlas
+from taxinet_ros.core.camera.ground.pavement import standard_style
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
 from taxinet_ros.core.perception.perception import make_perception
@@ -118,12 +119,14 @@ def _discard(made: object) -> None:
 
 def _make_textures() -> None:
     """Make the textures that every process makes once."""
-    ground_atlas.__wrapped__(default_runway())
+    runway = default_runway()
+    make_ground_atlas(standard_style(runway), runway)
 
 
 def _make_taxiway() -> None:
     """Make what the first run along a track makes in a process."""
-    ground_atlas.__wrapped__(default_runway(), SCENES['taxiway'].scenario.line)
+    runway = default_runway()
+    make_ground_atlas(standard_style(runway), runway, SCENES['taxiway'].scenario.line)
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:

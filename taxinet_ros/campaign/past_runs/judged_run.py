@@ -271,7 +271,7 @@ def _of_world(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, 
     world = told.nodes.get('simulator')
     if WORLD not in facts:
         return {}
-    here = (world.origin.partition(' ')[0] or KMWH, world.fingerprint) if world else (KMWH, '')
+    here = (world.origin.partition(' of ')[0] or KMWH, world.fingerprint) if world else (KMWH, '')
     there = recorded_world(facts)
     return {'world': (here[0], there[0]), "world's package": ({here[1]}, {there[1]})}
 

@@ -285,7 +285,9 @@ def make_localize_options(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
             'a campaign with --latency'
         )
-    find_world(*recorded_world(found.facts))  # or it reports a missing or changed package
+    # Which reports a missing or changed package.
+    if again := find_world(*recorded_world(found.facts)).again_words:
+        raise UsageError(f'{campaign}: {again}, so trials cannot localise the fault')
     if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not record the formulas')
     return LocalizeOptions(

@@ -12,6 +12,7 @@ from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rat
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
@@ -77,10 +78,9 @@ class RecordedCampaign:
         return next((row.sampler for row in self.counterexamples or self.rows), '')
 
     @property
-    def planned_runs(self) -> int | None:
-        """Number of runs planned before the first one, if known."""
-        planned = self.facts.get('first_runs', self.facts.get('runs'))
-        return None if planned is None else int(planned)
+    def planned_runs(self) -> range | None:
+        """Indices of the runs planned before the first one, if known."""
+        return planned_runs(self.facts)
 
     @property
     def failure_rate(self) -> ProgramRate:

@@ -18,9 +18,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.campaign.options import CampaignOptions, check_new, make_out
+from taxinet_ros.campaign.options import AUDIT, CampaignOptions, check_new, make_out
 from taxinet_ros.campaign.record.facts import (
     ARMS,
+    AUDIT_PERCENT,
+    ENGINE,
     EXTENSIONS,
     FACTS_NAME,
     LEDGER_NAME,
@@ -36,6 +38,7 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
@@ -127,6 +130,7 @@ class CampaignBook:
         rows: the latest row of each run by index, as in the table, including earlier sessions.
         warning: one line if these were made on another machine or version, or ''.
         broken_in_a_row: number of consecutive runs with an infrastructure error.
+        difference: line on an audit that found a difference, which ends the campaign; or ''.
     """
 
     def __init__(
@@ -145,6 +149,7 @@ class CampaignBook:
         self.rows: dict[int, RunRow] = {}
         self.warning = ''
         self.broken_in_a_row = 0
+        self.difference = ''
         self._options = options
         self._out = options.out
         self._participants = tuple(participants)
@@ -259,7 +264,8 @@ class CampaignBook:
         Raises:
             RecordError: the record cannot be written.
         """
-        if result.outcome is not Outcome.INFRA_ERROR or self.was_retried(request.index):
+        hopeless = self.was_retried(request.index) or result.kind == AUDIT
+        if result.outcome is not Outcome.INFRA_ERROR or hopeless:
             return False
         self._retried.add(request.index)
         self._retries.append(self.begin_run(request.index, request.scenario))
@@ -291,6 +297,8 @@ class CampaignBook:
         if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
             infra = row.outcome is Outcome.INFRA_ERROR
             self.broken_in_a_row = self.broken_in_a_row + 1 if infra else 0
+            if row.kind == AUDIT:
+                self.difference = f'audit of run {row.index}: {row.detail}'
         try:
             self._write_due_facts()
             with self._watched():
@@ -357,9 +365,11 @@ UNKNOWN_TO_SAMPLER = 'untold'
 """The fact that lists the runs whose results a search's sampler never receives."""
 _MAY_DIFFER = frozenset({
     'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
+    ENGINE, AUDIT_PERCENT,
 })
 """Facts that may differ on a resume: more runs may be requested; the digest covers the text;
-warnings differ between versions; another machine or version only causes a warning."""
+warnings differ between versions; another machine or version only causes a warning; both engines
+give the same rows and bags."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
     'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
@@ -402,11 +412,11 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
-    for name in now:
-        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now[name]):
+    for name in dict.fromkeys((*now, SHARD)):  # the whole, which is no shard, has no such fact
+        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now[name])}; repeat its options, or choose another --out'
+                f'{short_json(now.get(name))}; repeat its options, or choose another --out'
             )
 
 

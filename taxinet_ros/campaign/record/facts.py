@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.scenes.programs import program_digest, program_text
+from taxinet_ros.campaign.scenes.programs import SUFFIX, program_digest, program_text
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key, by_value
+from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
@@ -38,6 +40,12 @@ _TYPED = ('overrides', 'laid_over')
 
 WORLD = 'world'
 """The fact that names the world of the runs; absent in versions with a single world."""
+
+ENGINE, AUDIT_PERCENT = 'engine', 'audit_percent'
+"""The facts that name the engine of the latest session, and the share of its runs to audit."""
+
+WORLD_SHA256 = 'world_sha256'
+"""The fact that identifies a world with another camera than its own."""
 
 STACKS = 'stacks'
 """The fact that describes every machine on which runs were made, with libraries and code."""
@@ -75,14 +83,23 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,
+        ENGINE: options.engine,
+        AUDIT_PERCENT: options.audit_percent,
         **({ARMS: list(options.arms)} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
         # A standing graph has its own world, which is recorded in the bags.
-        **({} if options.standing_graph else {WORLD: options.world}),
+        **({} if options.standing_graph else _world_facts(options.world)),
         **extension_facts(
-            perceptions=options.perception, controllers=options.controller, worlds=options.world
+            perceptions=options.perception, controllers=options.controller,
+            worlds=world_and_camera(options.world)[0], cameras=world_and_camera(options.world)[1],
         ),
     }
+
+
+def _world_facts(world: str) -> dict[str, str]:
+    """The world; one seen by another camera has the hash of both."""
+    seen = world_and_camera(world)[1] != OURS
+    return {WORLD: world, **({WORLD_SHA256: find_world(world).fingerprint} if seen else {})}
 
 
 def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, Any]:
@@ -97,13 +114,14 @@ def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, 
 
 
 def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
-    """Name of a campaign's world, and SHA-256 of the package that provides it, or ''.
+    """Name of a campaign's world, and SHA-256 of the packages that provide it, or ''.
 
     Args:
         facts: facts of the campaign.
     """
     package = facts.get(EXTENSIONS, {}).get(WORLDS, {})
-    return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
+    sha256 = facts.get(WORLD_SHA256, package.get('sha256', ''))
+    return str(facts.get(WORLD, KMWH)), str(sha256)
 
 
 @contextlib.contextmanager
@@ -199,6 +217,26 @@ def read_facts(folder: Path) -> SealedJson | None:
         return None
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def program_attachment(program: str, out: Path) -> dict[str, bytes]:
+    """Text of a run's Scenic program by file name, to be attached to its bag.
+
+    A run of a campaign has it from the campaign's folder. Empty for a run requested by hand, or
+    if the facts are missing or damaged.
+
+    Args:
+        program: name of the program.
+        out: folder of the bags.
+    """
+    try:
+        facts = read_facts(out)
+        if facts is not None and Path(facts.values['program']).stem == program:
+            text = str(facts.values['program_text'])
+            return {f'{program}{SUFFIX}': text.encode()} if text else {}
+    except (UsageError, KeyError, TypeError):
+        pass
+    return {}
 
 
 def write_facts(out: Path, facts: Mapping[str, Any]) -> None:

@@ -27,16 +27,18 @@ class RunRow:
     """One run of a campaign. Values that a run does not have are None, or '' for words.
 
     Attributes:
-        run_id, index: unique name, and number within the campaign from 0.
-        program, seed: program and seed from which the scenario was drawn.
+        run_id: unique name.
+        index: number within the campaign, from 0.
+        program: program from which the scenario was drawn.
+        seed: with which it was drawn.
         sampler: name of the sampler that chose the scene, or '' if there was none.
         point: the quantile of each active dimension, by name.
         refused: draws or sampler points that the program's requirements rejected before this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
         drawn: whether the scene was drawn from the program itself, independently of earlier
             results; rates are estimated from these. None in rows older than this column.
-        perception, fingerprint: the swap word, and the hash of the weights; on disk
-            ``perception_fingerprint``.
+        perception: the swap word.
+        fingerprint: hash of the weights; on disk ``perception_fingerprint``.
         timing: when answers took effect, as text of :mod:`taxinet_ros.core.pacing.timing`; '' if
             each did at once. A free run is not reproducible.
         free: figures of a free run by name, see
@@ -46,9 +48,10 @@ class RunRow:
             runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
             lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, camera, duration_s, place: the scenario, see
-            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
-        outcome, kind, who, detail: outcome; the other three explain an unjudged run.
+            fault_onset_s, fault_seed, traffic, camera, datarefs, duration_s, place: the scenario,
+            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+        outcome: how the run ended.
+        kind, who, detail: why a run was not judged: kind of error, what failed, and one line.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
             exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
             ``rho_lower`` and ``rho_upper``, the bounds of a run that was stopped early.
@@ -115,6 +118,7 @@ class RunRow:
     fault_seed: float | None = None
     traffic: str = ''
     camera: str = ''
+    datarefs: str = ''
     duration_s: float | None = None
     place: str = ''
     kind: str = ''

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -164,6 +165,10 @@ class Lagged:
         self._asked = 0
         self._told = 0
         self._waiting: dict[int, float | None] = {}
+
+    def ignore_results(self) -> None:
+        """Issue every run without waiting for results; for a sampler that ignores them."""
+        self._lag = sys.maxsize
 
     @property
     def ready(self) -> bool:

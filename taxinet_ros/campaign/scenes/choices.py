@@ -264,7 +264,9 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 def _entries(scenario: Any) -> dict[str, list[Any]]:
     """Random values behind each scenario key, and those that decide acceptance."""
     parameters = scenario_parameters(scenario.params)
-    entries = {key_of(name, parameters): [value] for name, value in parameters.items()}
+    entries: dict[str, list[Any]] = {}
+    for name, value in parameters.items():
+        entries.setdefault(key_of(name, parameters), []).append(value)
     for key in PLANE_KEYS:
         # A wrong class of ego is reported when its scene is drawn.
         entries[key] = [plane_property(scenario.egoObject, key)]

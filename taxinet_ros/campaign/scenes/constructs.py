@@ -36,7 +36,13 @@ from scenic.syntax import compiler, translator, veneer
 
 from taxinet_ros.campaign.scenes.chance import check_clocks
 from taxinet_ros.campaign.scenes.overrides import check_value
-from taxinet_ros.campaign.scenes.paper_names import PAPER_NAMES, PaperName, key_of, paper_name
+from taxinet_ros.campaign.scenes.paper_names import (
+    PAPER_NAMES,
+    PaperName,
+    is_dataref,
+    key_of,
+    paper_name,
+)
 from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.campaign.scenes.values import (
     BEHAVIORS,
@@ -51,6 +57,7 @@ from taxinet_ros.campaign.scenes.values import (
     plain_value,
     scenario_parameters,
 )
+from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.track import runway_track
 from taxinet_ros.core.scenario_fields import (
@@ -334,6 +341,12 @@ class Constructs:
             )
         if key in HUMAN_KEYS or name in PAPER_NAMES:
             return
+        if is_dataref(name):
+            try:
+                split_name(name)
+            except UsageError as error:
+                raise ProgramError(f'param {error}', place) from error
+            return
         raise ProgramError(
             f'param {name}: unknown, so it has no effect{_meant(name, _PARAMETER_FORMS)}; '
             f'known: {", ".join(PARAMETERS)}', place,
@@ -343,7 +356,7 @@ class Constructs:
         said: dict[str, str] = {}
         for name in sorted(params, key=len):
             other = said.setdefault(key_of(name, params), name)
-            if other != name:
+            if other != name and not (is_dataref(name) and is_dataref(other)):
                 raise ProgramError(
                     f'param {other} and param {name} are the same; leave one out',
                     max(self.params.get(other, ('', 0)), self.params.get(name, ('', 0))),
@@ -363,6 +376,8 @@ class Constructs:
         place = self.params.get(name)
         for drawn in _drawn(value):
             plain = plain_value(name, drawn, place)
+            if is_dataref(name) and not isinstance(plain, float):
+                raise ProgramError(f'{name} is {plain!r:.60}; expected a number', place)
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
             if isinstance(plain, str) and name != 'date':  # a date may be computed, and invalid

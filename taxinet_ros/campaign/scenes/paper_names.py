@@ -4,12 +4,15 @@ The paper's programs (Fig. 3) set X-Plane 11's own quantities: seconds after mid
 for the kind of clouds, rain as a fraction. Its ``rain_percent`` is a fraction too, although here
 the same name is a percentage: it is the paper's where ``zulu_time`` or ``cloud_type`` is set.
 
+Any other dataref (``sim/…``) becomes part of the key ``datarefs``, which only X-Plane takes.
+
 Sources: CAV 2020 case study, Fig. 3; X-Plane 11 dataref list (``sim/time``, ``sim/weather``).
 """
 
 from __future__ import annotations
 
 import datetime
+import json
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -17,11 +20,13 @@ from types import MappingProxyType
 from typing import Any
 
 from taxinet_ros.campaign.scenes.values import placed_objects
+from taxinet_ros.core.datarefs import PREFIX
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     CLOUDS,
+    DATAREFS,
     PLACE,
     RAIN,
     SHORT_FORMS,
@@ -139,8 +144,15 @@ def paper_name(name: str, names: Collection[str]) -> PaperName | None:
     return PAPER_NAMES.get(name)
 
 
+def is_dataref(name: str) -> bool:
+    """Whether a parameter is one of X-Plane's variables without a key of ours."""
+    return name.startswith(PREFIX) and name not in PAPER_NAMES
+
+
 def key_of(name: str, names: Collection[str]) -> str:
     """The scenario key that a parameter sets, from either name, with its unit."""
+    if is_dataref(name):
+        return DATAREFS.key
     found = paper_name(name, names)
     return found.key if found else SHORT_FORMS.get(name, name)
 
@@ -175,7 +187,12 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
     place = str({**values, **overrides}.get(PLACE.key, DEFAULT_PLACE))
     date = str({**values, **overrides}.get('date', Scenario().date))
     found: dict[str, Any] = {}
+    datarefs = {name: value for name, value in values.items() if is_dataref(name)}
+    if datarefs and DATAREFS.key not in overrides:
+        found[DATAREFS.key] = json.dumps(datarefs)
     for name, value in values.items():
+        if name in datarefs:
+            continue
         meant = paper_name(name, values)
         if meant is None:
             found[name] = value

@@ -16,7 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.options import DEFAULT_ROOT, CampaignOptions, make_options, new_folder
+from taxinet_ros.campaign.options import (
+    DEFAULT_ROOT,
+    GRAPH,
+    CampaignOptions,
+    make_options,
+    new_folder,
+)
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.overrides import WEATHER
@@ -43,7 +49,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
 from taxinet_ros.core.traffic.traffic_file import typed_traffic
 from taxinet_ros.core.user_code import is_node_elsewhere
-from taxinet_ros.core.world import find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 
 DISTANCES_M = (1000.0, 1800.0)
@@ -263,6 +269,7 @@ class ShrinkOptions:
 def make_shrink_options(
     path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
     workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
+    engine: str = GRAPH, audit: str | None = None,
 ) -> ShrinkOptions:
     """Check the command-line arguments.
 
@@ -277,6 +284,8 @@ def make_shrink_options(
         resume: continue the shrinking in ``out``.
         images: record ``all`` or ``none`` of the camera frames.
         controller: controller, if not the run's.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
 
     Raises:
         UsageError: one line on the first error.
@@ -291,6 +300,10 @@ def make_shrink_options(
             f'{path}: a free run: {NOT_REPRODUCIBLE}, so nothing tells a scenario that matters '
             'from chance; shrink a run that failed with --latency'
         )
+    if again := _world(run).again_words:
+        raise UsageError(
+            f'{path}: {again}, so nothing tells a scenario that matters from chance'
+        )
     _check_failed(path, run, other_specs=bool(specs))
     space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
@@ -298,7 +311,8 @@ def make_shrink_options(
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
         controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
-        processes=False, images=images, resume=resume, world=_world(run),
+        processes=False, images=images, resume=resume, world=run.world,
+        engine=engine, audit=audit,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
@@ -356,9 +370,9 @@ def _controller(run: JudgedRun) -> str:
     return run.controller
 
 
-def _world(run: JudgedRun) -> str:
+def _world(run: JudgedRun) -> ChosenWorld:
     """World of the failed run."""
     try:
-        return find_world(run.world, run.world_fingerprint).name
+        return find_world(run.world, run.world_fingerprint)
     except UsageError as error:
         raise UsageError(f'{run.run_id}: {error}') from error

@@ -76,6 +76,9 @@ def localize(
     perception: Annotated[
         str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
+    engine: Annotated[
+        str, typer.Option(help='loop; every unchanged rerun is compared with the recorded run')
+    ] = 'loop',
     as_json: JsonOption = False,
 ) -> None:
     """Find which part causes failures: network or controller.
@@ -84,10 +87,17 @@ def localize(
     its heading error only and of its cross-track error only. After an interrupt, the same command
     continues.
     """
+    from taxinet_ros.campaign.options import LOOP
     from taxinet_ros.campaign.past_runs.localisation import make_localize_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.analysis.localize import run_localize
+    from taxinet_ros.errors import UsageError
 
+    if engine != LOOP:
+        raise UsageError(
+            f'--engine {engine}: localize reruns in the {LOOP} only; no node of a graph has a '
+            'part of the truth'
+        )
     with missing_packages_named(campaign):
         options = make_localize_options(
             campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
@@ -134,6 +144,81 @@ def explain(
             recording=whole, perception=perception, dataset=dataset, frames=frames, out=out,
             as_json=as_json,
         ))
+    raise typer.Exit(code)
+
+
+def fork(
+    bag: Annotated[
+        Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
+    ],
+    run_id: RunOption = None,
+    at: Annotated[
+        float | None, typer.Option(metavar='SECONDS', help='from when it is changed')
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE',
+            help='scenario value (rain=0, clouds=clear, wind_speed=6, …) or gain '
+            '(steering.heading_gain=1.2) from then on; repeatable',
+        ),
+    ] = None,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='OFFSET=VALUE',
+            help='place the aircraft anew, off by cte_m, heading_deg, distance_m or speed_mps: '
+            'cte_m=+0.5 is half a metre left; repeatable',
+        ),
+    ] = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="from then on (default: the run's)"),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="from then on (default: the run's)"),
+    ] = None,
+    sweep: Annotated[
+        str | None,
+        typer.Option(
+            metavar='KEY=LOW:HIGH:STEP', help='robustness over a value changed then, rain=0:100:5'
+        ),
+    ] = None,
+    find: Annotated[
+        bool,
+        typer.Option(
+            '--find', help='the last moment at which the change (default: --perception truth) '
+            'still saves the run'
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help='output folder for bag and picture; must be new')
+    ] = None,
+    images: Annotated[
+        str, typer.Option(help='camera frames in the new bag: all or none')
+    ] = 'all',
+    as_json: JsonOption = False,
+) -> None:
+    """Repeat a recorded run up to a moment, and go on in a changed world.
+
+    Up to the moment the run is repeated to the bit, which is checked; then the scene, the place of
+    the aircraft, the perception or the controller changes. Writes a bag, and a picture of both
+    runs. Exit code 1 if the forked run violates its requirements.
+    """
+    from taxinet_ros.cli.analysis.fork import ForkOptions, run_fork
+    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.errors import UsageError
+
+    if images not in ('all', 'none'):
+        raise UsageError(f'--images {images}: unknown; known: all, none')
+    options = ForkOptions(
+        at_s=at, settings=settings or (), moved=state or (), perception=perception,
+        controller=controller, sweep=sweep, find=find, out=out, images=images == 'all',
+        as_json=as_json,
+    )
+    with readable_run(bag, run_id) as whole:
+        code = run_fork(whole, options)
     raise typer.Exit(code)
 
 

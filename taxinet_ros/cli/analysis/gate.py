@@ -21,6 +21,7 @@ from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent
+from taxinet_ros.campaign.record.shard import recorded_shard
 from taxinet_ros.campaign.record.table import check_tables
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import differences
@@ -69,6 +70,8 @@ def run_gate(
 
 def _record_notes(content: LedgerContent) -> Iterator[str]:
     """Notes about the campaign's record."""
+    if (shard := recorded_shard(content.campaign)) is not None:
+        yield f'this is shard {shard} of a search, by itself; taxinet merge joins all of them'
     if found := differences(*recorded_stacks(content.campaign).values()):
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:

@@ -15,15 +15,16 @@ from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.facts import NodeFacts, RunFacts, free_account, is_steering_law, made_on
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.writer import RUN_METADATA
+from taxinet_ros.bag.writer import FORK_METADATA, RUN_METADATA
 from taxinet_ros.cli.bag.input import exit_code_of
+from taxinet_ros.core.fork import fork_of_text
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
+from taxinet_ros.core.scenario_fields import BY_KEY, along_words, clock_words, unusual_words
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import ExitCode
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.registry import KMWH
 
 _LABEL_WIDTH = 11
@@ -76,6 +77,8 @@ def _run_lines(
         yield '', f'{name}: {judged.interval.words()}, of {judged.formula}'
     yield 'scene', scene_words(facts.scene)
     yield from _node_lines(facts.nodes)
+    if fork := info.metadata.get(FORK_METADATA, {}).get('fork'):
+        yield 'fork', _fork_words(fork, facts)
     world = facts.nodes.get('simulator')
     if world is not None and world.implementation:
         yield 'timing', world.implementation
@@ -86,6 +89,24 @@ def _run_lines(
         yield 'figures', ', '.join(_figures(facts.figures))
     if not words:
         yield 'made on', stack_words(made_on(info)) or 'not told'
+
+
+def _fork_words(text: str, facts: RunFacts) -> str:
+    """What a forked run was forked from, and what changed then."""
+    try:
+        fork = fork_of_text(text)
+    except UsageError as error:
+        return str(error)
+    changes = [
+        f'{BY_KEY[key].label} {BY_KEY[key].value_words(before)} -> {BY_KEY[key].value_words(now)}'
+        for key, (before, now) in fork.changes(facts.scene).items()
+    ]
+    eyes = facts.nodes.get('perception')
+    if eyes is not None and eyes.implementation != fork.perception:
+        changes.append(f'perception {fork.perception} -> {eyes.implementation}')
+    if fork.placed is not None:
+        changes.append(f'placed at {fork.placed.x_m:.1f} m, {fork.placed.y_m:+.2f} m in map')
+    return f'of {fork.run_id} at {fork.at_s:g} s: {", ".join(changes) or "scene as before"}'
 
 
 def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:

@@ -60,6 +60,8 @@ def check_options(given: Iterable[str]) -> None:
     """
     names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
     for name in given:
+        if name in ('engine', 'audit'):
+            raise UsageError(f'--from: --{name}: a rerun is always made on the graph')
         if name not in _TAKEN_BESIDE_FROM:
             option = names.get(name, '--' + name.replace('_', '-'))
             raise UsageError(f'--from: {option} is taken from the bag')
@@ -88,7 +90,13 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        recorded_world(recording.path, run)
+        if run.fork:
+            raise UsageError(
+                f'{recording.path}: is a fork, which the graph cannot repeat; fork its run again: '
+                'taxinet fork'
+            )
+        if again := recorded_world(recording.path, run).again_words:
+            raise UsageError(f'{recording.path}: {again}, so a rerun differs anyway')
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

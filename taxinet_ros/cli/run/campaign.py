@@ -1,16 +1,18 @@
-"""Run a campaign on the graph and show progress bar, one line per run, and a summary."""
+"""Run a campaign and show progress bar, one line per run, and a summary."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from taxinet_ros.campaign.audit import Auditor
 from taxinet_ros.campaign.campaign import Campaign, exit_code
-from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.loop_run import Loop, campaign_loop
+from taxinet_ros.campaign.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import (
@@ -25,6 +27,7 @@ from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
@@ -136,10 +139,11 @@ class _Graphs:
         Raises:
             UsageError: the ROS domain set by hand is invalid; raised before any folder is made.
         """
-        from taxinet_ros.nodes.running.domain import domain_by_hand
-
-        domain_by_hand()
         options = self._options
+        if options.engine == GRAPH:
+            from taxinet_ros.nodes.running.domain import domain_by_hand
+
+            domain_by_hand()
         commands = [options.perception, options.controller]
         if options.processes or any(map(command_of, commands)):
             return  # It would write its logs to a folder that does not exist yet.
@@ -173,13 +177,51 @@ class _Graphs:
                 yield graph
 
     def _new(self) -> contextlib.AbstractContextManager[Graph]:
+        options = self._options
+        if options.engine == LOOP:
+            return _loop(options, self._sha256['controller'], self._sha256['world'])
         from taxinet_ros.nodes.graph.runner import campaign_graph, composed_graph, process_graph
 
-        options = self._options
         graph = campaign_graph(options, self._sha256['controller'], self._sha256['world'])
         if options.processes:
             return process_graph(graph, options.out / 'logs')
         return composed_graph(graph)
+
+
+@contextlib.contextmanager
+def _loop(
+    options: CampaignOptions, controller_sha256: str, world_sha256: str
+) -> Iterator[Graph]:
+    """The loop without ROS, used as a graph; it is this process that runs."""
+    audits: list[str] = []
+    if options.audit_percent:
+        from taxinet_ros.nodes.graph.worker import audit_command
+
+        audits = audit_command(options, controller_sha256, world_sha256)
+    loop = Loop(campaign_loop(options, controller_sha256, world_sha256))
+    with Auditor(audits, options.out, options.audit_percent) as auditor:
+        yield _LoopGraph(loop, auditor)
+
+
+class _LoopGraph:
+    domain = -1
+
+    def __init__(self, loop: Loop, auditor: Auditor) -> None:
+        self._loop, self._auditor = loop, auditor
+
+    def run(
+        self, requests: Iterable[RunRequest], on_result: Callable[[RunRequest, RunResult], bool]
+    ) -> None:
+        for request in requests:
+            result = self._auditor.audited(request, self._loop.run(request))
+            if not on_result(request, result) or self._loop.interrupted:
+                return
+
+    def interrupt(self) -> None:
+        self._loop.interrupted = True
+
+    def abort(self) -> bool:
+        return False  # Nothing waits here: the interrupt is raised at once.
 
 
 class _Interruption:

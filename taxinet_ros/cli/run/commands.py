@@ -12,11 +12,13 @@ from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
     AptDatOption,
+    AuditOption,
     BoundOption,
     BudgetOption,
     CameraOption,
     ControllerCommandOption,
     ControllerOption,
+    EngineOption,
     FactorOption,
     FailedRunArgument,
     FoxgloveOption,
@@ -38,6 +40,7 @@ from taxinet_ros.cli.options import (
     ProcessesOption,
     QuietOption,
     RateOption,
+    RendererOption,
     ResumeOption,
     RunOption,
     RunsOption,
@@ -48,6 +51,7 @@ from taxinet_ros.cli.options import (
     SceneArgument,
     SeedOption,
     SetOption,
+    ShardOption,
     SpecOption,
     StopOnOption,
     UntilOption,
@@ -56,6 +60,7 @@ from taxinet_ros.cli.options import (
     airport_place,
     given_options,
     refuse_given,
+    renderer_of,
     scene_settings,
     word_of,
 )
@@ -90,14 +95,17 @@ def run(
     free: FreeOption = False,
     real_time_factor: FactorOption = None,
     foxglove: FoxgloveOption = None,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
     Every run writes its own bag and a row of the campaign's table. With --from, the run of a bag is
     rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
-    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.options import LOOP, make_options
     from taxinet_ros.cli.run.campaign import run_campaign
+    from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
     if bag is not None and foxglove is not None:
@@ -110,12 +118,16 @@ def run(
         )
     if scenario is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
+    if foxglove is not None and engine == LOOP:
+        raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
         specs=spec or (), out=out, processes=processes, images=images, stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=word_of(context, 'controller'),
-        latency=latency or (), free=free, real_time_factor=real_time_factor, world=world,
+        latency=latency or (), free=free, real_time_factor=real_time_factor,
+        world=world_word(world, renderer_of(camera)),
+        engine=engine, audit=audit,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -162,12 +174,15 @@ def falsify(
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
+    shard: ShardOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
     latency: LatencyOption = None,
     free: FreeOption = False,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -178,9 +193,11 @@ def falsify(
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
+    from taxinet_ros.campaign.record.shard import parse_shard
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+    from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
     if free:
@@ -188,19 +205,48 @@ def falsify(
             f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
             'use taxinet run --runs N --free, or search with --latency'
         )
+    part = None if shard is None else parse_shard(shard)
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
             settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
-            controller=word_of(context, 'controller'), latency=latency or (), world=world,
+            controller=word_of(context, 'controller'), latency=latency or (),
+            world=world_word(world, renderer_of(camera)),
+            engine=engine, audit=audit,
+            part='' if part is None else f'shard{part.number}of{part.count}',
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget,
+            resume=resume, until=until, budget_min=budget, shard=part,
         )
     raise typer.Exit(run_falsify(options, quiet=quiet))
+
+
+def merge(
+    shards: Annotated[
+        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of all shards')
+    ],
+    out: Annotated[Path, typer.Option(help='folder for the campaign; must be new')],
+    bags: Annotated[
+        str,
+        typer.Option(
+            metavar='HOW',
+            help='hardlink (no further space), copy, or symlink, which needs the shards to stay',
+        ),
+    ] = 'hardlink',
+    quiet: QuietOption = False,
+) -> None:
+    """Merge the shards of a search into the campaign that it would be without --shard.
+
+    Checks every file of the shards first, and that they are of one search: the same program,
+    weights, versions, seed, sampler, options and world, every run once and none missing. The shards
+    are left as they are. Exit codes: 0 merged, 2 refused.
+    """
+    from taxinet_ros.cli.run.merge import run_merge
+
+    raise typer.Exit(run_merge(shards, out, bags=bags, quiet=quiet))
 
 
 def learned(
@@ -233,6 +279,8 @@ def shrink(
     controller: OwnControllerOption = None,
     spec: OwnSpecOption = None,
     images: ImagesOption = 'none',
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Shrink a failed run to the nearest scenario that still fails.
@@ -247,8 +295,38 @@ def shrink(
         options = make_shrink_options(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
             workers=workers, out=out, resume=resume, images=images, controller=controller,
+            engine=engine, audit=audit,
         )
     raise typer.Exit(run_shrink(options, quiet=quiet))
+
+
+xplane_app = typer.Typer(rich_markup_mode=None, help='X-Plane as camera and as world.')
+
+
+@xplane_app.callback(invoke_without_command=True)
+def _xplane(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@xplane_app.command('doctor')
+def xplane_doctor(
+    setup: Annotated[
+        Path | None,
+        typer.Option(metavar='FILE.yaml', help='where X-Plane is and how it is used; else that of '
+        'TAXINET_XPLANE, else the defaults'),
+    ] = None,
+) -> None:
+    """Check what a run with X-Plane relies on, in a line each.
+
+    X-Plane has to run, with an aircraft on the ground near the runway. It is paused, its aircraft
+    is placed, driven for a second, and released.
+
+    Exit code 4 if something does not work.
+    """
+    from taxinet_ros.cli.run.xplane import run_xplane_doctor
+
+    raise typer.Exit(run_xplane_doctor(setup))
 
 
 place_app = typer.Typer(rich_markup_mode=None, help='Places where runs take place.')
@@ -339,6 +417,7 @@ def up(
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
     world: WorldOption = 'kmwh',
+    camera: RendererOption = 'ours',
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -393,6 +472,7 @@ def up(
     code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
     """
     from taxinet_ros.cli.run.up import make_up_options, run_up
+    from taxinet_ros.core.world import world_word
 
     if not record:
         refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
@@ -400,7 +480,8 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor, namespace=namespace, world=world,
+        free=free, real_time_factor=real_time_factor, namespace=namespace,
+        world=world_word(world, None if camera == 'ours' else camera),
     )
     raise typer.Exit(run_up(options))
 
@@ -495,6 +576,8 @@ def experiment(
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Confirm a cause by running the same scenes with and without it.
@@ -518,6 +601,6 @@ def experiment(
     raise typer.Exit(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
-            workers=workers, resume=resume, as_json=as_json,
+            workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
         )
     )

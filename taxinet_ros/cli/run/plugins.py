@@ -13,13 +13,15 @@ from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.registry import SHIPPED, Extension, installed
 
 _USES: Mapping[str, Callable[[str], Any]] = {
     'perceptions': check_perception, 'controllers': check_controller,
-    'samplers': SAMPLERS.__getitem__, 'worlds': find_world, 'requirements': parse_spec,
+    'samplers': SAMPLERS.__getitem__, 'worlds': find_world, 'cameras': find_renderer,
+    'requirements': parse_spec,
 }
 """Function that finds a name for use, by extension point."""
 

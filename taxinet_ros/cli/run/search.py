@@ -35,8 +35,9 @@ from taxinet_ros.campaign.experiment import (
     arm_searches,
     check_paired,
 )
+from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -59,8 +60,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.nodes.graph.runner import campaign_graph
-from taxinet_ros.nodes.graph.worker import worker_command
+from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.processes.interrupts import interrupts
@@ -78,7 +78,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
         *columns, console=console, transient=True, disable=not shown,
         refresh_per_second=_REFRESH_PER_S,
     ) as progress:
-        progress.add_task('', total=search.options.campaign.runs)
+        progress.add_task('', total=search.options.runs)
         yield
 
 
@@ -103,12 +103,13 @@ class _Figures(ProgressColumn):
         pace = (len(rows) - self._before) / max(minutes, 1e-3)
         words = [f'{failed} failed', f'{pace:.1f}/min']
         if pace > 0:
-            left = self._search.options.campaign.runs - len(rows)
+            left = self._search.options.runs - len(rows)
             words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
         if rows:
             words.append(f'lowest rho {least:+.2f}')
         # A viewer may stop at any time: use the interval that is valid at every look.
-        found = failure_rate(rows, 0).rate
+        planned = self._search.first_planned or range(0)
+        found = failure_rate(rows, range(planned.start, 0, planned.step)).rate
         if found is not None:
             words.append(f'failing {found.words()}')
         if self._search.interrupted:
@@ -144,7 +145,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
-    if search.interrupted and len(search.rows) < options.campaign.runs:
+    if search.interrupted and len(search.rows) < options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
@@ -167,23 +168,15 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 def _run_on_workers(search: Search | Shrinking) -> None:
     """Execute the runs of an open search on worker processes; Ctrl-C ends it in order."""
     options = search.options
-    facts = search.book.facts
-    graph = campaign_graph(
-        options.campaign, facts['controller_sha256'], recorded_world(facts)[1]
-    )
-    with (
-        interrupts(search.interrupt),
-        WorkerPool(
-            worker_command(graph), options.workers, options.campaign.out / 'logs'
-        ) as pool,
-    ):
+    command = campaign_worker_command(options.campaign, search.book.facts)
+    logs = options.campaign.out / 'logs'
+    with interrupts(search.interrupt), WorkerPool(command, options.workers, logs) as pool:
         run_search(search, pool)
 
 
-
-
 def run_experiment(
-    experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool
+    experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool,
+    engine: str = GRAPH, audit: str | None = None,
 ) -> int:
     """Run every arm, compare them, and print the result.
 
@@ -196,7 +189,9 @@ def run_experiment(
     """
     console = Console(highlight=False, stderr=as_json)
     check_workers(workers)
-    searches = arm_searches(experiment, out, workers=workers, resume=resume)
+    searches = arm_searches(
+        experiment, out, workers=workers, resume=resume, engine=engine, audit=audit
+    )
     for number, (name, options) in enumerate(searches.items(), 1):
         console.print(
             f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
@@ -317,7 +312,10 @@ def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s:
 
 def _check_bench(shrinking: Shrinking) -> None:
     if (row := shrinking.broken) is not None:
-        detail = f'{row.detail or row.outcome} (twice in run {row.run_id}; continue with --resume)'
+        often = '' if row.kind == AUDIT else 'twice '
+        detail = (
+            f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'
+        )
         raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
 
 

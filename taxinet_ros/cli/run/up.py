@@ -24,6 +24,7 @@ from taxinet_ros.campaign.options import (
     check_new,
     check_timing,
     new_folder,
+    recorded_images,
     split_settings,
 )
 from taxinet_ros.core.motion.controller import check_controller
@@ -86,6 +87,8 @@ class UpView:
             where += f'; namespace {self._options.namespace}'
         graph = self._options.graph
         there = '' if graph.world == KMWH else f'; world {graph.world}'
+        if again := find_world(graph.world).again_words:
+            there += f' ({again}, so every frame is recorded)' if self._options.record else ''
         return [
             f'ROS domain {domain}, {where}; perception {graph.perception}{there}; '
             f'{what} in {self._options.graph.out}',
@@ -194,7 +197,7 @@ def make_up_options(
             'steering.<gain>=value'
         )
     check_controller(controller, gains, graph=True)
-    find_world(world)
+    chosen = find_world(world)
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
@@ -203,12 +206,12 @@ def make_up_options(
         graph=GraphOptions(
             perception=perception,
             out=out,
-            images=images,
+            images=recorded_images(chosen, images),
             gains=gains,
             controller=controller,
             alone=False,
             timing=check_timing(latency, free=free, factor=real_time_factor),
-            world=world,
+            world=chosen.name,
         ),
         record=record,
         domain=domain,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
+from taxinet_ros.campaign.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 from taxinet_ros.study.stages.config import (
@@ -25,7 +25,7 @@ from taxinet_ros.study.stages.log import StageLog, read_records
 from taxinet_ros.study.stages.plan import stages, stages_until
 from taxinet_ros.study.stages.progress import list_lines, study_heading
 from taxinet_ros.study.stages.run import StudyRun
-from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.study.stages.stage import Stage, with_engine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,7 @@ class CaseStudyOptions:
         listed: print the stages only.
         report_only: only write the report of the stages done.
         tables: folder of tables to write the report of, or None.
+        engine, audit: what makes the runs, and share of them to audit as text or None.
     """
 
     config: Path | None = None
@@ -54,6 +55,8 @@ class CaseStudyOptions:
     listed: bool = False
     report_only: bool = False
     tables: Path | None = None
+    engine: str = GRAPH
+    audit: str | None = None
 
 
 def run_case_study(options: CaseStudyOptions) -> int:
@@ -71,7 +74,7 @@ def run_case_study(options: CaseStudyOptions) -> int:
         return _report(options)
     console = Console(highlight=False)
     config = _config(options)
-    found = stages(config)
+    found = with_engine(stages(config), options.engine, options.audit)
     wanted = stages_until(found, options.until) if options.until else found
     if options.listed:
         out = options.out or Path('OUT')
@@ -152,6 +155,7 @@ def _check_alone(options: CaseStudyOptions, what: str, *, taken: Collection[str]
         '--config': options.config, '--scale': options.scale, '--runs': options.runs,
         '--images': options.images, '--workers': options.workers, '--until': options.until,
         '--resume': options.resume, '--list': options.listed,
+        '--engine': options.engine != GRAPH, '--audit': options.audit,
         '--report-only': options.report_only and not what.startswith('--report-only'),
     }
     for name, value in given.items():

@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.options import VariedOption, given_options, refuse_given
+from taxinet_ros.cli.options import (
+    AuditOption,
+    EngineOption,
+    VariedOption,
+    given_options,
+    refuse_given,
+)
 
 
 def case_study(
@@ -29,6 +35,8 @@ def case_study(
     workers: Annotated[
         int | None, typer.Option(min=1, max=8, help='worker processes; same results')
     ] = None,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     out: Annotated[Path | None, typer.Option(help='folder of the study; must be new')] = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue the study in --out, with its own sizes')
@@ -60,6 +68,7 @@ def case_study(
     raise typer.Exit(run_case_study(CaseStudyOptions(
         config=config, scale=scale, runs=runs, images=images, workers=workers, out=out,
         resume=resume, until=until, listed=listed, report_only=report_only, tables=tables,
+        engine=engine, audit=audit,
     )))
 
 
@@ -107,6 +116,8 @@ def improve(
     workers: Annotated[
         int, typer.Option(min=1, max=8, help='worker processes; same results')
     ] = 2,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
     out: Annotated[Path | None, typer.Option(help='folder; must be new')] = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue in --out, with its own options')
@@ -121,7 +132,7 @@ def improve(
     from taxinet_ros.study.improve.options import ImproveOptions
 
     if resume:
-        others = given_options(context).keys() - {'out', 'workers', 'resume'}
+        others = given_options(context).keys() - {'out', 'workers', 'resume', 'engine', 'audit'}
         refuse_given(context, others, 'is taken from the folder that --resume continues')
     options = None if resume else ImproveOptions(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
@@ -129,4 +140,4 @@ def improve(
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    raise typer.Exit(run_improve(options, out, workers))
+    raise typer.Exit(run_improve(options, out, workers, engine, audit))

@@ -18,16 +18,21 @@ from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, START, Improvement
 from taxinet_ros.study.improve.options import ImproveOptions, read_options, write_options
 from taxinet_ros.study.stages.log import StageLog
 from taxinet_ros.study.stages.run import StudyRun
-from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.study.stages.stage import Stage, with_engine
 
 
-def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) -> int:
+def run_improve(
+    options: ImproveOptions | None, out: Path | None, workers: int, engine: str,
+    audit: str | None,
+) -> int:
     """Run the rounds and print their results.
 
     Args:
         options: options; None to continue with those of ``out``.
         out: folder, or None for a new one.
         workers: worker processes of a resumed loop.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
 
     Returns:
         Exit code: 0 done, 130 interrupted, else that of the stage that failed.
@@ -38,6 +43,7 @@ def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) 
     console = Console(highlight=False)
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
+    with_engine((), engine, audit)  # checks them before anything is made
     if options is not None:
         check_workers(options.workers)
     options, out = _begun(options, out, workers)
@@ -60,7 +66,8 @@ def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) 
 
         def run_stages(stages: Sequence[Stage]) -> int:
             return StudyRun(
-                out, stages, log=log, command=stage_command(), workers=options.workers, show=show
+                out, with_engine(stages, engine, audit), log=log, command=stage_command(),
+                workers=options.workers, show=show,
             ).run()
 
         code = Improvement(out, options, ledger, run_stages, show_round).run()

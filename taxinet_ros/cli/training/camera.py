@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from PIL import Image
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -18,6 +19,19 @@ from taxinet_ros.analysis.camera.compare import (
     compare_frames,
     comparison_scenes,
     comparison_sheet,
+)
+from taxinet_ros.analysis.camera.mitsuba_scene import check_installed, check_shown
+from taxinet_ros.analysis.camera.second_opinion import (
+    AIM_PX,
+    NEAR_M,
+    SURFACES,
+    LightCurves,
+    SceneOpinion,
+    compare_light,
+    compare_scene,
+    light_scenes,
+    plot_opinion,
+    scenes,
 )
 from taxinet_ros.analysis.camera.shadow import shadow_appearances
 from taxinet_ros.analysis.camera.sheets import (
@@ -30,34 +44,41 @@ from taxinet_ros.analysis.camera.sheets import (
 from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
+OTHERS = ('mitsuba',)
+"""Renderers that ours can be compared with."""
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
-def save_frame(settings: Iterable[str], out: Path | None) -> None:
+def save_frame(settings: Iterable[str], out: Path | None, camera: str = OURS) -> None:
     """Write the frame of one scene and print its path.
 
     Raises:
-        UsageError: bad settings, or a file that cannot be written.
+        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
+        InfraError: the camera failed.
     """
     scene = scenario_from_human(read_settings(settings))
     path = new_picture(out, 'camera-frame')
-    write_picture(path, lambda: Image.fromarray(scene_picture(scene)).save(path))
+    write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
 
 
 def save_sheet(
-    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None
+    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None,
+    camera: str = OURS,
 ) -> None:
     """Write the sheet of one pose and print its path.
 
     Raises:
-        UsageError: bad settings, or a file that cannot be written.
+        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
+        InfraError: the camera failed.
     """
     values = read_settings(settings)
     for key, option in _AXES.items():
@@ -68,7 +89,7 @@ def save_sheet(
     kinds = _words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
     scenes = sheet_scenes(values, columns, kinds, rains)
     path = new_picture(out, 'camera-sheet')
-    write_picture(path, lambda: camera_sheet(scenes, path))
+    write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
 
 
@@ -193,6 +214,86 @@ def run_compare(
         f'perception {perception}, weights {network.fingerprint[:12]}'
     )
     console.print(f'sheet: {path}')
+
+
+def run_second_opinion(
+    against: str, *, settings: Iterable[str], out: Path | None, json_wanted: bool
+) -> int:
+    """Compare our camera with another renderer, write the figure, and print the results.
+
+    Returns:
+        Exit status: 1 if a scene misses the aim, else 0.
+
+    Raises:
+        UsageError: an unknown renderer, one that is not installed, bad settings or output file.
+    """
+    if against not in OTHERS:
+        raise UsageError(f'--against {against}: unknown; known: {", ".join(OTHERS)}')
+    values = read_settings(settings)
+    for key in ('time_of_day_h', 'shadows'):
+        if key in values:
+            raise UsageError(f'--set {key}: varies over the comparison; leave it out')
+    chosen, day = scenes(values), light_scenes(values)
+    check_installed()
+    for scenario in (*chosen, *day):
+        check_shown(scenario)
+    path = new_picture(out, f'camera-compare-{against}')
+    notes = Console(stderr=True, highlight=False, soft_wrap=True)
+    bar = track(chosen, 'scenes', console=notes, disable=not notes.is_terminal, transient=True)
+    opinions = [
+        compare_scene(scenario, shown=number % 2 == 0) for number, scenario in enumerate(bar)
+    ]
+    curves = compare_light(day)
+    write_picture(path, lambda: plot_opinion(opinions, curves, path))
+    missed = sum(not one.meets_aim for one in opinions)
+    if json_wanted:
+        print(json.dumps({
+            'against': against, 'figure': str(path), 'missed_aim': missed,
+            'scenes': [one.to_dict() for one in opinions], 'light': curves.to_dict(),
+            'made_on': dict(provenance()),
+        }, indent=2, allow_nan=False))
+        notes.print(f'figure: {path}')
+        return int(missed > 0)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(_opinion_table(opinions))
+    console.print(_light_table(curves))
+    console.print(
+        f'{len(opinions)} scenes, {missed} with more than {AIM_PX:g} px in 5 % of the edges of '
+        f'paint beyond {NEAR_M:g} m'
+    )
+    console.print(f'figure: {path}')
+    return int(missed > 0)
+
+
+def _opinion_table(opinions: Iterable[SceneOpinion]) -> Table:
+    """Shifts of edges in pixels, ours minus theirs; the last three columns are of their sizes."""
+    shown = Table(
+        'scene', 'edges', 'offset u, v', 'larger', 'median', '95 %', f'>{NEAR_M:g} m',
+        box=SIMPLE_HEAD, padding=0,
+    )
+    for one in opinions:
+        scene = f'{find_place(one.scenario.place).name} {one.scenario.camera_model.name}'
+        for kind, edges in (('paint', one.markings), ('shadow', one.shadow)):
+            if edges is None:
+                continue
+            found = edges.summary()
+            shown.add_row(
+                scene, f'{kind} {found["measured"]} of {found["edges"]}',
+                f'{_figure(found["offset_u_px"], "+.2f")} {_figure(found["offset_v_px"], "+.2f")}',
+                _figure(found['growth_px'], '+.2f'), _figure(found['median_px']),
+                _figure(found['p95_px']), _figure(found['p95_beyond_8_m_px']),
+            )
+    return shown
+
+
+def _light_table(curves: LightCurves) -> Table:
+    """Greatest differences of the light's curves over the day."""
+    shown = Table(
+        'light, sun above 10°', 'greatest difference over the day, stops', box=SIMPLE_HEAD,
+    )
+    for surface in SURFACES:
+        shown.add_row(surface, _figure(curves.greatest_ev(surface)))
+    return shown
 
 
 def _network(word: str) -> Perception:

@@ -14,6 +14,7 @@ from rich.table import Table
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.weights import card_path
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt
 from taxinet_ros.training.data.dataset_folder import LABELS, REQUEST, DatasetOptions, write_dataset
@@ -74,6 +75,7 @@ def run_evaluate(
     seed: int,
     workers: int,
     as_json: bool,
+    camera: str = OURS,
 ) -> None:
     """Measure a perception on a program's scenes or a folder's images, and print the errors.
 
@@ -90,10 +92,12 @@ def run_evaluate(
         else:
             assert program is not None
             rows = evaluate_program(
-                looker, program, images=images, seed=seed, workers=workers, progress=show
+                looker, program, images=images, seed=seed, workers=workers, progress=show,
+                camera=camera,
             )
     facts = {'perception': perception, 'fingerprint': looker.fingerprint}
     facts |= {'data': str(folder)} if folder else {'program': str(program), 'seed': str(seed)}
+    facts |= {} if camera == OURS else {'camera': camera}
     if as_json:
         values = {**facts, 'made_on': dict(provenance()), 'slices': [asdict(row) for row in rows]}
         print(json.dumps(values, indent=2))

@@ -41,6 +41,7 @@ from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
 from taxinet_ros.core.camera.objects import ObjectsView
+from taxinet_ros.core.datarefs import refuse_datarefs
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.rig.camera_model import CameraModel, rotation
@@ -147,6 +148,7 @@ class Camera:
             model: replaces the scenario's camera.
             runway: replaces the scenario's: its sun, surface and paint.
         """
+        refuse_datarefs(scenario.datarefs, 'our camera')
         self.model = model = model or scenario.camera_model
         runway = runway or scenario.runway
         track = None if scenario.line.is_runway else scenario.line

@@ -127,6 +127,7 @@ class Light:
         wetness: 0 dry .. 1 covered by a water film.
         rain: intensity 0..1.
         clouds: cloud kind.
+        exposure: factor on the irradiance, RGB, with the white balance.
     """
 
     sun: NDArray[np.float64]
@@ -140,6 +141,7 @@ class Light:
     wetness: float
     rain: float
     clouds: str
+    exposure: Colour
 
     @property
     def total(self) -> Colour:
@@ -194,6 +196,7 @@ def scenario_light(
         wetness=0.0 if rain <= 0 else min(1.0, 0.45 + 0.55 * rain),
         rain=rain,
         clouds=scenario.clouds,
+        exposure=gain,
     )
 
 

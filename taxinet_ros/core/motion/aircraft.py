@@ -10,7 +10,7 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
@@ -182,6 +182,12 @@ def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> Non
     fdm['external_reactions/slope/magnitude'] = fdm['inertia/weight-lbs'] * math.sin(slope_rad)
 
 
+def _wind_values(scenario: Scenario) -> tuple[float, ...]:
+    return (
+        scenario.wind_speed_mps, scenario.wind_direction_rad, scenario.gust_mps, scenario.gust_seed
+    )
+
+
 class Wind:
     """Wind of a scenario: steady, or with :class:`.Gusts`.
 
@@ -196,6 +202,11 @@ class Wind:
         self._east_mps = -speed_mps * math.sin(from_rad)
         self.steady = not scenario.gust_mps
         self._gusts = Gusts(scenario.gust_mps, int(scenario.gust_seed))
+        self._values = _wind_values(scenario)
+
+    def is_of(self, scenario: Scenario) -> bool:
+        """Whether a scenario has this wind."""
+        return self._values == _wind_values(scenario)
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
         """Set the mean wind in JSBSim."""
@@ -218,6 +229,21 @@ class Wind:
             self._gusts.advance(way_mps / PHYSICS_HZ)
 
 
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Where an aircraft is placed, rolling straight in the attitude in which it taxis.
+
+    Attributes:
+        x_m, y_m, yaw_rad: pose in ``map`` [m, m, rad].
+        speed_mps: ground speed [m/s].
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    speed_mps: float
+
+
 class Aircraft:
     """Aircraft of one run; starts at the scenario's pose and speed.
 
@@ -229,6 +255,7 @@ class Aircraft:
     def __init__(
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
         model: AircraftModel | None = None, runway: Runway | None = None,
+        placed: Placed | None = None,
     ) -> None:
         """Load a model and place it on the runway.
 
@@ -237,6 +264,7 @@ class Aircraft:
             period_ns: control period [ns], a whole number of physics steps.
             model: replaces the scenario's model.
             runway: replaces the scenario's runway.
+            placed: replaces the scenario's start pose and speed.
 
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
@@ -261,9 +289,15 @@ class Aircraft:
         self._hold = SpeedHold(self._gains)
         self._wind = Wind(scenario) if scenario.wind_speed_mps or scenario.gust_mps else None
         self._fdm = self._load(model.model, scenario=scenario)
+        self._friction = FRICTION[scenario.surface]
         self._full_steering_rad = full_steering_rad(model)
         self.max_steering_rad = model.max_steering_rad or self._full_steering_rad
-        along_rad = self._place(scenario)
+        if placed is None:
+            at = scenario.line.pose(
+                scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
+            )
+            placed = Placed(*at, speed_mps=scenario.speed_mps)
+        along_rad = self._place(placed)
         self._start_rolling(scenario, along_rad)
         self._step = 0
         self._state = self._measure()
@@ -294,6 +328,22 @@ class Aircraft:
         self._state = self._measure()
         return self._state
 
+    def change(self, scenario: Scenario) -> None:
+        """Roll on in the wind and with the friction of another scene.
+
+        Args:
+            scenario: the scene. Whether it has wind has to be as before, as the model of windy air
+                is another.
+        """
+        if (self._wind is None) is bool(scenario.wind_speed_mps or scenario.gust_mps):
+            raise ValueError('wind cannot come up or die down, as the loaded model is another then')
+        if self._wind is not None and not self._wind.is_of(scenario):
+            self._wind = Wind(scenario)
+            self._wind.begin(self._fdm)
+            self._fdm['atmosphere/gust-north-fps'] = self._fdm['atmosphere/gust-east-fps'] = 0.0
+        if (friction := FRICTION[scenario.surface]) != self._friction:
+            self._fdm['ground/static-friction-factor'] = self._friction = friction
+
     def _integrate(self) -> bool:
         run = self._fdm.run
         if self._wind is None or self._wind.steady:
@@ -319,13 +369,11 @@ class Aircraft:
         fdm.set_dt(1 / PHYSICS_HZ)
         return fdm
 
-    def _place(self, scenario: Scenario) -> float:
+    def _place(self, placed: Placed) -> float:
         """Set the initial pose; return the runway's true heading there [rad]."""
-        x_m, y_m, yaw_rad = scenario.line.pose(
-            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad
-        )
+        yaw_rad = placed.yaw_rad
         pose = self._frame.to_geodetic(
-            MapPose(x_m=x_m, y_m=y_m, z_m=self._settled.z_m, yaw_rad=yaw_rad)
+            MapPose(x_m=placed.x_m, y_m=placed.y_m, z_m=self._settled.z_m, yaw_rad=yaw_rad)
         )
         fdm = self._fdm
         # Order matters: terrain before height above it, attitude before speeds.
@@ -337,8 +385,8 @@ class Aircraft:
         fdm['ic/theta-rad'] = -self._settled.pitch_rad
         fdm['ic/phi-rad'] = self._settled.roll_rad
         # Parallel to the ground, not along the tilted body axis: the aircraft would sink.
-        fdm['ic/vn-fps'] = scenario.speed_mps * math.cos(pose.heading_rad) / FOOT_M
-        fdm['ic/ve-fps'] = scenario.speed_mps * math.sin(pose.heading_rad) / FOOT_M
+        fdm['ic/vn-fps'] = placed.speed_mps * math.cos(pose.heading_rad) / FOOT_M
+        fdm['ic/ve-fps'] = placed.speed_mps * math.sin(pose.heading_rad) / FOOT_M
         fdm['ic/vd-fps'] = 0.0
         return pose.heading_rad + yaw_rad
 
@@ -348,8 +396,8 @@ class Aircraft:
         # Only now: initialisation would reset wind and slope.
         if self._wind is not None:
             self._wind.begin(fdm)
-        if (friction := FRICTION[scenario.surface]) != FRICTION['dry']:
-            fdm['ground/static-friction-factor'] = friction
+        if self._friction != FRICTION['dry']:
+            fdm['ground/static-friction-factor'] = self._friction
         if scenario.slope_fraction:
             _pull_down(fdm, math.atan(scenario.slope_fraction), along_rad)
         propulsion = fdm.get_propulsion()

@@ -68,6 +68,10 @@ LEAST_CLEARANCE_M = 3.0
 class Spec:
     """A named requirement.
 
+    >>> import taxinet_ros as tx
+    >>> tx.Spec.parse('gentle=always(abs(steering) <= 3 deg)').name
+    'gentle'
+
     Attributes:
         name: snake_case identifier, valid in topics, columns and file names.
         formula: the formula.

@@ -27,6 +27,7 @@ from taxinet_ros.core.user_code import (
     names_user_code,
     node_command,
 )
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
@@ -39,7 +40,7 @@ ARGUMENTS = {
     'controller': (STEERING, 'controller: steering; FILE.py:NAME; external; or cmd:COMMAND'),
     'controller_cmd': ('', 'command of your own controller: short for controller:=cmd:…'),
     'world': (KMWH, 'world of the runs: kmwh, the simulated airport, or a name that a package '
-              'adds'),
+              'adds; with +CAMERA, who takes its pictures, as kmwh+flightgear'),
     'scenario': ('s_falsif', 'Scenic program to draw scenes from: a shipped name or a file'),
     'program': ('', 'older name of scenario'),
     'runs': ('10', 'number of runs'),
@@ -130,6 +131,8 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
     controller = _word_or_command(words, 'controller')
     seeing, weights = perception_executable(perception)
     there = {} if words['world'] == KMWH else {'world': words['world']}
+    if there and (again := find_world(words['world']).again_words) and words['images'] != 'all':
+        raise UsageError(f'images:={words["images"]}: {again}; use images:=all')
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
         _ours(topics.SIMULATOR, **_timing(words), **there),

@@ -7,13 +7,14 @@ Linux kills the worker when its parent dies.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import io
 import json
 import os
 import queue
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +22,50 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
+    from taxinet_ros.campaign.options import CampaignOptions
     from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 
 _BEAT_S = 1.0
+
+
+def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
+    """Command line of a worker for the runs of a campaign, by its engine.
+
+    Args:
+        campaign: campaign whose folder exists.
+        facts: its recorded facts.
+    """
+    from taxinet_ros.campaign.loop_run import campaign_loop
+    from taxinet_ros.campaign.loop_worker import loop_worker_command
+    from taxinet_ros.campaign.options import GRAPH
+    from taxinet_ros.campaign.record.facts import recorded_world
+    from taxinet_ros.nodes.graph.runner import campaign_graph
+
+    recorded = facts['controller_sha256'], recorded_world(facts)[1]
+    if campaign.engine == GRAPH:
+        return worker_command(campaign_graph(campaign, *recorded))
+    return loop_worker_command(
+        campaign_loop(campaign, *recorded), campaign.audit_percent,
+        audit_command(campaign, *recorded),
+    )
+
+
+def audit_command(
+    campaign: CampaignOptions, controller_sha256: str, world_sha256: str
+) -> list[str]:
+    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`.
+
+    Args:
+        campaign: the campaign.
+        controller_sha256: recorded hash of its controller.
+        world_sha256: recorded hash of the package that provides its world, or ''.
+    """
+    from taxinet_ros.campaign.options import AUDIT_FOLDER
+    from taxinet_ros.nodes.graph.runner import campaign_graph
+
+    graph = campaign_graph(campaign, controller_sha256, world_sha256)
+    return worker_command(dataclasses.replace(graph, out=campaign.out / AUDIT_FOLDER))
 
 
 def worker_command(options: GraphOptions) -> list[str]:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from taxinet_ros.campaign.options import AUDIT
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import ChildProcess, exit_words, package_environment
@@ -185,9 +186,13 @@ class StudyRun:
         if missing:
             return f'{missing[0]} is missing'
         table = f'{stage.name}/{PARQUET_NAME}'
-        made = len(read_table(self._out / table)) if table in stage.outputs else stage.runs
-        if made < stage.runs:
-            return f'{made:,} of {stage.runs:,} runs were made'
+        if table not in stage.outputs:
+            return ''
+        rows = read_table(self._out / table)
+        if (rows['kind'] == AUDIT).any():
+            return 'an audit found that loop and graph differ'
+        if len(rows) < stage.runs:
+            return f'{len(rows):,} of {stage.runs:,} runs were made'
         return ''
 
     def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.experiment import find_experiment, read_experiment
+from taxinet_ros.campaign.options import GRAPH, check_engine
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.version import __version__
 
@@ -149,6 +151,27 @@ _RENDERING = 2
 def workers_option(workers: int) -> tuple[str, ...]:
     """Option for the number of concurrent processes, which does not affect results."""
     return ('--workers', str(workers))
+
+
+def with_engine(found: Iterable[Stage], engine: str, audit: str | None) -> tuple[Stage, ...]:
+    """Stages whose campaigns are run by an engine, which does not affect results.
+
+    Args:
+        found: the stages.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
+
+    Raises:
+        UsageError: unknown engine, or a bad share.
+    """
+    check_engine(engine, audit, GroundTruth.word, STEERING, {})
+    if engine == GRAPH:
+        return tuple(found)
+    words = ('--engine', engine, *(() if audit is None else ('--audit', audit)))
+    return tuple(
+        replace(stage, hints=(*stage.hints, *words)) if stage.kind is Kind.RUNS else stage
+        for stage in found
+    )
 
 
 def campaign_stage(

@@ -28,6 +28,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest, program_text
+from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
@@ -131,11 +132,13 @@ class DatasetOptions:
         sampler: a word of :data:`~taxinet_ros.training.data.dataset.SAMPLERS`.
         seed: seed of everything random.
         varied: whether the look of the world varies.
+        camera: who takes the pictures (:mod:`taxinet_ros.core.renderer`).
         workers: number of rendering processes; the result does not depend on it.
         resume: whether to continue an interrupted dataset.
 
     Raises:
-        UsageError: a number is out of range, or the sampler is unknown.
+        UsageError: a number is out of range, the sampler or camera is unknown, or the camera does
+            not vary.
     """
 
     program: str
@@ -144,6 +147,7 @@ class DatasetOptions:
     sampler: str = 'random'
     seed: int = 0
     varied: bool = False
+    camera: str = OURS
     workers: int = 2
     resume: bool = False
 
@@ -155,6 +159,8 @@ class DatasetOptions:
         if self.sampler not in SAMPLERS:
             known = ', '.join(SAMPLERS)
             raise UsageError(f'dataset: sampler {self.sampler!r} is unknown; known: {known}')
+        if find_renderer(self.camera) is not None and self.varied:
+            raise UsageError(f'--varied: no effect with --camera {self.camera}; leave one out')
 
     def request(self) -> dict[str, Any]:
         """Everything that the images depend on, to record and to compare when resuming.
@@ -162,7 +168,7 @@ class DatasetOptions:
         Raises:
             UsageError: the program is unknown or cannot be read.
         """
-        path = find_program(self.program)
+        path, renderer = find_program(self.program), find_renderer(self.camera)
         return {
             'program': path.stem,
             'program_sha256': program_digest(path),
@@ -171,6 +177,9 @@ class DatasetOptions:
             'seed': self.seed,
             'count': self.count,
             'varied': self.varied,
+            **({} if renderer is None else {
+                'camera': self.camera, 'camera_sha256': renderer.fingerprint,
+            }),
             'package_version': __version__,
         }
 
@@ -267,7 +276,7 @@ def _render(
     done = len(scenes) - len(missing)
     taken = photographs(
         missing, partial(_store, options.out),
-        varied=options.varied, seed=options.seed, workers=options.workers,
+        varied=options.varied, seed=options.seed, workers=options.workers, camera=options.camera,
     )
     with closing(taken) as images:
         for row in images:

@@ -5,6 +5,7 @@ They can be rendered by several processes; the result does not depend on their n
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 from collections import deque
@@ -25,6 +26,7 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
+from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.processes.pool import SPAWN, ProcessPool, process_pool
@@ -37,7 +39,7 @@ _VARIED_EVERY = 4
 
 
 def photograph(
-    scene: Scenario, *, varied: bool = False, seed: int = 0, index: int = 0
+    scene: Scenario, *, varied: bool = False, seed: int = 0, index: int = 0, camera: str = OURS
 ) -> tuple[NDArray[np.uint8], TrackingError]:
     """Render the start of a scene: a frame, (200, 360, 3) uint8 RGB, and its true error.
 
@@ -48,10 +50,19 @@ def photograph(
             lens and exposure; the other blocks are not varied.
         seed: seed of the variation.
         index: number of the picture in its dataset; with ``seed`` it determines all random draws.
+        camera: who takes the picture (:mod:`taxinet_ros.core.renderer`); only ours varies.
+
+    Raises:
+        UsageError: the camera is unknown, or cannot show the scene.
+        InfraError: it failed.
     """
     state = Aircraft(scene).state
     _, cte_m, he_rad = scene.line.measure(state.x_m, state.y_m, state.yaw_rad)
     truth = TrackingError(cte_m=cte_m, he_rad=he_rad)
+    renderer = _renderer(camera)
+    if renderer is not None:
+        with contextlib.closing(renderer.make(scene)) as theirs:
+            return theirs.render(state, 0), truth
     block = index // GROUND_BLOCK
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth
@@ -59,8 +70,11 @@ def photograph(
     ground = _varied_ground(
         seed, block, scene.runway, scene.line, scene.airport, crossing=scene.crossing
     )
-    camera = Camera(scene, ground)
-    return variation.develop(camera.render(variation.misplaced(state), 0)), truth
+    ours = Camera(scene, ground)
+    return variation.develop(ours.render(variation.misplaced(state), 0)), truth
+
+
+_renderer = lru_cache(maxsize=1)(find_renderer)
 
 
 @lru_cache(maxsize=1)
@@ -87,7 +101,8 @@ It is called in the rendering process, so it must be importable by name.
 
 
 def photographs(
-    scenes: Iterable[Numbered], develop: Develop[T], *, varied: bool, seed: int, workers: int
+    scenes: Iterable[Numbered], develop: Develop[T], *, varied: bool, seed: int, workers: int,
+    camera: str = OURS,
 ) -> Generator[T, None, None]:
     """Render scenes and yield the result of ``develop`` for each, in order.
 
@@ -99,11 +114,13 @@ def photographs(
         varied: whether the look of the world varies.
         seed: seed of these variations.
         workers: number of processes; 1 is this one.
+        camera: who takes the pictures.
 
     Raises:
+        UsageError: the camera cannot show a scene.
         InfraError: a worker process died, or the simulator failed.
     """
-    take = partial(_take, develop, varied, seed)
+    take = partial(_take, develop, varied, seed, camera)
     if workers == 1:
         for scene in scenes:
             yield take(scene)
@@ -118,9 +135,11 @@ def photographs(
             stop.set()  # do not wait for whole blocks after an early close
 
 
-def _take(develop: Develop[T], varied: bool, seed: int, numbered: Numbered) -> T:
+def _take(
+    develop: Develop[T], varied: bool, seed: int, camera: str, numbered: Numbered
+) -> T:
     index, scene = numbered
-    image, truth = photograph(scene, varied=varied, seed=seed, index=index)
+    image, truth = photograph(scene, varied=varied, seed=seed, index=index, camera=camera)
     return develop(index, image, truth)
 
 

@@ -24,6 +24,7 @@ from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     CAMERA,
+    DATAREFS,
     FAULT_FIELDS,
     PLACE,
     PUSHING_FIELDS,
@@ -35,7 +36,7 @@ from taxinet_ros.core.scenario_fields import (
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
-NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS, TRAFFIC, CAMERA)
+NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS, TRAFFIC, CAMERA, DATAREFS)
 RENAMED = {
     field.attribute: field.short for field in SCENARIO_FIELDS
     if field.short and field not in NEW

@@ -243,7 +243,7 @@ def test_s10_an_override_replaces_what_the_paper_s_name_says(tmp_path: Path) -> 
     ('zulu_time = 3\nparam rain_percent = 25', 'param rain_percent is 25.0; expected a number'),
     ('zulu_time = 3\nparam time_of_day = 3', 'param zulu_time and param time_of_day are the same'),
     ('zulu_time = 3\nparam "sim/time/zulu_time_sec" = 3', 'are the same; leave one out'),
-    ('"sim/weather/cloud_type[1]" = 3', 'param sim/weather/cloud_type[1]: unknown'),
+    ('"laminar/weather/clouds" = 3', 'param laminar/weather/clouds: unknown'),
 ])
 def test_s10_a_parameter_of_the_paper_out_of_its_range_is_refused(
     client: Any, tmp_path: Path, params: str, message: str

@@ -44,6 +44,7 @@ def test_given_the_atlas_when_built_then_it_fits_in_memory_and_is_shared() -> No
     assert atlas.shape == (2 * ROWS, 2 * COLUMNS, 3)
     assert atlas.nbytes < 100e6
     assert ground.ground_atlas(KMWH) is atlas
+    assert ground.ground_atlas(KMWH, None, airport=None, crossing=True) is atlas
     assert not atlas.flags.writeable
 
 

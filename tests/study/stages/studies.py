@@ -27,7 +27,7 @@ def run_study(out: Path, config: StudyConfig | None = None) -> tuple[int, list[s
     for runs in {config.runs, config.learning_runs}:
         failed = {'flawless': ['PASS'] * runs, 'half': ['PASS', 'FAIL'] * (runs // 2)}
         for kind, outcome in failed.items():
-            table = pd.DataFrame({'index': range(runs), 'outcome': outcome})
+            table = pd.DataFrame({'index': range(runs), 'outcome': outcome, 'kind': ''})
             table.to_parquet(out / f'{kind}-{runs}.parquet')
     with StageLog(out) as log:
         run = StudyRun(

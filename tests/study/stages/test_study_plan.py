@@ -23,6 +23,7 @@ from taxinet_ros.study.stages.plan import (
     stages_until,
     weights_of,
 )
+from taxinet_ros.study.stages.stage import with_engine
 
 SHIPPED = read_config(shipped_config())
 FOUND = {stage.name: stage for stage in stages(SHIPPED)}
@@ -126,3 +127,21 @@ def test_given_more_runs_then_the_key_is_another_and_the_identity_the_same(tmp_p
     assert few.identity(tmp_path) == many.identity(tmp_path)
     other = dataclasses.replace(few, perception='original')
     assert other.identity(tmp_path) != few.identity(tmp_path)
+
+
+def test_given_an_engine_then_campaigns_run_on_it_and_their_results_are_the_same(tmp_path):
+    found = stages(smoke_config())
+    assert with_engine(found, 'graph', None) == found
+    by_loop = with_engine(found, 'loop', '5')
+    words = ('--engine', 'loop', '--audit', '5')
+    for one, other in zip(found, by_loop, strict=True):
+        runs = one.words[0] in ('falsify', 'experiment')
+        assert other.command() == (*one.command(), *(words if runs else ()))
+    assert train(smoke_config(), find_program('s_falsif')).words[0] == 'train'
+    few, many = (
+        next(stage for stage in every if stage.name == 'evaluate-best')
+        for every in (found, by_loop)
+    )
+    assert few.key(tmp_path) == many.key(tmp_path)
+    with pytest.raises(UsageError, match='--audit 5: no effect with --engine graph'):
+        with_engine(found, 'graph', '5')

@@ -80,7 +80,6 @@ class Layout:
         return (self.columns - 2 * SIDE_COLUMNS) / 2 * self.fine_m
 
 
-@lru_cache(maxsize=4)
 def ground_atlas(
     runway: Runway, track: Track | None = None, airport: AirportGround | None = None, *,
     crossing: bool = True,
@@ -93,6 +92,14 @@ def ground_atlas(
         airport: other pavement and paint, if known.
         crossing: whether crossing runways are drawn.
     """
+    return _kept_atlas(runway, track, airport, crossing)
+
+
+@lru_cache(maxsize=4)
+def _kept_atlas(
+    runway: Runway, track: Track | None, airport: AirportGround | None, crossing: bool
+) -> NDArray[np.uint8]:
+    # One key for equal arguments: given by name or left out, they would each have an atlas.
     return make_ground_atlas(standard_style(runway, crossing=crossing), runway, track, airport)
 
 

@@ -1,0 +1,424 @@
+"""Fork a run: repeat it up to a moment, to the bit, and go on in a changed world."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.api.run import (
+    NOTHING,
+    Look,
+    Run,
+    Steer,
+    asked_controller,
+    asked_perception,
+    drive,
+)
+from taxinet_ros.arguments import NUMBER, PATH, Kind, a, takes, told
+from taxinet_ros.bag.errors import BagEmpty
+from taxinet_ros.bag.layout import mcap_path
+from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.run.message_values import error_of, stamp_of
+from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import check_state, states_and_commands
+from taxinet_ros.bag.run.run_bag import node_words
+from taxinet_ros.bag.run.topics import ESTIMATE
+from taxinet_ros.bag.run.trace import CameraFrame
+from taxinet_ros.core.fork import (
+    Fork,
+    ReplayedController,
+    ReplayedPerception,
+    check_changeable,
+    forked_world,
+    needs_other_model,
+)
+from taxinet_ros.core.loop import Step
+from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Placed
+from taxinet_ros.core.motion.controller import STEERING, Controller, SteeringGains, SteeringLaw
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+from taxinet_ros.core.perception.perception import Perception, perception_names
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import BY_KEY, HEADING, HUMAN_KEYS, by_key
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
+
+MOVES = ('distance_m', 'cte_m', 'heading_deg', 'speed_mps')
+"""Offsets by which the aircraft can be placed anew."""
+
+_GAIN = 'steering.'
+_OFF_STEP_S = 1e-6  # 7.3 s is no binary fraction
+_RUN = a('a tx.Run, a tx.Recording', Run, Recording)
+_NAMED = Kind(
+    'a mapping from names to values',
+    lambda value: isinstance(value, Mapping) and all(isinstance(name, str) for name in value),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Past:
+    """A recorded run, read once, to be repeated and forked any number of times.
+
+    Attributes:
+        recording: of the run.
+        sha256: SHA-256 of its file.
+        states: numbers of the recorded odometry by control step.
+        estimates, commands: of the control steps from 0 on, without a gap.
+    """
+
+    recording: Recording
+    sha256: str
+    states: Mapping[int, dict[str, float]]
+    estimates: Sequence[TrackingError]
+    commands: Sequence[TaxiCommand]
+
+    @property
+    def last_seq(self) -> int:
+        """The last step at which it can be forked."""
+        return min(len(self.estimates), len(self.commands), max(self.states))
+
+    def step_at(self, at_s: float) -> int:
+        """Control step of a moment.
+
+        Raises:
+            UsageError: there is no step at this time.
+        """
+        period_s = CONTROL_PERIOD_NS / NS_PER_S
+        end_s = self.last_seq * period_s
+        if not 0 <= at_s <= end_s + _OFF_STEP_S:
+            raise UsageError(f'fork: {at_s:g} s is not within the run, 0 to {end_s:g} s')
+        step = round(at_s / period_s)
+        if abs(step * period_s - at_s) > _OFF_STEP_S:
+            low_s = int(at_s / period_s) * period_s
+            raise UsageError(
+                f'fork: {at_s:g} s is between control steps; take {low_s:g} or '
+                f'{low_s + period_s:g} s'
+            )
+        return step
+
+
+def read_past(recording: Recording) -> Past:
+    """Read what is needed to repeat a run.
+
+    Raises:
+        UsageError: it cannot be repeated here: a free run, a fork, or of a package's world.
+        BagError: the bag cannot be read.
+    """
+    run, path = recording.run, recording.path
+    if run.timing.free:
+        raise UsageError(f'{path}: a free run, not reproducible: {NOT_REPRODUCIBLE}')
+    if run.fork:
+        raise UsageError(f'{path}: is itself a fork; fork the run that it was forked from')
+    if run.world:
+        raise UsageError(
+            f'{path}: used world {run.world}; only runs of {KMWH}, the simulated world, can change'
+        )
+    states, commands = states_and_commands(recording)
+    estimates = {}
+    for count, (_, stored) in enumerate(recording.messages((ESTIMATE,), strict=True)):
+        message = decode_of(path, stored, count)
+        estimates[stamp_of(message) // CONTROL_PERIOD_NS] = error_of(message)
+    if not states:
+        raise BagEmpty(f'{path}: no states, so there is nothing to repeat', path=path)
+    file = mcap_path(path) if path.is_dir() else path
+    return Past(
+        recording=recording, sha256=hashlib.sha256(file.read_bytes()).hexdigest(), states=states,
+        estimates=_without_gap(estimates), commands=_without_gap(commands),
+    )
+
+
+def _without_gap(found: Mapping[int, Any]) -> list[Any]:
+    listed: list[Any] = []
+    while len(listed) in found:
+        listed.append(found[len(listed)])
+    return listed
+
+
+@takes(
+    run=_RUN | PATH, at_s=NUMBER, settings=_NAMED, moved=_NAMED,
+)
+def fork(
+    run: Run | Recording | str | os.PathLike[str], *, at_s: float,
+    settings: Mapping[str, Any] = NOTHING, moved: Mapping[str, float] = NOTHING,
+    perception: str | Perception | Look | None = None,
+    controller: str | Controller | Steer | None = None,
+) -> Run:
+    """Repeat a run up to a moment, to the bit, and go on in a changed world.
+
+    Up to the moment the recorded estimates and commands hold; states, frames (where recorded),
+    and the answers of perception and controller (where they stay) are compared with the recorded
+    ones. A perception or controller of the time after sees the whole run.
+
+    Args:
+        run: a run, a recording of one, or the path of its bag.
+        at_s: from when it is forked [s]; a control step, every 0.1 s.
+        settings: scenario values from then on by their user-facing keys, ``{'rain_percent': 0}``,
+            and gains of the steering law, ``{'steering.heading_gain': 1.2}``; ``duration_s`` is the
+            length of the whole run.
+        moved: offsets by which the aircraft is placed anew then: ``distance_m``, ``cte_m`` (left
+            positive), ``heading_deg`` (left positive), ``speed_mps``. It then rolls straight, in
+            the attitude in which it taxis.
+        perception: from then on, as for :func:`taxinet_ros.run`; None: the run's own.
+        controller: likewise.
+
+    Returns:
+        The forked run, judged as a whole by the run's requirements; :attr:`Run.fork_of` tells from
+        what it was forked.
+
+    Raises:
+        UsageError: the run cannot be repeated, a value cannot change during a run, or the
+            repetition differs from the recording.
+        BagError: the bag cannot be read.
+        InfraError: the simulator failed.
+    """
+    if isinstance(run, Run):
+        return run.fork(at_s, settings=settings, moved=moved, perception=perception,
+                        controller=controller)
+    recording = run if isinstance(run, Recording) else open_recording(Path(run))
+    return fork_past(
+        read_past(recording), at_s=at_s, settings=settings, moved=moved, perception=perception,
+        controller=controller,
+    )
+
+
+def fork_past(
+    past: Past, *, at_s: float, settings: Mapping[str, Any], moved: Mapping[str, float],
+    perception: str | Perception | Look | None, controller: str | Controller | Steer | None,
+) -> Run:
+    """Fork a run that has been read; arguments and errors as for :func:`fork`."""
+    recorded, step = past.recording.run, past.step_at(at_s)
+    before = recorded.request.scenario
+    gains = {name: value for name, value in settings.items() if name.startswith(_GAIN)}
+    scene = {name: value for name, value in settings.items() if name not in gains}
+    after = _changed(before, scene)
+    if after.duration_ns < step * CONTROL_PERIOD_NS:
+        raise UsageError(f'fork: duration_s is {after.duration_s:g}, before {at_s:g} s')
+    before = dataclasses.replace(before, duration_s=after.duration_s)
+    eyes, same_eyes = _perception(past, perception)
+    hands, same_hands = _controller(past, controller, gains)
+    replayed = (
+        ReplayedPerception(eyes, past.estimates[:step], same=same_eyes),
+        ReplayedController(hands, past.commands[:step], same=same_hands),
+    )
+    how = Fork(
+        run_id=recorded.request.run_id, sha256=past.sha256, step=step, scenario=after,
+        placed=_placed(past, step, before, after, moved), perception=recorded.perception,
+        controller=recorded.controller or STEERING,
+    )
+    world = forked_world(how)
+    return drive(
+        before, *replayed, judging=recorded.request.judging, timing=recorded.timing,
+        world=world, draws=(recorded.request.seed, recorded.request.index), fork_of=how,
+        on_step=_Check(past, how), nodes=node_words(eyes, hands, world, recorded.timing),
+    )
+
+
+class _Check:
+    """Compares steps before a fork with the recorded ones."""
+
+    def __init__(self, past: Past, fork: Fork) -> None:
+        self._past, self._fork = past, fork
+        self._frames: Iterator[CameraFrame] = past.recording.frames(
+            lambda seq: seq < fork.step, render=False
+        )
+        self._frame = next(self._frames, None)
+
+    def __call__(self, step: Step) -> None:
+        now, last = step.observation, self._fork.step - (self._fork.placed is not None)
+        if now.seq <= last:
+            check_state(
+                self._past.recording.path, now.seq, self._past.states[now.seq], now.state
+            )
+        if self._frame is not None and self._frame.seq == now.seq and now.image is not None:
+            if not np.array_equal(self._frame.image, now.image):
+                raise UsageError(
+                    f'fork: the camera frame of step {now.seq} is another than the recorded one: '
+                    'by another version or on another machine'
+                )
+            self._frame = next(self._frames, None)
+
+
+def _changed(before: Scenario, scene: Mapping[str, Any]) -> Scenario:
+    values = by_key(scene)
+    for key in values:
+        if key not in BY_KEY:
+            raise UsageError(
+                f'fork: unknown key {key!r}; known: {", ".join(HUMAN_KEYS)}, steering.<gain>'
+            )
+    after = dataclasses.replace(before, **{
+        BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
+    })
+    check_changeable(before, after)
+    for key in values:
+        now = getattr(after, BY_KEY[key].attribute)
+        if getattr(before, BY_KEY[key].attribute) == now:
+            words = BY_KEY[key].value_words(BY_KEY[key].to_human(now))
+            raise UsageError(f'fork: {key} is {words} in the run already; leave it out')
+    return after
+
+
+def _perception(
+    past: Past, asked: str | Perception | Look | None
+) -> tuple[Perception, bool]:
+    """The perception after the fork, and whether it is the run's own."""
+    run = past.recording.run
+    if asked is None and run.perception not in perception_names():
+        what = f'{run.perception!r}, not a shipped one' if run.perception else 'not told'
+        raise UsageError(
+            f"{run.request.run_id}: the run's own perception is {what}; name one by perception"
+        )
+    found = asked_perception(run.perception if asked is None else asked)
+    same = found.fingerprint == run.fingerprint and found.word == run.perception
+    if asked is None and not same:
+        raise UsageError(
+            f"{run.request.run_id}: the run's {run.perception} has sha256 {run.fingerprint[:12]}…, "
+            f"today's {found.fingerprint[:12]}…; name the file, or another one, by perception"
+        )
+    return found, same
+
+
+def _controller(
+    past: Past, asked: str | Controller | Steer | None, gains: Mapping[str, Any]
+) -> tuple[Controller, bool]:
+    """The controller after the fork, and whether it is the run's own."""
+    run = past.recording.run
+    own = dict(run.gains)
+    changed = {name.removeprefix(_GAIN): value for name, value in gains.items()}
+    for name, value in changed.items():
+        if name not in SteeringGains.__dataclass_fields__:
+            known = ', '.join(SteeringGains.__dataclass_fields__)
+            raise UsageError(f'fork: steering.{name}: unknown gain; known: {known}')
+        if not NUMBER.has(value):
+            raise UsageError(f'fork: steering.{name} is {told(value)}, not a number')
+    word = asked if asked is not None else run.controller or STEERING
+    if not (isinstance(word, str) and word == STEERING):
+        found = asked_controller(word)
+        if changed:
+            raise UsageError(
+                f'fork: steering.{min(changed)} has no effect on controller {found.word}'
+            )
+        return found, bool(found.fingerprint) and found.fingerprint == run.controller_fingerprint
+    law = SteeringLaw(SteeringGains(**{**own, **changed}))
+    return law, not run.controller and not changed
+
+
+def _placed(
+    past: Past, step: int, before: Scenario, after: Scenario, moved: Mapping[str, float]
+) -> Placed | None:
+    """Where the aircraft is placed anew at a step; None if it rolls on."""
+    for name, value in moved.items():
+        if name not in MOVES:
+            raise UsageError(f'fork: unknown offset {name!r}; known: {", ".join(MOVES)}')
+        if not NUMBER.has(value):
+            raise UsageError(f'fork: the offset {name} is {told(value)}, not a number')
+    if not moved and not needs_other_model(before, after):
+        return None
+    along_m, cte_m, he_rad, speed_mps = _motion(past.states[step], before, step)
+    speed_mps += moved.get('speed_mps', 0.0)
+    if not speed_mps >= 0:
+        raise UsageError(f'fork: the aircraft would roll at {speed_mps:g} m/s, which is backwards')
+    x_m, y_m, yaw_rad = before.line.pose(
+        along_m + moved.get('distance_m', 0.0), cte_m + moved.get('cte_m', 0.0),
+        he_rad + moved.get('heading_deg', 0.0) * HEADING.si,
+    )
+    return Placed(x_m, y_m, yaw_rad, speed_mps)
+
+
+def _motion(
+    there: Mapping[str, float], scenario: Scenario, step: int
+) -> tuple[float, float, float, float]:
+    """Distance along the track, cross-track and heading error, and speed at a step."""
+    if step == 0:  # exactly; angles come back from a quaternion rounded
+        return (
+            scenario.distance_m, scenario.cross_track_m, scenario.heading_rad, scenario.speed_mps
+        )
+    x, y, z, w = (there[f'q{axis}'] for axis in 'xyzw')
+    yaw_rad = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return *scenario.line.measure(there['x'], there['y'], yaw_rad), there['speed']
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rescue:
+    """Until when a violated run could still be saved by a change.
+
+    Attributes:
+        saved: the run forked at the last moment found that satisfies its requirements; None if not
+            even the fork at the start does.
+        lost_s: the next step, a fork at which violates them [s]; None if every one satisfies them.
+        later_s: moments after it that satisfy them all the same, of those tried: the answer
+            then depends on the moment, and there is no single point of no return.
+        tried: number of forks.
+    """
+
+    saved: Run | None
+    lost_s: float | None
+    later_s: tuple[float, ...]
+    tried: int
+
+
+def find_rescue(
+    past: Past, *, settings: Mapping[str, Any], moved: Mapping[str, float],
+    perception: str | Perception | Look | None, controller: str | Controller | Steer | None,
+    on_fork: Callable[[Run], None] = lambda run: None, probes: int = 8,
+) -> Rescue:
+    """Bisect the last step at which a change still saves a violated run.
+
+    Bisection assumes that what comes too late at one moment comes too late at all later ones;
+    ``probes`` later moments, evenly spread, test that.
+
+    Args:
+        past: the run.
+        settings: the change, as for :func:`fork`.
+        moved: likewise.
+        perception: likewise.
+        controller: likewise.
+        on_fork: called with every forked run.
+        probes: number of later moments.
+
+    Raises:
+        UsageError: as :func:`fork`; or the run satisfies its requirements.
+    """
+    facts = past.recording.facts
+    if facts is None or facts.outcome != Outcome.FAIL:
+        what = facts.outcome if facts is not None and facts.outcome else 'not judged'
+        raise UsageError(
+            f'{past.recording.path}: is {what}; only what is violated can be saved'
+        )
+    forks: dict[int, Run] = {}
+
+    def saves(step: int) -> bool:
+        if step not in forks:
+            forks[step] = fork_past(
+                past, at_s=step * CONTROL_PERIOD_NS / NS_PER_S, settings=settings, moved=moved,
+                perception=perception, controller=controller,
+            )
+            on_fork(forks[step])
+        return forks[step].outcome is Outcome.PASS
+
+    last = min(past.last_seq, max(past.states) - 1)
+    saved, lost = -1, last + 1
+    if saves(0):
+        saved = last if saves(last) else 0
+        lost = last + 1 if saved else last
+    while saved >= 0 and lost - saved > 1:
+        middle = (saved + lost) // 2
+        saved, lost = (middle, lost) if saves(middle) else (saved, middle)
+    first = max(saved, 0) + 1
+    tried = sorted({first + (last - first) * number // probes for number in range(1, probes + 1)})
+    later = tuple(
+        step * CONTROL_PERIOD_NS / NS_PER_S for step in tried if step > lost and saves(step)
+    ) if lost <= last or saved < 0 else ()
+    return Rescue(
+        saved=forks.get(saved), later_s=later, tried=len(forks),
+        lost_s=max(lost if saved >= 0 else 0, 0) * CONTROL_PERIOD_NS / NS_PER_S
+        if saved < last else None,
+    )

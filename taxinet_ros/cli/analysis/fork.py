@@ -1,0 +1,359 @@
+"""``taxinet fork``: repeat a recorded run up to a moment, and go on in a changed world."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from taxinet_ros.analysis.one_run.fork_picture import (
+    Shown,
+    fork_picture,
+    shown_steps,
+    sweep_picture,
+)
+from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
+from taxinet_ros.api.run import Run
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
+from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.scenario_fields import BY_KEY, by_key
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
+
+_GAIN = 'steering.'
+_MOST_POINTS = 1000
+_SHORT_MOVES = {'cte': 'cte_m', 'heading': 'heading_deg', 'distance': 'distance_m',
+                'speed': 'speed_mps'}
+_WORDS = {Outcome.PASS: 'satisfied', Outcome.FAIL: 'violated'}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForkOptions:
+    """Options of ``taxinet fork``.
+
+    Attributes:
+        at_s: when to fork [s]; None only with ``find``.
+        settings, moved: ``KEY=VALUE`` of the changed scene, of the moved aircraft.
+        perception, controller: from the fork on; None: the run's own.
+        sweep: ``KEY=LOW:HIGH:STEP``, or None.
+        find: whether to bisect the last moment at which the change saves the run.
+        out: new folder; None: one below ``bags/``.
+        images: whether the new bag has camera frames.
+        as_json: print JSON.
+    """
+
+    at_s: float | None
+    settings: Sequence[str]
+    moved: Sequence[str]
+    perception: str | None
+    controller: str | None
+    sweep: str | None
+    find: bool
+    out: Path | None
+    images: bool
+    as_json: bool
+
+
+def run_fork(recording: Recording, options: ForkOptions) -> int:
+    """Fork the run as asked, write bag and pictures, and print the result.
+
+    Returns:
+        Exit code: 0 satisfied, 1 violated; of a sweep 0.
+
+    Raises:
+        UsageError: bad input, or the run cannot be repeated.
+    """
+    console = Console(highlight=False, stderr=options.as_json)
+    if options.find == (options.at_s is not None):
+        raise UsageError('fork: give a moment by --at, or let --find search for it; one of them')
+    if options.find and options.sweep:
+        raise UsageError('fork: --sweep and --find do not go together; leave one out')
+    with readable_bags():
+        past = read_past(recording)
+        change = _change(recording, options)
+        out = options.out or new_folder(DEFAULT_ROOT / f'fork-{recording.run_id}')
+        check_new(out)
+        if options.sweep:
+            return _sweep(past, change, options, out, console)
+        if options.find:
+            return _find(past, change, options, out, console)
+        assert options.at_s is not None
+        done = fork_past(past, at_s=options.at_s, **change)
+        told = _written(past, done, change, out, images=options.images)
+    if options.as_json:
+        print(json.dumps(told, indent=2, allow_nan=False))
+    _say(console, told)
+    return ExitCode.VIOLATED if done.outcome is Outcome.FAIL else ExitCode.OK
+
+
+def _change(recording: Recording, options: ForkOptions) -> dict[str, Any]:
+    """The change as arguments of :func:`fork_past`."""
+    run = recording.run
+    settings: dict[str, Any] = dict(read_settings(options.settings))
+    for name, value in settings.items():
+        if name.startswith(_GAIN):
+            settings[name] = _number(f'--set {name}', value)
+    moved: dict[str, float] = {}
+    for one in options.moved:
+        name, _, value = one.partition('=')
+        key = _SHORT_MOVES.get(name, name)
+        if key not in MOVES or key in moved:
+            raise UsageError(
+                f'--state {one}: expected an offset once, of {", ".join(MOVES)}, as in cte_m=+0.5'
+            )
+        moved[key] = _number(f'--state {name}', value)
+    perception = options.perception
+    if perception is None and options.find and not (settings or moved or options.controller):
+        perception = 'truth'
+    word, _ = perception_of(run, perception)
+    return {
+        'settings': settings, 'moved': moved, 'perception': perception and word,
+        'controller': options.controller and controller_of(run, options.controller),
+    }
+
+
+def _number(what: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f'{what}={text}: expected a number')
+    return value
+
+
+def _find(
+    past: Past, change: dict[str, Any], options: ForkOptions, out: Path, console: Console
+) -> int:
+    with stage_bars(console) as show:
+        done = 0
+
+        def count(run: Run) -> None:
+            nonlocal done
+            done += 1
+            show('forks', done, max(done, 18))
+
+        found = find_rescue(past, **change, on_fork=count)
+    told: dict[str, Any] = {
+        'run_id': past.recording.run_id, 'change': _change_words(past, found.saved, change),
+        'last_saved_s': found.saved and found.saved.fork_of and found.saved.fork_of.at_s,
+        'first_lost_s': found.lost_s, 'saved_later_s': list(found.later_s), 'forks': found.tried,
+    }
+    if found.saved is not None:
+        told |= _written(past, found.saved, change, out, images=options.images)
+    if options.as_json:
+        print(json.dumps(told, indent=2, allow_nan=False))
+    if found.saved is None:
+        console.print(
+            f'{told["run_id"]}: not saved by {told["change"]}, not even from the start '
+            f'({found.tried} forks)', soft_wrap=True, markup=False,
+        )
+        return ExitCode.VIOLATED
+    saved_s = told['last_saved_s']
+    if found.lost_s is None:
+        line = f'saved by {told["change"]} up to its end, {saved_s:g} s'
+    else:
+        line = (
+            f'point of no return {found.lost_s:g} s: saved by {told["change"]} at {saved_s:g} s, '
+            f'not at {found.lost_s:g} s'
+        )
+    console.print(f'{told["run_id"]}: {line} ({found.tried} forks)', soft_wrap=True, markup=False)
+    if found.later_s:
+        moments = ', '.join(f'{at_s:g}' for at_s in found.later_s)
+        console.print(
+            f'but also saved at {moments} s: whether it can be saved comes and goes',
+            soft_wrap=True, markup=False,
+        )
+    _say_files(console, told)
+    return ExitCode.OK
+
+
+def _sweep(
+    past: Past, change: dict[str, Any], options: ForkOptions, out: Path, console: Console
+) -> int:
+    assert options.sweep is not None
+    assert options.at_s is not None
+    key, values = sweep_values(options.sweep)
+    if key in change['settings']:
+        raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
+    recorded = _value_before(past, key)
+    rows: list[dict[str, Any]] = []
+    with stage_bars(console) as show:
+        for number, value in enumerate(values):
+            settings = dict(change['settings'])
+            if value != recorded:  # as recorded is no change, but is a point of the curve
+                settings[key] = value
+            done = fork_past(past, at_s=options.at_s, **{**change, 'settings': settings})
+            headline = next(iter(done.rho))
+            interval = done.rho[headline]
+            rows.append({
+                key: value, 'outcome': str(done.outcome), 'rho_lower': interval.lower,
+                'rho_upper': interval.upper,
+            })
+            show('forks', number + 1, len(values))
+    out.mkdir(parents=True)
+    table = pd.DataFrame(rows)
+    write_atomically(out / 'sweep.csv', table.to_csv(index=False))
+    before = past.recording.facts
+    rho_before = math.nan
+    if before is not None and headline in before.judged:
+        rho_before = before.judged[headline].interval.lower
+    picture = write_png(
+        sweep_picture(
+            list(values), [(row['rho_lower'], row['rho_upper']) for row in rows],
+            label=_label(key), headline=headline, before=(recorded, rho_before),
+            title=f'{past.recording.run_id}, changed at {options.at_s:g} s',
+        ), out, LIGHT,
+    )
+    if options.as_json:
+        print(json.dumps({'key': key, 'headline': headline, 'points': rows}, indent=2))
+    for row in rows:
+        console.print(
+            f'{key}={row[key]:g}: {_WORDS.get(Outcome(row["outcome"]), row["outcome"])}, '
+            f'{headline} {row["rho_lower"]:+.3f}', soft_wrap=True, markup=False,
+        )
+    console.print(f'table: {out / "sweep.csv"}; picture: {picture}', soft_wrap=True, markup=False)
+    return ExitCode.OK
+
+
+def sweep_values(text: str) -> tuple[str, tuple[float, ...]]:
+    """Key and values of ``KEY=LOW:HIGH:STEP``, ends included.
+
+    Raises:
+        UsageError: it has another form, the key is no number, or there are too many values.
+    """
+    name, _, span = text.partition('=')
+    key = next(iter(by_key({name: None})))
+    if key not in BY_KEY and not key.startswith(_GAIN):
+        raise UsageError(f'--sweep {text}: unknown key {name!r}')
+    parts = span.split(':')
+    if len(parts) != 3:
+        raise UsageError(f'--sweep {text}: expected KEY=LOW:HIGH:STEP, as in rain=0:100:5')
+    low, high, step = (_number(f'--sweep {name}', part) for part in parts)
+    count = math.floor((high - low) / step + 1e-9) + 1 if step > 0 and high >= low else 0
+    if not 2 <= count <= _MOST_POINTS:
+        raise UsageError(
+            f'--sweep {text}: expected LOW < HIGH and a positive STEP that gives 2 to '
+            f'{_MOST_POINTS} values'
+        )
+    return key, tuple(round(low + number * step, 9) for number in range(count))
+
+
+def _value_before(past: Past, key: str) -> float | None:
+    run = past.recording.run
+    if key.startswith(_GAIN):
+        usual = dataclasses.asdict(SteeringGains())
+        return {**usual, **run.gains}.get(key.removeprefix(_GAIN))
+    value = run.request.scenario.to_human()[key]
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _label(key: str) -> str:
+    if key in BY_KEY:
+        field = BY_KEY[key]
+        return f'{field.title} [{field.unit}]' if field.unit else field.title
+    return key
+
+
+def _change_words(past: Past, done: Run | None, change: dict[str, Any]) -> str:
+    """What changes at the fork, for people."""
+    words = []
+    before = past.recording.run.request.scenario.to_human()
+    for name, value in change['settings'].items():
+        if name in BY_KEY:
+            field = BY_KEY[name]
+            now = field.to_human(field.from_human(value))
+            words.append(
+                f'{field.label} {field.value_words(before[name])} -> {field.value_words(now)}'
+            )
+        else:
+            words.append(f'{name}={value:g}')
+    words += [f'{name} {value:+g}' for name, value in change['moved'].items()]
+    words += [
+        f'{role} {change[role]}' for role in ('perception', 'controller') if change[role]
+    ]
+    fork = None if done is None else done.fork_of
+    if fork is not None and fork.placed and not change['moved']:
+        words.append('placed anew, rolling straight, as the model of windy air is another')
+    return ', '.join(words) or 'nothing'
+
+
+def _written(
+    past: Past, done: Run, change: dict[str, Any], out: Path, *, images: bool
+) -> dict[str, Any]:
+    """Write bag and picture; what was done, as plain values."""
+    fork, words = done.fork_of, _change_words(past, done, change)
+    assert fork is not None
+    out.mkdir(parents=True, exist_ok=True)
+    bag = done.save_bag(out / f'{fork.run_id}-at-{fork.at_s:g}s', images=images)
+    headline = next(iter(done.rho))
+    facts = past.recording.facts
+    recorded = facts.judged.get(headline) if facts is not None else None
+    columns, trace = past.recording.columns, done.trace
+    steps = shown_steps(fork.step, max(len(trace), len(columns['t_ns'])) - 1)
+    frames = {frame.seq: frame.image for frame in past.recording.frames(steps.__contains__)}
+    before = Shown(
+        words=f'before: {_outcome_words(facts.outcome if facts else "")}', columns=columns,
+        frames=frames,
+    )
+    after = Shown(
+        words=f'after: {_outcome_words(str(done.outcome))}',
+        columns={name: np.asarray(trace[name]) for name in trace.columns},
+        frames={seq: done.frame(seq) for seq in steps if seq < len(trace)},
+    )
+    picture = write_png(
+        fork_picture(
+            before, after, at_s=fork.at_s, headline=headline,
+            half_width_m=done.scenario.line.half_width_m,
+            title=f'{fork.run_id}, forked at {fork.at_s:g} s: {words}',
+        ), out, LIGHT,
+    )
+    return {
+        'run_id': fork.run_id, 'at_s': fork.at_s, 'steps_repeated': fork.step, 'change': words,
+        'before': {
+            'outcome': facts.outcome if facts else '',
+            'rho': None if recorded is None else _ends(recorded.interval),
+        },
+        'after': {'outcome': str(done.outcome), 'rho': _ends(done.rho[headline])},
+        'headline': headline, 'bag': str(bag), 'picture': str(picture),
+    }
+
+
+def _ends(interval: Any) -> list[float | None]:
+    return [end if math.isfinite(end) else None for end in (interval.lower, interval.upper)]
+
+
+def _outcome_words(outcome: str) -> str:
+    return _WORDS.get(Outcome(outcome), outcome) if outcome else 'not judged'
+
+
+def _say(console: Console, told: dict[str, Any]) -> None:
+    console.print(
+        f'{told["run_id"]}: {told["steps_repeated"]} steps repeated to the bit, forked at '
+        f'{told["at_s"]:g} s: {told["change"]}', soft_wrap=True, markup=False,
+    )
+    for when in ('before', 'after'):
+        rho = told[when]['rho']
+        tells = '' if not rho or None in rho else f', {told["headline"]} {rho[0]:+.3f}'
+        console.print(
+            f'  {when}: {_outcome_words(told[when]["outcome"])}{tells}', soft_wrap=True,
+            markup=False,
+        )
+    _say_files(console, told)
+
+
+def _say_files(console: Console, told: dict[str, Any]) -> None:
+    console.print(f'bag: {told["bag"]}; picture: {told["picture"]}', soft_wrap=True, markup=False)

@@ -1,0 +1,243 @@
+"""Client of NASA's plug-in XPlaneConnect 1.3, for X-Plane 11 and for 12 where it is installed.
+
+UDP, little-endian; a message is a tag of four letters, a padding byte, and its fields. Replies
+carry no number, so every question has a socket of its own: a late or repeated reply to an earlier
+one cannot be taken for its answer.
+
+Source: the plug-in's documented messages (github.com/nasa/XPlaneConnect, Network Information).
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from taxinet_ros.core.datarefs import split_name
+from taxinet_ros.errors import InfraKind
+from taxinet_ros.simulators.xplane.native import address
+from taxinet_ros.simulators.xplane.wire import Value, failed
+
+PORT = 49009
+_HEAD = 5
+_POSITION = struct.Struct('<4sxBdddffff')
+_FEW_BYTES = 16384
+_KEEP = -998.0
+_KEEP_GEAR = -1.0
+_MOST_NAMES = 16
+_T = TypeVar('_T')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Position:
+    """Where an aircraft is, as X-Plane counts it.
+
+    Attributes:
+        latitude_deg, longitude_deg: of its reference point, WGS84 [deg].
+        altitude_m: of it above sea level [m].
+        pitch_deg: nose up positive [deg].
+        roll_deg: right wing down positive [deg].
+        heading_deg: true, clockwise from north [deg].
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    pitch_deg: float
+    roll_deg: float
+    heading_deg: float
+
+
+class XPlaneConnect:
+    """Client of the plug-in in one simulator."""
+
+    version = ''
+
+    def __init__(
+        self, host: str, port: int = PORT, *, timeout_s: float = 1.0, tries: int = 3
+    ) -> None:
+        """Look up the host; nothing is sent yet.
+
+        Args:
+            host: name or address of the simulator.
+            port: of the plug-in.
+            timeout_s: wait for each answer [s].
+            tries: how often a question is sent.
+
+        Raises:
+            UsageError: unknown host.
+        """
+        self.words = f'XPlaneConnect at {host}:{port}'
+        self._address = address(host, port)
+        self._timeout_s, self._tries = timeout_s, tries
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def read(self, *names: str) -> list[Value]:
+        """Read datarefs as 32-bit floats (GETD)."""
+        found: list[Value] = []
+        for at in range(0, len(names), _MOST_NAMES):
+            found += self._read(names[at:at + _MOST_NAMES])
+        return found
+
+    def _read(self, names: Sequence[str]) -> list[Value]:
+        rows = self._rows(*names)
+        values: list[Value] = []
+        for name, row in zip(names, rows, strict=True):
+            path, index = split_name(name)
+            if not row and index is not None:  # the plug-in knows whole arrays only
+                row = self._rows(path)[0][index:index + 1]
+            if not row:
+                raise failed(InfraKind.PROTOCOL, f'{self.words}: no value of {name}; does this '
+                             'version of X-Plane have it?')
+            values.append(row[0] if len(row) == 1 else row)
+        return values
+
+    def _rows(self, *names: str) -> list[tuple[float, ...]]:
+        return self._ask(
+            b'GETD\0' + bytes([len(names)]) + b''.join(_counted(name) for name in names),
+            lambda reply: parse_rows(reply, len(names)),
+        )
+
+    def write(self, name: str, value: float | tuple[float, ...]) -> None:
+        """Set a dataref (DREF); nothing is confirmed.
+
+        One element of an array is written with all the others, as they are read just before: the
+        plug-in knows whole arrays, besides X-Plane 11's datarefs whose names end in an index.
+        """
+        path, index = split_name(name)
+        values = value if isinstance(value, tuple) else (value,)
+        if index is not None and not self._rows(name)[0]:
+            array = list(self._rows(path)[0])
+            if isinstance(value, tuple) or index >= len(array):
+                raise failed(
+                    InfraKind.PROTOCOL, f'{self.words}: {path} has {len(array)} elements; '
+                    f'{name} cannot be {value!r:.40}'
+                )
+            array[index] = value
+            name, values = path, tuple(array)
+        self._send(
+            b'DREF\0' + _counted(name) + struct.pack(f'<B{len(values)}f', len(values), *values)
+        )
+
+    def command(self, name: str) -> None:
+        """Execute a command (COMM); nothing is confirmed."""
+        self._send(b'COMM\0' + _counted(name))
+
+    def trouble(self, name: str) -> str:
+        """Nothing: the plug-in does not tell."""
+        return ''
+
+    def position(self, aircraft: int = 0) -> Position:
+        """Where an aircraft is (GETP); 0 is the user's."""
+        return self._ask(b'GETP\0' + bytes([aircraft]), parse_position)
+
+    def place(self, position: Position, aircraft: int = 0) -> None:
+        """Place an aircraft (POSI), its landing gear as it is; nothing is confirmed."""
+        self._send(_POSITION.pack(
+            b'POSI', aircraft, position.latitude_deg, position.longitude_deg, position.altitude_m,
+            position.pitch_deg, position.roll_deg, position.heading_deg, _KEEP_GEAR,
+        ))
+
+    def hold(self, held: bool) -> None:
+        """Hold all aircraft, or let them go (SIMU); nothing is confirmed.
+
+        The plug-in calls it a pause, but overrides the paths of the aircraft; time goes on.
+        """
+        self._send(b'SIMU\0' + bytes([held]))
+
+    def control(self, *, rudder: float = _KEEP, throttle: float = _KEEP) -> None:
+        """Set rudder (-1..1, right positive) and throttle (0..1) by CTRL; the rest stays.
+
+        Nothing is confirmed.
+        """
+        self._send(struct.pack(
+            '<4sxffffbfB', b'CTRL', _KEEP, _KEEP, rudder, throttle, int(_KEEP_GEAR), _KEEP, 0
+        ))
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._socket.sendto(packet, self._address)
+        except OSError as error:
+            raise failed(InfraKind.DIED, f'{self.words}: {error.strerror or error}') from error
+
+    def _ask(self, question: bytes, parse: Callable[[bytes], _T]) -> _T:
+        for _ in range(self._tries):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+                until = time.monotonic() + self._timeout_s
+                try:
+                    asking.sendto(question, self._address)
+                    while (left := until - time.monotonic()) > 0:
+                        asking.settimeout(left)
+                        reply, sender = asking.recvfrom(_FEW_BYTES)
+                        if sender == self._address:
+                            return parse(reply)
+                except (TimeoutError, ConnectionError):
+                    continue
+                except OSError as error:
+                    text = error.strerror or str(error)
+                    raise failed(InfraKind.DIED, f'{self.words}: {text}') from error
+        raise failed(
+            InfraKind.TIMEOUT,
+            f'{self.words}: no answer to {question[:4].decode()} after {self._tries} requests of '
+            f'{self._timeout_s:g} s; is X-Plane running, with the plug-in?',
+        )
+
+
+def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
+    """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown.
+
+    Raises:
+        InfraError: it is malformed.
+    """
+    if len(reply) <= _HEAD or reply[:4] != b'RESP' or reply[_HEAD] != count:
+        raise _malformed(reply, f'RESP with {count} rows')
+    rows, at = [], _HEAD + 1
+    for _ in range(count):
+        if at >= len(reply) or at + 1 + 4 * reply[at] > len(reply):
+            raise _malformed(reply, f'{count} whole rows')
+        row = struct.unpack_from(f'<{reply[at]}f', reply, at + 1)
+        at += 1 + 4 * reply[at]
+        if not all(map(math.isfinite, row)):
+            raise failed(InfraKind.PROTOCOL, f'XPlaneConnect: values {row!r:.80} are not finite')
+        rows.append(row)
+    if at != len(reply):
+        raise _malformed(reply, f'{at} bytes')
+    return rows
+
+
+def parse_position(reply: bytes) -> Position:
+    """Read the reply to GETP, ``POSI``; its first field is the gear handle, not the aircraft.
+
+    Raises:
+        InfraError: it is malformed, or of an older plug-in.
+    """
+    if len(reply) != _POSITION.size or reply[:4] != b'POSI':
+        # 34 bytes: plug-ins before 1.3 tell latitude as a float, to a metre.
+        raise _malformed(reply, f'POSI in {_POSITION.size} bytes, as of plug-in 1.3')
+    _, _, latitude, longitude, altitude, pitch, roll, heading, _ = _POSITION.unpack(reply)
+    if not all(map(math.isfinite, (latitude, longitude, altitude, pitch, roll, heading))):
+        raise failed(InfraKind.PROTOCOL, 'XPlaneConnect: a position that is not finite')
+    return Position(
+        latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude, pitch_deg=pitch,
+        roll_deg=roll, heading_deg=heading,
+    )
+
+
+def _counted(name: str) -> bytes:
+    split_name(name)
+    return bytes([len(name)]) + name.encode()
+
+
+def _malformed(reply: bytes, what: str) -> Exception:
+    return failed(
+        InfraKind.PROTOCOL,
+        f'XPlaneConnect: {len(reply)} bytes beginning with {reply[:4]!r}; expected {what}',
+    )

@@ -1,0 +1,222 @@
+"""A campaign's runs by the loop: results and bags are those of the graph, to the byte."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import jsbsim
+import pytest
+import yaml
+from own_place import OWN_PLACE
+from plugins import lay_down
+
+from taxinet_ros.campaign.audit import bag_difference, result_difference
+from taxinet_ros.campaign.loop_run import Loop, LoopOptions
+from taxinet_ros.core.motion.controller import check_controller
+from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.traffic.traffic_file import load_traffic
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.world import find_world
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS
+
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).resolve().parents[3]
+SPECS = ('phi_always', 'gentle=always(abs(steering) <= 15 deg)')
+LENS = {'name': 'lens', 'offset_m': [3.0, 0, 0.9], 'pitch_deg': 8, 'size_px': [322, 241],
+        'field_of_view_deg': 85}
+VAN = {'kind': 'vehicle', 'x_m': 430, 'y_m': -9, 'heading_deg': 90,
+       'path': [{'x_m': 430, 'y_m': 9, 'speed_mps': 5}]}
+FAULTS = {
+    'camera_dropout': 20, 'camera_freeze': 0.3, 'lens_dirt': 15, 'lens_drops': 15,
+    'exposure_jump': -1, 'loop_delay': 0.1, 'loop_jitter': 0.2, 'steering_bias': 2,
+    'steering_rate_limit': 8, 'fault_onset': 0.3, 'fault_seed': 11,
+}
+BAD = """
+class Falling:
+    needs_image = False
+    def __init__(self):
+        self.steps = 0
+    def __call__(self, truth):
+        self.steps += 1
+        if self.steps == 6:
+            raise ValueError('fell')
+        return truth.cte_m, truth.he_rad
+
+def steep():
+    steps = []
+    def steer(estimate):
+        steps.append(estimate)
+        return (float('nan') if len(steps) == 4 else 0.0), 5.0
+    return steer
+"""
+
+
+def request(number: int, scene: Scenario, **judging: object) -> RunRequest:
+    return RunRequest(
+        run_id=f'run-{number}', index=number, program='test', seed=7, scenario=scene,
+        judging=Judging(**{'specs': SPECS, **judging}), participants=PARTICIPANTS,
+    )
+
+
+def check_same(
+    asked: list[RunRequest], tmp_path: Path, *, perception: str, controller: str = 'steering',
+    gains: dict[str, float] | None = None, timing: Timing = AT_ONCE, images: str = 'none',
+    world: str = 'kmwh',
+) -> list[RunResult]:
+    """Make runs with both engines, and compare results and both files of each bag."""
+    theirs: list[RunResult] = []
+    graph = GraphOptions(
+        perception=perception, controller=controller, out=tmp_path / 'graph', gains=gains or {},
+        timing=timing, images=images, world=world,
+    )
+    with composed_graph(graph) as opened:
+        opened.run(asked, lambda _, result: theirs.append(result) is None)
+    (tmp_path / 'loop').mkdir()
+    loop = Loop(LoopOptions(
+        perception=perception, controller=controller, out=tmp_path / 'loop', gains=gains or {},
+        controller_sha256=check_controller(controller), timing=timing, images=images, world=world,
+        world_sha256=find_world(world).fingerprint,
+    ))
+    ours = [loop.run(one) for one in asked]
+    assert len(theirs) == len(asked)
+    for one, mine, other in zip(asked, ours, theirs, strict=True):
+        bags = tmp_path / 'loop' / one.run_id, tmp_path / 'graph' / one.run_id
+        assert bag_difference(*bags) == ''
+        if mine.outcome.judged:
+            assert result_difference(mine, other) == ''
+        else:
+            told = [(x.outcome, x.kind, x.who, x.detail, x.last_seq) for x in (mine, other)]
+            assert told[0] == told[1]
+        assert sorted(file.name for file in bags[0].iterdir()) == [
+            'metadata.yaml', f'{one.run_id}_0.mcap'
+        ]
+    return ours
+
+
+@pytest.mark.parametrize('images', ['none', 'failures', 'all'])
+def test_given_the_shipped_network_then_every_byte_is_the_same(images, tmp_path):
+    scenes = [
+        Scenario(cross_track_m=2.0, duration_s=1.0),
+        scenario_from_human({**FAULTS, 'cross_track': 0.5, 'duration': 1, 'time_of_day': 7.5,
+                             'clouds': 'overcast', 'rain': 40}),
+    ]
+    results = check_same(
+        [request(number, scene) for number, scene in enumerate(scenes)], tmp_path,
+        perception='taxinet', images=images,
+    )
+    assert {result.outcome for result in results} == {Outcome.PASS, Outcome.FAIL}
+
+
+@pytest.mark.filterwarnings('ignore:.* no effect, as the perception needs no picture')
+def test_given_documents_wind_tracks_and_rules_then_every_byte_is_the_same(tmp_path):
+    rig = tmp_path / 'rig'
+    shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'J3Cub', rig / 'J3Cub')
+    (rig / 'a.yaml').write_text(yaml.safe_dump({'name': 'cub', 'model': './J3Cub'}))
+    (rig / 'c.yaml').write_text(yaml.safe_dump(LENS))
+    own = Scenario(
+        aircraft=load_aircraft(rig / 'a.yaml'), camera=load_camera(rig / 'c.yaml'),
+        cross_track_m=2.0, duration_s=1.0,
+    )
+    asked = [
+        request(0, own),
+        request(1, Scenario(place=OWN_PLACE, cross_track_m=20.0, duration_s=1.0)),
+        request(2, Scenario(traffic=load_traffic([VAN]), duration_s=1.0),
+                specs=(*SPECS, 'no_collision', 'keep_clear')),
+        request(3, scenario_from_human({
+            'wind_speed': 9, 'wind_direction': 300, 'gust': 3, 'gust_seed': 7,
+            'runway_state': 'auto', 'speed': 7.5, 'duration': 1,
+        }), stop_on=StopOn.DECIDED, bounds=('cte=-25:25',), rates=('cte=3',)),
+        request(4, scenario_from_human({
+            'track': 'exit_left', 'cross_track': -2.5, 'distance': 240, 'duration': 1,
+        }), stop_on=StopOn.VIOLATED),
+    ]
+    results = check_same(asked, tmp_path, perception='truth', images='all',
+                         gains={'heading_gain': 1.0})
+    assert results[4].stopped_early
+
+
+def test_given_latency_and_functions_of_a_file_then_every_byte_is_the_same(tmp_path):
+    results = check_same(
+        [request(number, Scenario(cross_track_m=2.0, duration_s=1.0)) for number in (0, 5)],
+        tmp_path, perception=f'{ROOT}/examples/perception_function.py:bright_paint',
+        timing=parse_latency(['perception=normal(0.15,0.05)', 'controller=uniform(0,0.2)']),
+    )
+    assert results[0].robustness != results[1].robustness, 'latencies are drawn for each run'
+
+
+@pytest.mark.parametrize('images', ['none', 'all'])
+@pytest.mark.parametrize('broken', ['perception', 'controller'])
+def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
+    broken, images, tmp_path
+):
+    (tmp_path / 'bad.py').write_text(BAD)
+    words = {'perception': 'truth', 'controller': 'steering'}
+    words[broken] = f'{tmp_path}/bad.py:{"Falling" if broken == "perception" else "steep"}'
+    (result,) = check_same(
+        [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path, images=images, **words
+    )
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'node_error')
+    assert result.last_seq == (5 if broken == 'perception' else 3)
+
+
+PACKAGE = """
+from functools import partial
+from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.rig.catalogue import find_aircraft
+from taxinet_ros.core.world import SimulatedWorld
+
+LIGHT = partial(SimulatedWorld, aircraft=partial(Aircraft, model=find_aircraft('c172p')))
+
+def shaky(truth):
+    return truth.cte_m + 0.1, truth.he_rad
+
+shaky.needs_image = False
+
+def steer(estimate):
+    return -0.05 * estimate.cte_m, 5.0
+"""
+
+
+def test_given_parts_of_a_package_then_every_byte_is_the_same(tmp_path, monkeypatch):
+    provenance.cache_clear()
+    with monkeypatch.context() as installed:
+        installed.syspath_prepend(str(tmp_path / 'site'))
+        lay_down(
+            tmp_path / 'site', 'parts-of-mine', PACKAGE, worlds='dim = LIGHT',
+            perceptions='shaky = shaky', controllers='bent = steer',
+        )
+        check_same(
+            [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path,
+            perception='shaky', controller='bent', world='dim',
+        )
+    provenance.cache_clear()
+
+
+def test_given_a_sample_that_cannot_be_judged_then_both_engines_say_so_alike(tmp_path):
+    (tmp_path / 'blind.py').write_text('def eyes(frame):\n    return None\n')
+    (result,) = check_same(
+        [request(0, Scenario(duration_s=0.5), specs=('always(abs(cte_estimate) <= 9)',))],
+        tmp_path, perception=f'{tmp_path}/blind.py:eyes',
+    )
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'invalid_run')
+
+
+def test_given_an_interrupt_then_the_run_ends_at_its_next_step_and_its_bag_is_complete(tmp_path):
+    loop = Loop(LoopOptions(
+        perception='truth', controller='steering', out=tmp_path, gains={}, controller_sha256='',
+        timing=AT_ONCE, images='none', world='kmwh', world_sha256='',
+    ))
+
+    def stop(seq: int) -> None:
+        loop.interrupted = seq == 12
+
+    result = loop.run(request(0, Scenario(duration_s=600.0)), stop)
+    assert (result.outcome, result.last_seq) == (Outcome.INTERRUPTED, 12)
+    assert (tmp_path / 'run-0' / 'metadata.yaml').is_file()
