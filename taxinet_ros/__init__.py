@@ -7,11 +7,15 @@ The public Python API; ``docs/python.md`` has examples of each name::
     run = tx.run(tx.Scenario(cross_track_m=4.0), perception='taxinet')
     run.outcome, run.rho['phi_eventually'], run.trace
 
-Importing this package loads nothing else: each name is imported when it is first used (PEP 562).
+Importing this package loads no library, but restricts those loaded later to code that rounds alike
+on every processor (:mod:`taxinet_ros.instructions`). Each name is imported when it is first used
+(PEP 562).
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from taxinet_ros.instructions import pin
 
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
@@ -85,6 +89,9 @@ _MODULES = {
     'taxinet_ros.errors': ('InfraError', 'RecordError', 'UsageError'),
     'taxinet_ros.version': ('__version__',),
 }
+
+
+pin()
 
 
 def __getattr__(name: str) -> Any:

@@ -10,6 +10,8 @@ import psutil
 import pytest
 from hypothesis import settings
 
+import taxinet_ros  # noqa: F401 (before numpy, which it restricts)
+
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 

@@ -160,7 +160,7 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
+            'or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...; or processors',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
@@ -177,10 +177,11 @@ def bench(
     guard: Annotated[
         bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
     ] = False,
-    runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default '
-    '1000)')] = None,
+    runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default 1000); '
+    'processors: of scenes (default 40)')] = None,
     duration: Annotated[
-        float | None, typer.Option(help='soak: simulated length of each run (default 3) [s]')
+        float | None,
+        typer.Option(help='soak, processors: simulated length of each run (default 3) [s]'),
     ] = None,
     minutes: Annotated[
         float | None,
@@ -210,8 +211,18 @@ def bench(
 
     `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
     the results with undisturbed campaigns; exit code 4 if any differs.
+
+    `taxinet bench processors` digests every frame and message of fixed runs with both networks;
+    with --compare, it repeats those of another machine's --json report and exits with 1 if any bit
+    differs.
     """
     words, given = subjects or [], given_options(context)
+    from taxinet_ros.cli.bench.processors import asks_for_processors, run_processors
+
+    if asks_for_processors(words, given):
+        raise typer.Exit(run_processors(
+            scenes=runs, duration_s=duration, old=compare, as_json=as_json,
+        ))
     from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
 
     if asks_for_chaos(words, given):

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import NoReturn
 
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.instructions import lacking
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _END = os._exit  # before user code is loaded: see processes.interrupts
@@ -26,6 +27,9 @@ def main() -> NoReturn:
     def command() -> None:
         from taxinet_ros.cli.main import main
 
+        if lacking():
+            print(f'this processor lacks {lacking()}: results may differ from those of others in '
+                  'the last bits, see docs/determinism.md', file=sys.stderr)
         try:
             main()
         finally:

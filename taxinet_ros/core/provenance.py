@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from taxinet_ros.instructions import PINS, cpuinfo, processor_flags
 from taxinet_ros.registry import plugins
 from taxinet_ros.version import __version__
 
@@ -42,10 +43,11 @@ NAMES = (
 
 _FEATURES = ('avx2', 'fma', 'avx512f', 'avx512_vnni', 'asimd')
 _SWITCHES = (
-    'NPY_DISABLE_CPU_FEATURES', 'OPENBLAS_CORETYPE', 'OPENCV_CPU_DISABLE', 'GLIBC_TUNABLES',
-    'ATEN_CPU_CAPABILITY',
+    'NPY_DISABLE_CPU_FEATURES', 'OPENBLAS_CORETYPE', 'OPENCV_CPU_DISABLE', 'OPENCV_IPP',
+    'GLIBC_TUNABLES', 'ATEN_CPU_CAPABILITY',
 )
-"""Environment variables that stop libraries from using processor features."""
+"""Environment variables that stop libraries from using processor features; our own values of them
+are not recorded."""
 
 _INSTALLED = re.compile(r'(?P<name>.+?)-(?P<version>\d[^-]*)(-py[\d.]+)?\.(dist|egg)-info')
 _GIT_S = 5.0
@@ -66,9 +68,12 @@ def provenance() -> Provenance:
     facts = {
         'processor': processor(),
         'machine': platform.machine(),
-        'processor_features': ' '.join(name for name in _FEATURES if name in _processor_flags()),
+        'processor_features': ' '.join(name for name in _FEATURES if name in processor_flags()),
         **_in_use(),
-        'environment': ' '.join(f'{n}={os.environ[n]}' for n in _SWITCHES if os.environ.get(n)),
+        'environment': ' '.join(
+            f'{name}={value}' for name in _SWITCHES for value in [os.environ.get(name)]
+            if value and value != PINS.get(name)
+        ),
         'libc': ' '.join(platform.libc_ver()).strip(),
         'python': platform.python_version(),
         **library_versions(),
@@ -134,7 +139,7 @@ def known(values: Any) -> dict[str, str]:
 
 def processor() -> str:
     """Processor model, as reported by the kernel."""
-    return _cpuinfo('model name') or platform.machine()
+    return cpuinfo('model name') or platform.machine()
 
 
 def library_versions() -> dict[str, str]:
@@ -172,20 +177,6 @@ def _in_use() -> dict[str, str]:
         'numpy_features': ' '.join([*simd['baseline'], *simd.get('found', ())]),
         'blas': blas[0] if blas else '',
     }
-
-
-@cache
-def _processor_flags() -> frozenset[str]:
-    return frozenset((_cpuinfo('flags') or _cpuinfo('Features')).split())
-
-
-def _cpuinfo(key: str) -> str:
-    try:
-        lines = Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines()
-    except OSError:
-        return ''
-    pairs = (line.partition(':') for line in lines)
-    return next((value.strip() for name, _, value in pairs if name.strip() == key), '')
 
 
 def _commit(root: Path) -> str:

@@ -214,6 +214,35 @@ class Reduction:
         Luma of ITU-R BT.601, averaged over areas; the values equal OpenCV's.
         """
 
+class Convolution:
+    """A layer of a network: a convolution, or a dense layer, whose kernel is its whole input."""
+
+    def __init__(
+        self, weights: _Floats, biases: _Floats, *, stride: int, padding: int, rectified: bool
+    ) -> None:
+        """Store the layer.
+
+        Args:
+            weights: (rows, columns, input channels, output channels).
+            biases: (output channels,).
+            stride: steps of the kernel, along both axes.
+            padding: zeros around the input, on each side.
+            rectified: whether negative outputs become 0; NaN stays.
+        """
+
+class Network:
+    """Convolutions one after the other; equal results on every processor, to the bit.
+
+    An output starts at its bias; the products of single precision are added one by one, by row,
+    column and input channel of the kernel, each sum rounded.
+    """
+
+    def __init__(self, height: int, width: int, layers: Sequence[Convolution]) -> None:
+        """Join the layers; the last has one row and column. ``height``, ``width``: the input's."""
+
+    def infer(self, pictures: _Floats) -> _Floats:
+        """Outputs (N, output channels) for pictures (N, height, width, channels)."""
+
 def outlines(
     corners: _Doubles,
     starts: Sequence[int],

@@ -1,51 +1,20 @@
 """TaxiNet: a small convolutional network that estimates the tracking error from a camera frame.
 
-It runs in onnxruntime on the CPU, deterministically, on one thread and without log output; torch is
-used for training only. On one image, onnxruntime is three times as fast as torch, and its import
-takes a tenth of the time. onnxruntime and onnx are imported lazily, by the functions that use them.
+Inference is compiled code of this package (``core/camera/native/network.cpp``), which rounds
+identically on every processor; torch is used for training only.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.rig.camera_model import LEAST_SIDE_PX, MOST_SIDE_PX
-
-FATAL = 4
-"""Highest log severity level of onnxruntime; errors are raised as exceptions."""
-
-
-def open_session(data: bytes) -> Any:
-    """Open a session; on one machine equal inputs give equal outputs, in any process.
-
-    Args:
-        data: the ONNX model; weights in external files are not loaded.
-
-    Raises:
-        Exception: onnxruntime's exceptions have no other base class.
-    """
-    import onnxruntime
-
-    onnxruntime.disable_telemetry_events()
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = FATAL
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.use_deterministic_compute = True
-    options.add_session_config_entry('session.load_model_format', 'ONNX')
-    # External data files would be searched in the working directory; os.devnull has none.
-    options.add_session_config_entry(
-        'session.model_external_initializers_file_folder_path', os.devnull)
-    return onnxruntime.InferenceSession(
-        data, options, providers=['CPUExecutionProvider'], enable_fallback=0)
-
 
 IMAGE_SHAPE = (200, 360, 3)
 """Height, width and channels of the frames that networks take (RGB, uint8)."""
@@ -88,12 +57,18 @@ class Architecture:
         for i, (channels, kernel) in enumerate(zip(self.channels, self.kernels, strict=True)):
             shapes[f'conv{i}.weight'] = (channels, before[i], kernel, kernel)
             shapes[f'conv{i}.bias'] = (channels,)
-        height, width = (side >> len(self.channels) for side in INPUT_SHAPE)
+        height, width = self.last_size()
         shapes['hidden.weight'] = (self.hidden, self.channels[-1] * height * width)
         shapes['hidden.bias'] = (self.hidden,)
         shapes['output.weight'] = (2, self.hidden)
         shapes['output.bias'] = (2,)
         return shapes
+
+    def last_size(self) -> tuple[int, int]:
+        """Height and width after the last convolution."""
+        height, width = (side >> len(self.channels) for side in INPUT_SHAPE)
+        return height, width
+
 
 ARCHITECTURES = {
     'cnn5-64x192': Architecture(
@@ -162,20 +137,26 @@ def unscaled(outputs: NDArray[np.float32]) -> NDArray[np.float64]:
 class TaxiNet:
     """A network ready for inference.
 
-    It runs on one thread: on one machine the same frame gives bit-identical results in any process
-    and under any load.
+    The same frame gives bit-identical results on every processor, in any process and under any
+    load: compiled code adds the products of each output one by one, in a fixed order.
     """
 
     def __init__(
         self, architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
     ) -> None:
-        """Build the network; ``weights`` have the names and shapes of the architecture."""
-        self._session = open_session(onnx_model(architecture, weights))
+        """Build the network; ``weights`` have the names and shapes of the architecture.
+
+        Raises:
+            ValueError: a weight is missing, unknown or of another shape.
+        """
+        if {name: array.shape for name, array in weights.items()} != architecture.shapes():
+            raise ValueError(f'network: the weights are not those of {architecture}')
+        self._network = pixels.Network(*INPUT_SHAPE, _layers(architecture, weights))
 
     def infer(self, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Estimate cross-track [m] and heading errors [rad], (N, 2), from images (N, 64, 192)."""
-        (outputs,) = self._session.run(None, {'pictures': normalise(pictures)})
-        return unscaled(outputs)
+        inputs = normalise(pictures).reshape(-1, *INPUT_SHAPE, 1)
+        return unscaled(self._network.infer(inputs))
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8."""
@@ -183,48 +164,28 @@ class TaxiNet:
         return float(cte_m), float(he_rad)
 
 
-_OPSET = 17
-_IR_VERSION = 8  # matches the operator set
+def _layers(
+    architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
+) -> list[pixels.Convolution]:
+    """All layers as convolutions; a dense one has a kernel as large as its input."""
+    channels, (height, width) = architecture.channels[-1], architecture.last_size()
+    dense = {
+        'hidden': weights['hidden.weight'].reshape(-1, channels, height, width),
+        'output': weights['output.weight'][:, :, np.newaxis, np.newaxis],
+    }
 
+    def layer(
+        name: str, kernels: NDArray[np.float32], stride: int, padding: int, rectified: bool = True
+    ) -> pixels.Convolution:
+        return pixels.Convolution(
+            np.ascontiguousarray(kernels.transpose(2, 3, 1, 0), np.float32),
+            weights[f'{name}.bias'].astype(np.float32),
+            stride=stride, padding=padding, rectified=rectified,
+        )
 
-def onnx_model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]) -> bytes:
-    """Build the ONNX model: ``pictures`` (N, 1, 64, 192) to ``answers`` (N, 2), float32.
-
-    Args:
-        architecture: the layers.
-        weights: arrays with the names and shapes of the architecture.
-
-    Raises:
-        ValueError: a weight is missing, unknown or of another shape.
-    """
-    from onnx import TensorProto, helper, numpy_helper
-
-    shapes = architecture.shapes()
-    if {name: array.shape for name, array in weights.items()} != shapes:
-        raise ValueError(f'network: the weights are not those of {architecture}')
-    nodes, last = [], 'pictures'
-    for i, kernel in enumerate(architecture.kernels):
-        nodes.append(helper.make_node(
-            'Conv', [last, f'conv{i}.weight', f'conv{i}.bias'], [f'conv{i}'],
-            strides=[2, 2], pads=[kernel // 2] * 4,
-        ))
-        last = f'relu{i}'
-        nodes.append(helper.make_node('Relu', [f'conv{i}'], [last]))
-    nodes += [
-        helper.make_node('Flatten', [last], ['features']),
-        helper.make_node(
-            'Gemm', ['features', 'hidden.weight', 'hidden.bias'], ['hidden'], transB=1
-        ),
-        helper.make_node('Relu', ['hidden'], ['units']),
-        helper.make_node('Gemm', ['units', 'output.weight', 'output.bias'], ['answers'], transB=1),
+    return [
+        *(layer(f'conv{i}', weights[f'conv{i}.weight'], 2, kernel // 2)
+          for i, kernel in enumerate(architecture.kernels)),
+        layer('hidden', dense['hidden'], 1, 0),
+        layer('output', dense['output'], 1, 0, rectified=False),
     ]
-    graph = helper.make_graph(
-        nodes, 'taxinet',
-        [helper.make_tensor_value_info('pictures', TensorProto.FLOAT, ['N', 1, *INPUT_SHAPE])],
-        [helper.make_tensor_value_info('answers', TensorProto.FLOAT, ['N', 2])],
-        [numpy_helper.from_array(weights[name], name) for name in shapes],
-    )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid('', _OPSET)], ir_version=_IR_VERSION
-    )
-    return bytes(model.SerializeToString())

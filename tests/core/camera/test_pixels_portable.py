@@ -16,6 +16,7 @@ from picture_samples import at
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.perception.network import shrink
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
 
 NATIVE = Path(pixels.__file__).parent / 'native'
@@ -35,8 +36,9 @@ print(digest())
 
 
 def digest() -> str:
-    """Of pictures in all weathers, and of what the network gets of them."""
+    """Of pictures in all weathers, what the network gets of them, and its answers."""
     found = hashlib.sha256()
+    network = make_perception('taxinet')
     for number, clouds in enumerate(('clear', 'cirrus', 'scattered', 'broken', 'stratus')):
         rain = 0.6 if clouds == 'stratus' else 0.0
         camera = Camera(Scenario(
@@ -45,6 +47,7 @@ def digest() -> str:
         for x, y, heading, pitch in ((333.3, 2.0, 9.0, 0.1), (1400.0, -5.0, -20.0, -4.0)):
             picture = camera.render(at(x, y, heading, pitch), number)
             found.update(picture.tobytes() + shrink(picture).tobytes())
+            found.update(repr(network.estimate(picture, None)).encode())
     return found.hexdigest()
 
 

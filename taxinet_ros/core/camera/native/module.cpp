@@ -6,6 +6,7 @@
 #include "air.hpp"
 #include "ground.hpp"
 #include "light.hpp"
+#include "network.hpp"
 #include "outline.hpp"
 #include "reduction.hpp"
 #include "skyline.hpp"
@@ -120,6 +121,14 @@ PYBIND11_MODULE(pixels, module) {
     py::class_<Reduction>(module, "Reduction")
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
+    py::class_<Convolution>(module, "Convolution")
+        .def(py::init<const Floats &, const Floats &, int, int, bool>(),
+             py::arg("weights").noconvert(), py::arg("biases").noconvert(), py::kw_only(),
+             py::arg("stride"), py::arg("padding"), py::arg("rectified"));
+    py::class_<Network>(module, "Network")
+        .def(py::init<int, int, std::vector<Convolution>>(), py::arg("height"), py::arg("width"),
+             py::arg("layers"))
+        .def("infer", &Network::infer, py::arg("pictures").noconvert());
     module.def("outlines", &outlines);
     // noconvert: output arrays must not be converted copies, and large inputs must not be copied.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));

@@ -5,6 +5,7 @@
 #include "ground.cpp"
 #include "light.cpp"
 #include "module.cpp"
+#include "network.cpp"
 #include "outline.cpp"
 #include "product.cpp"
 #include "reduction.cpp"

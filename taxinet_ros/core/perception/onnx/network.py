@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.perception.network import IMAGE_SHAPE, open_session, usual_frame
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, usual_frame
 from taxinet_ros.core.perception.onnx.sidecar import (
     MAX_SIDECAR_BYTES,
     Brightest,
@@ -40,6 +41,8 @@ _RESIZES = {
     'nearest': cv2.INTER_NEAREST,
 }
 
+_FATAL = 4
+"""Highest log severity level of onnxruntime; errors are raised as exceptions."""
 
 def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
     """Convert a camera frame, (height, width, 3) uint8 RGB, to the network's input.
@@ -292,11 +295,37 @@ class _Model:
     outputs: tuple[_Tensor, ...]
 
 
+def _open_session(data: bytes) -> Any:
+    """Open a session; on one machine equal inputs give equal outputs, in any process.
+
+    On another processor the last bits may differ: onnxruntime chooses kernels by its features.
+
+    Args:
+        data: the ONNX model; weights in external files are not loaded.
+
+    Raises:
+        Exception: onnxruntime's exceptions have no other base class.
+    """
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _FATAL
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.add_session_config_entry('session.load_model_format', 'ONNX')
+    # External data files would be searched in the working directory; os.devnull has none.
+    options.add_session_config_entry(
+        'session.model_external_initializers_file_folder_path', os.devnull)
+    return onnxruntime.InferenceSession(
+        data, options, providers=['CPUExecutionProvider'], enable_fallback=0)
+
+
 def _open(path: Path, data: bytes) -> _Model:
     import onnxruntime
 
     try:
-        session = open_session(data)
+        session = _open_session(data)
         return _Model(
             session=session,
             inputs=_Tensor.all_of(session.get_inputs()),

@@ -1,0 +1,66 @@
+"""One class of processors: libraries use AVX2 and FMA (x86-64-v3), and nothing newer.
+
+numpy, its BLAS, OpenCV and IPP select code by processor when they are loaded, and such code rounds
+differently. Environment variables keep them to the code for x86-64-v3, so that every such processor
+computes the same bits. The C library has no newer variants of the functions used here, and this
+package's compiled code rounds identically on every processor.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from pathlib import Path
+
+_NEEDED = frozenset({'avx2', 'fma'})
+_NEWER = frozenset({'avx512f', 'avx512cd', 'avx512bw', 'avx512dq', 'avx512vl'})
+PINS = {
+    'NPY_DISABLE_CPU_FEATURES': 'X86_V4 AVX512_ICL AVX512_SPR',
+    'OPENBLAS_CORETYPE': 'Haswell',
+    'OPENCV_IPP': 'avx2',
+    'OPENCV_CPU_DISABLE': 'AVX512-SKX',
+}
+"""Environment variables that restrict libraries to x86-64-v3; values set by users have priority."""
+
+
+def pin() -> None:
+    """Restrict the libraries that are loaded later, in this process and its children.
+
+    A processor without AVX2 and FMA is left alone: libraries would fail there.
+    """
+    if lacking():
+        return
+    for name, value in PINS.items():
+        # OpenCV prints a line about a feature to disable that the processor lacks.
+        if name != 'OPENCV_CPU_DISABLE' or processor_flags() >= _NEWER:
+            os.environ.setdefault(name, value)
+
+
+def lacking() -> str:
+    """Features that this processor lacks for results equal to those of others; '' if none."""
+    if machine() != 'x86_64':
+        return f'x86-64 (this is {machine()})'
+    return ' and '.join(sorted(name.upper() for name in _NEEDED - processor_flags()))
+
+
+def machine() -> str:
+    """Architecture of this machine."""
+    return os.uname().machine
+
+
+@cache
+def processor_flags() -> frozenset[str]:
+    """Instruction sets of this processor, in the words of Linux."""
+    return frozenset((cpuinfo('flags') or cpuinfo('Features')).split())
+
+
+def cpuinfo(key: str) -> str:
+    """A fact of the first processor, as reported by the kernel; '' if unknown."""
+    try:
+        with Path('/proc/cpuinfo').open(encoding='utf-8') as lines:
+            for name, _, value in (line.partition(':') for line in lines):
+                if name.strip() == key:
+                    return value.strip()
+    except OSError:
+        pass
+    return ''

@@ -1,0 +1,69 @@
+"""Libraries use the same instructions on every processor of the class x86-64-v3."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from taxinet_ros import instructions
+
+TELL = """
+import taxinet_ros
+import numpy, cv2, threadpoolctl
+found = numpy.show_config(mode='dicts')['SIMD Extensions'].get('found', [])
+blas = [pool['architecture'] for pool in threadpoolctl.threadpool_info() if 'numpy' in
+        pool['filepath']]
+print(found, blas, '*AVX512-SKX ' in cv2.getCPUFeaturesLine() + ' ', cv2.ipp.getIppVersion()[:10])
+"""
+here = pytest.mark.skipif(bool(instructions.lacking()), reason='processor without AVX2 and FMA')
+
+
+def tell(**environment: str) -> subprocess.CompletedProcess[str]:
+    kept = {name: value for name, value in os.environ.items() if name not in instructions.PINS}
+    return subprocess.run(
+        [sys.executable, '-W', 'error', '-c', TELL], env={**kept, **environment},
+        capture_output=True, text=True, check=True,
+    )
+
+
+@here
+def test_given_the_package_then_libraries_loaded_after_it_use_avx2_and_nothing_newer() -> None:
+    done = tell()
+    assert done.stdout.strip() == "['X86_V3'] ['Haswell'] False ippIP AVX2"
+    assert not done.stderr
+
+
+@here
+def test_given_a_users_own_restriction_then_it_is_kept() -> None:
+    assert 'X86_V3' not in tell(NPY_DISABLE_CPU_FEATURES='X86_V3').stdout
+
+
+def test_given_a_processor_without_avx2_then_nothing_is_asked_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(instructions, 'processor_flags', lambda: frozenset({'fma', 'sse4_2'}))
+    monkeypatch.setattr(instructions, 'machine', lambda: 'x86_64')
+    monkeypatch.setattr(os, 'environ', {})
+    instructions.pin()
+    assert instructions.lacking() == 'AVX2'
+    assert os.environ == {}
+
+
+def test_given_a_processor_without_avx512_then_opencv_is_not_told_to_leave_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(instructions, 'processor_flags', lambda: frozenset({'fma', 'avx2'}))
+    monkeypatch.setattr(instructions, 'machine', lambda: 'x86_64')
+    monkeypatch.setattr(os, 'environ', {'OPENBLAS_CORETYPE': 'Zen'})
+    instructions.pin()
+    assert instructions.lacking() == ''
+    assert set(os.environ) == set(instructions.PINS) - {'OPENCV_CPU_DISABLE'}
+    assert os.environ['OPENBLAS_CORETYPE'] == 'Zen'
+
+
+def test_given_another_architecture_then_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(instructions, 'machine', lambda: 'aarch64')
+    assert instructions.lacking() == 'x86-64 (this is aarch64)'
