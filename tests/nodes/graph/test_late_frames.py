@@ -89,7 +89,7 @@ def test_given_frames_that_cannot_be_had_then_the_run_has_no_verdict(tmp_path, m
     def unlike(path, seq, before, now):
         raise RuntimeError('elsewhere')
 
-    monkeypatch.setattr('taxinet_ros.bag.run.resimulation._compare', unlike)
+    monkeypatch.setattr('taxinet_ros.bag.run.resimulation.check_state', unlike)
     results = run_graph(tmp_path, 'failures', requests())
     assert [result.outcome for result in results] == [Outcome.INFRA_ERROR, Outcome.PASS]
     assert (results[0].who, 'elsewhere' in results[0].detail) == ('recorder', True)
