@@ -18,6 +18,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import (
+    DATAREFS,
     DURATION,
     FAULT_FIELDS,
     FAULT_SEED,
@@ -51,11 +52,11 @@ FAILING = {
 }
 
 
-def test_given_the_rows_then_each_is_a_feature_but_length_seeds_and_traffic():
+def test_given_the_rows_then_each_is_a_feature_but_length_seeds_traffic_and_datarefs():
     sources = {feature.source for feature in ALL_FEATURES}
     assert sources == {
         field.key for field in SCENARIO_FIELDS
-        if field not in (DURATION, GUST_SEED, FAULT_SEED, TRAFFIC)
+        if field not in (DURATION, GUST_SEED, FAULT_SEED, TRAFFIC, DATAREFS)
     }
 
 

@@ -35,7 +35,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
-BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
+BEFORE = ROOT / 'bags' / 'golden' / 'truth-nominal'
 NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS, TRAFFIC, CAMERA, DATAREFS)
 RENAMED = {
     field.attribute: field.short for field in SCENARIO_FIELDS
@@ -127,7 +127,7 @@ def test_given_a_message_of_before_there_was_wind_then_its_bytes_of_now_say_the_
         converted = present_bytes(topic, message.topic.definition)
         said = decode(message.topic, converted(before.cdr))
         assert scenario_of(said) == scenario_of(decode(before.topic, before.cdr))
-        assert said.run_id == 'taxinet-midday'
+        assert said.run_id == 'truth-nominal'
         assert said.participants == decode(before.topic, before.cdr).participants
 
 

@@ -106,7 +106,7 @@ def test_given_all_that_a_run_tells_when_asked_then_the_file_was_read_once() -> 
         essence(recording)
         assert (len(recording.trace), len(recording.samples.stamps_ns)) == (121, 121)
         assert recording.info.complete
-        assert recording.made_on == {}
+        assert recording.made_on['numpy']
         assert recording.plain
         assert len(opened) == 1
 

@@ -36,10 +36,13 @@ DOES_NOTHING = {
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
     'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
+    'flightgear': ['nothing'], 'fork': ['nowhere', '--at', '1'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
-    'monitor': ['nowhere'], 'node': ['nothing'], 'place': ['show', 'nowhere'],
+    'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'], 'node': ['nothing'],
+    'place': ['show', 'nowhere'],
     'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
+    'xplane': ['nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')
 WRONG = re.compile('Traceback|a defect of taxinet|\x1b')
