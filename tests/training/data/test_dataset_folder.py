@@ -93,10 +93,10 @@ def test_given_varied_looks_when_resumed_then_seed_and_number_go_into_every_phot
     asked: list[tuple[int, Scenario, bool, int]] = []
 
     def spy(
-        scene: Scenario, *, varied: bool, seed: int, index: int
+        scene: Scenario, *, varied: bool, seed: int, index: int, camera: str
     ) -> tuple[NDArray[np.uint8], TrackingError]:
         asked.append((index, scene, varied, seed))
-        return photograph(scene)
+        return photograph(scene, camera=camera)
 
     monkeypatch.setattr(rendering, 'photograph', spy)
     asked_for = options(tmp_path / 'set', count=3, seed=9, varied=True)
