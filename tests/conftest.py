@@ -27,9 +27,10 @@ settings.register_profile('search', deadline=None)
 settings.load_profile('same')
 
 
-# All that is collected stays: six thousand tests, and what they import. To look for garbage in it
-# takes a fifth of the time, and as much again each time later.
-gc.disable()
+# All that a worker collects stays: six thousand tests, and what they import. To look for garbage in
+# it takes a fifth of the time, and as much again each time later.
+if 'PYTEST_XDIST_WORKER' in os.environ:
+    gc.disable()
 
 
 def pytest_collection_finish() -> None:
