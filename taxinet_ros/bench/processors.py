@@ -21,13 +21,13 @@ from taxinet_ros.api.run import run
 from taxinet_ros.arguments import is_number
 from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bench.measure import machine_facts
+from taxinet_ros.bench.report import read_report
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import load_json
 
 NETWORKS = ('taxinet', 'original')
 SCENES, DURATION_S = 40, 3.0
@@ -153,16 +153,7 @@ def load_digests(path: Path) -> dict[str, Any]:
     Raises:
         UsageError: there is no such file, or it is no such report.
     """
-    try:
-        report = load_json(path.read_bytes())
-    except OSError as error:
-        raise UsageError(f'bench: cannot read {path}: {error.strerror}') from error
-    except ValueError:
-        report = None
-    if not _is_report(report):
-        raise UsageError(
-            f'bench: {path} is no report; taxinet bench processors --json > {path} makes one')
-    return dict(report)
+    return read_report(path, _is_report, 'taxinet bench processors')
 
 
 def _is_report(report: Any) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,30 @@ def load_report(path: Path) -> Report:
     Raises:
         UsageError: there is no such file, or it is not a report.
     """
+    return read_report(path, _is_report, 'taxinet bench')
+
+
+def read_report(
+    path: Path, is_report: Callable[[object], bool], command: str
+) -> dict[str, Any]:
+    """Read a JSON file of a command's ``--json``.
+
+    Args:
+        path: the file.
+        is_report: whether its content is a report of this kind.
+        command: that writes such reports, for the error.
+
+    Raises:
+        UsageError: there is no such file, or it is not a report.
+    """
     try:
         report = load_json(path.read_bytes())
     except OSError as error:
         raise UsageError(f'bench: cannot read {path}: {error.strerror}') from error
     except ValueError:
         report = None
-    if not _is_report(report):
-        raise UsageError(f'bench: {path} is no report; taxinet bench --json > {path} makes one')
+    if not is_report(report):
+        raise UsageError(f'bench: {path} is no report; {command} --json > {path} makes one')
     return dict(report)
 
 

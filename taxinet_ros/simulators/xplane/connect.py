@@ -19,8 +19,7 @@ from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind
-from taxinet_ros.simulators.xplane.native import address
-from taxinet_ros.simulators.xplane.wire import Value, failed
+from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed
 
 PORT = 49009
 _HEAD = 5
@@ -52,29 +51,14 @@ class Position:
     heading_deg: float
 
 
-class XPlaneConnect:
+class XPlaneConnect(UdpClient):
     """Client of the plug-in in one simulator."""
-
-    version = ''
 
     def __init__(
         self, host: str, port: int = PORT, *, timeout_s: float = 1.0, tries: int = 3
     ) -> None:
-        """Look up the host; nothing is sent yet.
-
-        Args:
-            host: name or address of the simulator.
-            port: of the plug-in.
-            timeout_s: wait for each answer [s].
-            tries: how often a question is sent.
-
-        Raises:
-            UsageError: unknown host.
-        """
-        self.words = f'XPlaneConnect at {host}:{port}'
-        self._address = address(host, port)
-        self._timeout_s, self._tries = timeout_s, tries
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        """Arguments and errors are those of :class:`.UdpClient`."""
+        super().__init__('XPlaneConnect', host, port, timeout_s=timeout_s, tries=tries)
 
     def read(self, *names: str) -> list[Value]:
         """Read datarefs as 32-bit floats (GETD)."""
@@ -157,16 +141,6 @@ class XPlaneConnect:
         self._send(struct.pack(
             '<4sxffffbfB', b'CTRL', _KEEP, _KEEP, rudder, throttle, int(_KEEP_GEAR), _KEEP, 0
         ))
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-    def _send(self, packet: bytes) -> None:
-        try:
-            self._socket.sendto(packet, self._address)
-        except OSError as error:
-            raise failed(InfraKind.DIED, f'{self.words}: {error.strerror or error}') from error
 
     def _ask(self, question: bytes, parse: Callable[[bytes], _T]) -> _T:
         for _ in range(self._tries):

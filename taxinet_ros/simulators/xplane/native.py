@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.wire import Value, failed
+from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed
 
 PORT = 49000
 BEACON_GROUP, BEACON_PORT = '239.255.1.1', 49707
@@ -117,29 +117,14 @@ def find_simulator(
     )
 
 
-class NativeUdp:
+class NativeUdp(UdpClient):
     """Client of one simulator's UDP interface."""
-
-    version = ''
 
     def __init__(
         self, host: str, port: int = PORT, *, timeout_s: float = 1.0, tries: int = 3
     ) -> None:
-        """Open a socket; nothing is sent yet.
-
-        Args:
-            host: name or address of the simulator.
-            port: of its interface.
-            timeout_s: wait for each answer [s].
-            tries: how often a request is sent.
-
-        Raises:
-            UsageError: unknown host.
-        """
-        self.words = f'UDP at {host}:{port}'
-        self._address = address(host, port)
-        self._timeout_s, self._tries = timeout_s, tries
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        """Arguments and errors are those of :class:`.UdpClient`."""
+        super().__init__('UDP', host, port, timeout_s=timeout_s, tries=tries)
         self._numbers = itertools.count(1)
 
     def read(self, *names: str) -> list[Value]:
@@ -208,16 +193,6 @@ class NativeUdp:
         """Nothing: the interface does not tell."""
         return ''
 
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-    def _send(self, packet: bytes) -> None:
-        try:
-            self._socket.sendto(packet, self._address)
-        except OSError as error:
-            raise failed(InfraKind.DIED, f'{self.words}: {error.strerror or error}') from error
-
 
 def parse_values(packet: bytes) -> list[tuple[int, float]]:
     """Read an RREF packet: numbers of requests and their values.
@@ -239,13 +214,3 @@ def parse_values(packet: bytes) -> list[tuple[int, float]]:
     return pairs
 
 
-def address(host: str, port: int) -> tuple[str, int]:
-    """IPv4 address of a host.
-
-    Raises:
-        UsageError: unknown host.
-    """
-    try:
-        return socket.gethostbyname(host), port
-    except (OSError, UnicodeError) as error:
-        raise UsageError(f'x-plane: host {host!r:.80} is unknown') from error

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 from typing import Protocol
 
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 WHO = 'x-plane'
 """Who failed, in errors and records."""
 
 Value = float | tuple[float, ...] | str
 """Value of a dataref: a number, an array of numbers, or the text of bytes."""
+
 
 def failed(kind: InfraKind, detail: str) -> InfraError:
     """Create the error of a simulator that did not do its part."""
@@ -59,3 +61,47 @@ class Link(Protocol):
     def close(self) -> None:
         """Release sockets."""
         ...
+
+
+class UdpClient:
+    """Client of one simulator by UDP.
+
+    Attributes:
+        words: what it is and where, for messages.
+        version: of X-Plane, which UDP does not tell: ''.
+    """
+
+    version = ''
+
+    def __init__(
+        self, name: str, host: str, port: int, *, timeout_s: float, tries: int
+    ) -> None:
+        """Look up the host and open a socket; nothing is sent yet.
+
+        Args:
+            name: of the interface, for messages.
+            host: name or address of the simulator.
+            port: of the interface.
+            timeout_s: wait for each answer [s].
+            tries: how often a question is sent.
+
+        Raises:
+            UsageError: unknown host.
+        """
+        self.words = f'{name} at {host}:{port}'
+        try:
+            self._address = socket.gethostbyname(host), port
+        except (OSError, UnicodeError) as error:
+            raise UsageError(f'x-plane: host {host!r:.80} is unknown') from error
+        self._timeout_s, self._tries = timeout_s, tries
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._socket.sendto(packet, self._address)
+        except OSError as error:
+            raise failed(InfraKind.DIED, f'{self.words}: {error.strerror or error}') from error
