@@ -17,7 +17,7 @@ import datetime
 import importlib.util
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -32,6 +32,7 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import painted_line
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import UsageError
 
@@ -109,12 +110,12 @@ def check_shown(scenario: Scenario) -> None:
     Raises:
         UsageError: a key with another effect on the picture, or a lens that is not a pinhole.
     """
-    usual = Scenario()
-    for field in fields(Scenario):
-        value = getattr(scenario, field.name)
-        if field.name not in SHOWS and value != getattr(usual, field.name):
+    told, usual = scenario.to_human(), Scenario().to_human()
+    for field in SCENARIO_FIELDS:
+        value = told[field.key]
+        if field.attribute not in SHOWS and value != usual[field.key]:
             raise UsageError(
-                f'mitsuba: {field.name} is {value!r:.60}, which its scene does not show; leave it '
+                f'mitsuba: {field.key} is {value!s:.60}, which its scene does not show; leave it '
                 'out'
             )
     camera = scenario.camera_model

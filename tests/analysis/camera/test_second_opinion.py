@@ -208,10 +208,10 @@ def test_given_a_scene_when_rendered_three_times_then_all_are_equal_to_the_bit(m
 
 REFUSED = {
     'lens': ({'camera': 'nose'}, 'camera nose: its lens distorts'),
-    'sky': ({'clouds': 'broken'}, "clouds is 'broken'"),
-    'rain': ({'clouds': 'overcast', 'rain_percent': 20}, "clouds is 'overcast'"),
+    'sky': ({'clouds': 'broken'}, 'clouds is broken'),
+    'rain': ({'clouds': 'overcast', 'rain_percent': 20}, 'clouds is overcast'),
     'no effect': ({'speed_mps': 3}, 'speed_mps is 3.0'),
-    'fault': ({'lens_dirt_percent': 20}, 'lens_dirt_fraction is 0.2'),
+    'fault': ({'lens_dirt_percent': 20}, 'lens_dirt_percent is 20.0'),
 }
 
 
