@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
@@ -27,6 +28,8 @@ def s3_server() -> Iterator[str]:
     try:
         host, port = running.get_host_and_port()
         address = f'http://{host}:{port}'
+        # What an earlier server of this process has been given is still there.
+        urllib.request.urlopen(f'{address}/moto-api/reset', data=b'').close()
         with mock.patch.dict(os.environ, {**KEYS, 'AWS_ENDPOINT_URL': address}):
             import s3fs
 
