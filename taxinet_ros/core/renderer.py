@@ -149,24 +149,30 @@ class ChosenRenderer:
             )
 
 
-class RunCamera:
-    """A renderer in one run; its failures are infrastructure errors that name it."""
+class ForeignCode:
+    """Code of others in one run: its failures are infrastructure errors that name it."""
 
-    def __init__(self, renderer: ChosenRenderer, scenario: Scenario) -> None:
-        self._renderer, self._scenario = renderer, scenario
-        self._step = -1
-        # Faults are added here, to the pictures of any renderer.
-        well = scenario.without_faults(*FAULTS)
-        self._camera: Any = self._call(lambda: renderer._make(well))
+    def __init__(
+        self, scenario: Scenario, failure: Callable[[BaseException], object]
+    ) -> None:
+        """Begin ahead of the first step.
 
-    def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
-        """As :meth:`Renderer.render`, checked, with the faults of lens and sensor.
-
-        Raises:
-            InfraError: there is no picture.
+        Args:
+            scenario: of the run, with its faults.
+            failure: error that reports an exception of the code.
         """
-        self._step = stamp_ns // CONTROL_PERIOD_NS
-        image: Any = self._call(lambda: self._camera.render(state, stamp_ns))
+        self._scenario, self._failure = scenario, failure
+        self._step = -1
+
+    def _close(self, made: object) -> None:
+        """Let it give back what it took; the run is over, and keeps its result whatever comes."""
+        close = getattr(made, 'close', None)
+        if close is not None:
+            with contextlib.suppress(InfraError, UsageError):
+                self._call(close)
+
+    def _picture(self, image: Any, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+        """A checked copy of its picture, with the scenario's faults of lens and sensor."""
         shape = self._scenario.camera_model.shape
         if not isinstance(image, np.ndarray):
             raise self._broken(f'the picture is {type(image).__name__}, no array')
@@ -179,13 +185,6 @@ class RunCamera:
             picture = self._lens.apply(picture, to_optical, stamp_ns)
         return picture
 
-    def close(self) -> None:
-        """Let it give back what it took; the run is over, and keeps its result whatever comes."""
-        close = getattr(self._camera, 'close', None)
-        if close is not None:
-            with contextlib.suppress(InfraError, UsageError):
-                self._call(close)
-
     @cached_property
     def _lens(self) -> LensFaults:
         model = self._scenario.camera_model
@@ -195,7 +194,7 @@ class RunCamera:
     def _call(self, work: Callable[[], _T]) -> _T:
         try:
             with contained(
-                lambda error: self._broken(str(self._renderer._failure(error))),
+                lambda error: self._broken(str(self._failure(error))),
                 passing=(InfraError, UsageError),
             ):
                 return work()
@@ -206,6 +205,30 @@ class RunCamera:
 
     def _broken(self, detail: str) -> InfraError:
         return InfraError(InfraKind.SIM, 'simulator', self._step, detail)
+
+
+class RunCamera(ForeignCode):
+    """A renderer in one run."""
+
+    def __init__(self, renderer: ChosenRenderer, scenario: Scenario) -> None:
+        super().__init__(scenario, renderer._failure)
+        # Faults are added here, to the pictures of any renderer.
+        well = scenario.without_faults(*FAULTS)
+        self._camera: Any = self._call(lambda: renderer._make(well))
+
+    def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+        """As :meth:`Renderer.render`, checked, with the faults of lens and sensor.
+
+        Raises:
+            InfraError: there is no picture.
+        """
+        self._step = stamp_ns // CONTROL_PERIOD_NS
+        image = self._call(lambda: self._camera.render(state, stamp_ns))
+        return self._picture(image, state, stamp_ns)
+
+    def close(self) -> None:
+        """Let it give back what it took."""
+        self._close(self._camera)
 
 
 def find_renderer(name: str) -> ChosenRenderer | None:

@@ -21,18 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.arguments import can_be_called
-from taxinet_ros.core.camera.camera import Camera, pose
-from taxinet_ros.core.camera.lens_faults import LensFaults
-from taxinet_ros.core.camera.light import scenario_light
+from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.datarefs import NO_DATAREFS, refuse_datarefs
 from taxinet_ros.core.faults import SteeringFaults, shown_step
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
 from taxinet_ros.core.place.track import OnTrack, Track
-from taxinet_ros.core.renderer import OURS, ChosenRenderer, RunCamera, find_renderer
+from taxinet_ros.core.renderer import OURS, ChosenRenderer, ForeignCode, RunCamera, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.core.user_code import contained
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, origin_words
 
@@ -407,8 +404,8 @@ class _SeenWorld(World):
         close_world(self._world)
 
 
-class _PluginWorld(World):
-    """World of a package; failures of its code are infrastructure errors naming the package.
+class _PluginWorld(ForeignCode, World):
+    """World of a package.
 
     It gets the scenario without faults, which are added to its pictures and commands here.
     """
@@ -416,7 +413,7 @@ class _PluginWorld(World):
     def __init__(
         self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
     ) -> None:
-        self._extension, self._seq = extension, -1
+        super().__init__(scenario, extension.failure)
         if scenario.others.objects and not getattr(make, SHOWS_TRAFFIC, False):
             raise UsageError(
                 f'{extension.words}: the world does not show traffic (no attribute '
@@ -424,9 +421,8 @@ class _PluginWorld(World):
             )
         if not getattr(make, TAKES_DATAREFS, False):
             refuse_datarefs(scenario.datarefs, extension.words)
-        self._frame = scenario.camera_model.shape
         self.last_seq = last_step(scenario)
-        self._scenario, self._pictures = scenario, pictures
+        self._pictures = pictures
         self._shown: NDArray[np.uint8] | None = None
         model = scenario.aircraft_model
         self._steering = SteeringFaults(
@@ -437,34 +433,33 @@ class _PluginWorld(World):
         told = self._call(lambda: self._world.last_seq)
         if told != self.last_seq:
             raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
-        self._seq = 0
+        self._step = 0
 
     def observe(self, *, picture: bool = True) -> Observation:
-        shown = shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS)
+        shown = shown_step(self._scenario, self._step, CONTROL_PERIOD_NS)
         # A picture that a frozen camera will repeat is needed even if not requested now.
-        repeats = shown_step(self._scenario, self._seq + 1, CONTROL_PERIOD_NS) == self._seq
-        wanted = (picture or (repeats and self._pictures)) and shown == self._seq
+        repeats = shown_step(self._scenario, self._step + 1, CONTROL_PERIOD_NS) == self._step
+        wanted = (picture or (repeats and self._pictures)) and shown == self._step
         now = self._call(lambda: self._world.observe(picture=wanted))
         if not isinstance(now, Observation):
             raise self._broken(f'observed {type(now).__name__}, expected an Observation')
-        if now.seq != self._seq:
-            raise self._broken(f'observed step {now.seq!r}, expected {self._seq}')
-        stamp_ns = self._seq * CONTROL_PERIOD_NS
+        if now.seq != self._step:
+            raise self._broken(f'observed step {now.seq!r}, expected {self._step}')
+        stamp_ns = self._step * CONTROL_PERIOD_NS
         if now.stamp_ns != stamp_ns:
             raise self._broken(f'observed stamp {now.stamp_ns!r} ns, expected {stamp_ns}')
         if not isinstance(now.state, AircraftState):
             raise self._broken(f'the state is {type(now.state).__name__}, expected AircraftState')
-        if shown == self._seq:
-            self._shown = self._picture(now.image)
-            if self._shown is not None and self._lens.any:
-                _, to_optical, _ = pose(now.state, self._scenario.camera_model)
-                self._shown = self._lens.apply(self._shown, to_optical, stamp_ns)
+        if shown == self._step:
+            self._shown = None if now.image is None else self._picture(
+                now.image, now.state, stamp_ns
+            )
         seen = Observation(
-            seq=self._seq, stamp_ns=stamp_ns, state=now.state,
+            seq=self._step, stamp_ns=stamp_ns, state=now.state,
             image=self._shown.copy() if picture and self._shown is not None else None,
             track=self._scenario.line,
         )
-        if self._seq == 0 and not self._scenario.line.is_runway:
+        if self._step == 0 and not self._scenario.line.is_runway:
             self._check_start(seen)
         return seen
 
@@ -479,47 +474,11 @@ class _PluginWorld(World):
                 'has to place the aircraft by scenario.line.pose'
             )
 
-    @cached_property
-    def _lens(self) -> LensFaults:
-        camera = self._scenario.camera_model
-        light = scenario_light(self._scenario)
-        return LensFaults(self._scenario, light, camera.intrinsics, camera.shape[:2])
-
-    def _picture(self, image: Any) -> NDArray[np.uint8] | None:
-        frame = self._frame
-        if image is None:
-            return None
-        if not isinstance(image, np.ndarray):
-            raise self._broken(f'the picture is {type(image).__name__}, no array')
-        if image.shape != frame or image.dtype != np.uint8:
-            # A network would produce an estimate from any array.
-            got = f'{image.shape} {image.dtype}'
-            raise self._broken(f'the picture is {got}, not {frame} uint8')
-        return np.array(image, order='C')  # the package may reuse its buffer
-
     def advance(self, command: TaxiCommand) -> None:
-        obeyed = self._steering.apply(command, self._seq * CONTROL_PERIOD_NS)
+        obeyed = self._steering.apply(command, self._step * CONTROL_PERIOD_NS)
         self._call(lambda: self._world.advance(obeyed))
-        self._seq += 1
+        self._step += 1
 
     def close(self) -> None:
-        """Let it give back what it took; the run is over, and keeps its result whatever comes."""
-        close = getattr(self._world, 'close', None)
-        if close is not None:
-            with contextlib.suppress(InfraError, UsageError):
-                self._call(close)
-
-    def _call(self, work: Callable[[], _T]) -> _T:
-        try:
-            with contained(
-                lambda error: self._broken(str(self._extension.failure(error))),
-                passing=(InfraError, UsageError),
-            ):
-                return work()
-        except InfraError as error:
-            if error.step >= 0 or self._seq < 0:
-                raise
-            raise InfraError(error.kind, error.who, self._seq, error.detail) from error
-
-    def _broken(self, detail: str) -> InfraError:
-        return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)
+        """Let it give back what it took."""
+        self._close(self._world)
