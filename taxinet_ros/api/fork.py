@@ -218,17 +218,18 @@ def fork_past(
     return drive(
         before, *replayed, judging=recorded.request.judging, timing=recorded.timing,
         world=world, draws=(recorded.request.seed, recorded.request.index), fork_of=how,
-        on_step=_Check(past, how), nodes=node_words(eyes, hands, world, recorded.timing),
+        on_step=_Check(past, how, pictures=eyes.needs_image),
+        nodes=node_words(eyes, hands, world, recorded.timing),
     )
 
 
 class _Check:
     """Compares steps before a fork with the recorded ones."""
 
-    def __init__(self, past: Past, fork: Fork) -> None:
+    def __init__(self, past: Past, fork: Fork, *, pictures: bool) -> None:
         self._past, self._fork = past, fork
         self._frames: Iterator[CameraFrame] = past.recording.frames(
-            lambda seq: seq < fork.step, render=False
+            lambda seq: pictures and seq < fork.step, render=False
         )
         self._frame = next(self._frames, None)
 
@@ -417,8 +418,8 @@ def find_rescue(
     later = tuple(
         step * CONTROL_PERIOD_NS / NS_PER_S for step in tried if step > lost and saves(step)
     ) if lost <= last or saved < 0 else ()
+    first_lost = lost if saved >= 0 else 0
     return Rescue(
         saved=forks.get(saved), later_s=later, tried=len(forks),
-        lost_s=max(lost if saved >= 0 else 0, 0) * CONTROL_PERIOD_NS / NS_PER_S
-        if saved < last else None,
+        lost_s=None if saved == last else first_lost * CONTROL_PERIOD_NS / NS_PER_S,
     )

@@ -63,7 +63,7 @@ class Fork:
 
     Attributes:
         run_id: name of the run that was forked.
-        sha256: SHA-256 of its bag; '' for a run in memory.
+        sha256: SHA-256 of its bag.
         step: first control step of the changed world.
         scenario: the scene from there on; its start values are those of the run.
         placed: where the aircraft is placed anew at the step; None: it rolls on.

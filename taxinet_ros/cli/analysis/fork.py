@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from rich.console import Console
 
@@ -23,7 +22,7 @@ from taxinet_ros.analysis.one_run.fork_picture import (
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
 from taxinet_ros.api.run import Run
-from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
@@ -302,21 +301,19 @@ def _written(
     headline = next(iter(done.rho))
     facts = past.recording.facts
     recorded = facts.judged.get(headline) if facts is not None else None
-    columns, trace = past.recording.columns, done.trace
-    steps = shown_steps(fork.step, max(len(trace), len(columns['t_ns'])) - 1)
-    frames = {frame.seq: frame.image for frame in past.recording.frames(steps.__contains__)}
-    before = Shown(
-        words=f'before: {_outcome_words(facts.outcome if facts else "")}', columns=columns,
-        frames=frames,
-    )
-    after = Shown(
-        words=f'after: {_outcome_words(str(done.outcome))}',
-        columns={name: np.asarray(trace[name]) for name in trace.columns},
-        frames={seq: done.frame(seq) for seq in steps if seq < len(trace)},
-    )
+    outcomes = facts.outcome if facts else '', str(done.outcome)
+    runs = past.recording, open_recording(bag)
+    steps = shown_steps(fork.step, max(len(run.columns['t_ns']) for run in runs) - 1)
+    shown = [
+        Shown(
+            words=f'{when}: {_outcome_words(outcome)}', columns=run.columns,
+            frames={frame.seq: frame.image for frame in run.frames(steps.__contains__)},
+        )
+        for when, outcome, run in zip(('before', 'after'), outcomes, runs, strict=True)
+    ]
     picture = write_png(
         fork_picture(
-            before, after, at_s=fork.at_s, headline=headline,
+            *shown, at_s=fork.at_s, headline=headline,
             half_width_m=done.scenario.line.half_width_m,
             title=f'{fork.run_id}, forked at {fork.at_s:g} s: {words}',
         ), out, LIGHT,
@@ -324,10 +321,10 @@ def _written(
     return {
         'run_id': fork.run_id, 'at_s': fork.at_s, 'steps_repeated': fork.step, 'change': words,
         'before': {
-            'outcome': facts.outcome if facts else '',
+            'outcome': outcomes[0],
             'rho': None if recorded is None else _ends(recorded.interval),
         },
-        'after': {'outcome': str(done.outcome), 'rho': _ends(done.rho[headline])},
+        'after': {'outcome': outcomes[1], 'rho': _ends(done.rho[headline])},
         'headline': headline, 'bag': str(bag), 'picture': str(picture),
     }
 
