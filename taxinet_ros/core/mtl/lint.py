@@ -16,7 +16,8 @@ from taxinet_ros.core.mtl.assumptions import ANYTHING, Range, enclose, margin_ra
 from taxinet_ros.core.mtl.offline import robustness_range
 from taxinet_ros.core.mtl.sliding import INF
 from taxinet_ros.core.mtl.specs import Spec
-from taxinet_ros.core.mtl.units import (
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.units import (
     ANGLE,
     PURE,
     Dimension,
@@ -28,7 +29,6 @@ from taxinet_ros.core.mtl.units import (
     si_unit,
     value_words,
 )
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 Units = Mapping[str, str]

@@ -13,7 +13,7 @@ from mtl_strategies import Trace, formulas, fuzz, traces
 from taxinet_ros.core.mtl import Spec, ast, parse_formula, robustness
 from taxinet_ros.core.mtl.lint import Setting, warnings
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.mtl.units import UNITS
+from taxinet_ros.core.units import UNITS
 from taxinet_ros.errors import UsageError
 
 NEAR = {'near': 'abs(cte) <= 1.5'}
