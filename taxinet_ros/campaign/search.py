@@ -42,6 +42,7 @@ from taxinet_ros.campaign.search_options import (
 from taxinet_ros.campaign.summary import (
     ON_STANDING_GRAPH,
     blind_words,
+    next_line,
     off_runway_words,
     participants_words,
     refused_words,
@@ -403,6 +404,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines.append(table_line(rows, campaign))
     if search.options.shard is not None:
         lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
+    else:
+        lines += next_line(rows, campaign)
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from taxinet_ros.bag.errors import BagError
@@ -36,6 +35,7 @@ from taxinet_ros.cli.analysis.commands import (
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
+from taxinet_ros.cli.help import CommandSections, add_examples
 from taxinet_ros.cli.options import asks_for_study, given_options
 from taxinet_ros.cli.run.commands import (
     aircraft_app,
@@ -98,6 +98,7 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
+_COMPLETION, _COMPLETING = '_TAXINET_COMPLETE', {'--install-completion', '--show-completion'}
 _FILES_OF_A_NODE = 12
 """File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: closed by its reader'
@@ -120,7 +121,7 @@ def _past_typer() -> Iterator[None]:
         raise _Interrupted from interrupt
 
 
-class _Commands(TyperGroup):
+class _Commands(CommandSections):
     def make_context(self, *words: Any, **named: Any) -> Any:
         with _past_typer():
             return super().make_context(*words, **named)
@@ -132,7 +133,7 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    add_completion=False,
+    context_settings={'help_option_names': ['-h', '--help']},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
@@ -265,6 +266,9 @@ def node(
         raise typer.Exit(end.code if isinstance(end.code, int) else ExitCode.INFRA) from None
 
 
+add_examples(app)
+
+
 @app.callback(invoke_without_command=True)
 def _main(
     context: typer.Context,
@@ -308,6 +312,11 @@ def _command(output_closed: bool) -> object:
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
     refuse_special_files()
+    if _COMPLETION in os.environ or {*sys.argv[1:2]} & _COMPLETING:
+        try:  # these end the process
+            return app(standalone_mode=False, prog_name='taxinet')
+        except SystemExit as end:
+            return end.code
     return app(standalone_mode=False, prog_name='taxinet')
 
 
@@ -348,7 +357,9 @@ def _exit_code(command: Callable[[], object]) -> int:
         code = command()
     except TyperException as error:
         text = getattr(error, 'format_message', error.__str__)()
-        return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
+        context: Any = getattr(error, 'ctx', None)
+        where = 'taxinet' if context is None else context.command_path
+        return _complain(f'{text.rstrip(".")}; see {where} --help', ExitCode.USAGE)
     except UsageError as error:
         return _complain(str(error), ExitCode.USAGE)
     except (_Interrupted, KeyboardInterrupt, typer.Abort) as end:

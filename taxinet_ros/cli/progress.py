@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import json
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -25,6 +28,7 @@ from taxinet_ros.errors import ExitCode, RecordError
 from taxinet_ros.files.atomic import disk_words
 
 _PAGE_WIDTH = 100
+_HEARTBEAT_S = 10.0
 
 
 @contextlib.contextmanager
@@ -80,11 +84,17 @@ def run_with_progress(
 
 @contextlib.contextmanager
 def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Return a callback of stage, done and total; each stage gets a bar when it starts."""
+    """Return a callback of stage, done and total; each stage gets a bar when it starts.
+
+    Without a terminal, a line on standard error says every ten seconds how far it is.
+    """
+    if not console.is_terminal:
+        yield _Heartbeat()
+        return
     bars: dict[str, TaskID] = {}
     with Progress(
         TextColumn('{task.description:<9}'), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+        TimeRemainingColumn(), console=console,
     ) as progress:
 
         def show(stage: str, done: int, total: int) -> None:
@@ -93,3 +103,25 @@ def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
             progress.update(bars[stage], completed=done)
 
         yield show
+
+
+class _Heartbeat:
+    """Says on standard error, now and then, how far a command is whose output is not a terminal."""
+
+    def __init__(self) -> None:
+        self._stage = ''
+        self._began = self._told = time.monotonic()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Tell of ``done`` of ``total`` in a stage, unless something was told just before."""
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._began = stage, now
+        if now - self._told < _HEARTBEAT_S:
+            return
+        self._told = now
+        left = ''
+        if 0 < done < total:
+            seconds = round((now - self._began) * (total - done) / done)
+            left = f', about {datetime.timedelta(seconds=seconds)} left'
+        print(f'{stage}: {done} of {total}{left}', file=sys.stderr, flush=True)

@@ -212,7 +212,8 @@ def test_given_an_angle_in_radians_then_it_is_stored_without_loss(number):
     ('fault_seed', '3 s', 'fault_seed needs a number without a unit'),
     ('exposure_jump_ev', '1 dB', 'exposure_jump_ev needs a number in EV'),
     ('distance', '1e400 km', 'is inf, outside'), ('distance', '1e999 m', 'is inf, outside'),
-    ('distance', '1e-999 km', ''), ('distance', '٣ m', 'needs a number'), ('distance', 'm', 'needs'),
+    ('distance', '1e-999 km', ''), ('distance', '٣ m', 'needs a number'),
+    ('distance', 'm', 'needs a number'),
 ])
 def test_given_another_unit_then_what_is_allowed_is_named(key, typed, words):
     field = BY_KEY[SHORT_FORMS.get(key, key)]

@@ -107,10 +107,10 @@ def _beside(campaign: Path) -> Path:
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Show the current step on one transient line, on terminals only."""
+    """Show the current step on one transient line; without a terminal, a line for each."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield lambda _: None
+        yield lambda text: console.print(text, soft_wrap=True, markup=False)
         return
     with console.status('reading') as status:
         yield lambda text: status.update(text)

@@ -19,6 +19,7 @@ from taxinet_ros.cli.options import (
     ControllerCommandOption,
     ControllerOption,
     EngineOption,
+    ExitZeroOption,
     FactorOption,
     FailedRunArgument,
     FoxgloveOption,
@@ -26,6 +27,7 @@ from taxinet_ros.cli.options import (
     FromOption,
     ImagesOption,
     JsonOption,
+    JsonSummaryOption,
     LatencyOption,
     MostRunsOption,
     NeededRunsOption,
@@ -60,6 +62,7 @@ from taxinet_ros.cli.options import (
     WorkersOption,
     WorldOption,
     airport_place,
+    ended,
     given_options,
     refuse_given,
     renderer_of,
@@ -99,6 +102,9 @@ def run(
     foxglove: FoxgloveOption = None,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonSummaryOption = False,
+    exit_zero: ExitZeroOption = False,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
@@ -132,7 +138,9 @@ def run(
         world=world_word(world, renderer_of(camera)),
         engine=engine, audit=audit,
     )
-    raise typer.Exit(run_campaign(options, foxglove))
+    raise ended(
+        run_campaign(options, foxglove, quiet=quiet, as_json=as_json), exit_zero,
+    )
 
 
 def _run_from(context: typer.Context, bag: Path) -> int:
@@ -188,6 +196,8 @@ def falsify(
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
     quiet: QuietOption = False,
+    as_json: JsonSummaryOption = False,
+    exit_zero: ExitZeroOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
 
@@ -225,7 +235,9 @@ def falsify(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             resume=resume, until=until, budget_min=budget, shard=part,
         )
-    raise typer.Exit(run_falsify(options, quiet=quiet, store=store))
+    raise ended(
+        run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,
+    )
 
 
 def merge(

@@ -55,7 +55,12 @@ from taxinet_ros.campaign.shrink.shrinking import (
     shrink_heading,
 )
 from taxinet_ros.campaign.stored_bags import BagUploads
-from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_words
+from taxinet_ros.campaign.summary import (
+    requirement_lines,
+    row_line,
+    scene_words,
+    summary_json,
+)
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -119,13 +124,16 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None) -> int:
+def run_falsify(
+    options: SearchOptions, *, quiet: bool, store: str | None = None, as_json: bool = False,
+) -> int:
     """Run the search and print the results.
 
     Args:
         options: options of the search.
         quiet: print warnings and the summary only.
         store: address to which bags are uploaded, or None.
+        as_json: print the summary as JSON; all else goes to standard error.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
@@ -135,7 +143,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
         RecordError: a bag could not be stored.
     """
     check_workers(options.workers)
-    console = Console(highlight=False)
+    console = Console(highlight=False, stderr=as_json)
     uploads = None if store is None else BagUploads(options.campaign.out, check_store(store))
     with (
         uploads or contextlib.nullcontext(),
@@ -150,11 +158,14 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             _run_on_workers(search)
-        learned = write_learned(search)
+        learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if uploads is not None:
         console.print(uploads.finish(), soft_wrap=True, markup=False)
+    if as_json:
+        values = summary_json(search.rows, options.campaign, planned)
+        print(json.dumps({**values, 'sampler': search.options.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
