@@ -102,6 +102,12 @@ _COMPLETION, _COMPLETING = '_TAXINET_COMPLETE', {'--install-completion', '--show
 _FILES_OF_A_NODE = 12
 """File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: closed by its reader'
+_ROS = frozenset({
+    'rclpy', 'taxinet_msgs', 'tf2_msgs', 'std_msgs', 'sensor_msgs', 'geometry_msgs', 'nav_msgs',
+    'diagnostic_msgs', 'action_msgs', 'rosgraph_msgs', 'visualization_msgs', 'builtin_interfaces',
+    'rcl_interfaces', 'std_srvs', 'domain_coordinator',
+})
+"""Packages of ROS 2, and of the messages built on it."""
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
     errno.EPERM,
@@ -375,14 +381,20 @@ def _exit_code(command: Callable[[], object]) -> int:
     except MemoryError:
         return _complain('out of memory', ExitCode.INFRA)
     except BaseException as error:  # an exit without a result is not a success
-        return _complain(_unforeseen(error), ExitCode.INFRA)
+        return _complain(*_unforeseen(error))
     return code if isinstance(code, int) else ExitCode.OK
 
 
-def _unforeseen(error: BaseException) -> str:
-    """One line for an unexpected error; the full traceback with ``TAXINET_TRACEBACK``."""
+def _unforeseen(error: BaseException) -> tuple[str, int]:
+    """A line for an unexpected error, and its exit code; the traceback if asked for."""
     if os.environ.get('TAXINET_TRACEBACK'):
         traceback.print_exception(error)
+    if isinstance(error, ModuleNotFoundError) and (error.name or '').partition('.')[0] in _ROS:
+        return (
+            f'no {error.name} in this Python: it belongs to ROS 2 (make installs it as wheels; or '
+            'source a Jazzy installation) or to its messages (make, or colcon build with '
+            'msg_defs); --engine loop needs neither, taxinet doctor says what is here'
+        ), ExitCode.USAGE
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
     if scarce := _scarce_files():
@@ -394,7 +406,7 @@ def _unforeseen(error: BaseException) -> str:
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(set TAXINET_TRACEBACK=1 for the traceback)'
-    )
+    ), ExitCode.INFRA
 
 
 def _scarce_files() -> str:

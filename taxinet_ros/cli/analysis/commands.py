@@ -224,13 +224,13 @@ def fork(
 
 def doctor(
     folder: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar='CAMPAIGN',
             help='folder of a campaign, experiment, dataset or study, or a folder that contains '
-            'some',
+            'some; without it, this machine is checked',
         ),
-    ],
+    ] = None,
     mend: Annotated[
         bool,
         typer.Option(
@@ -241,12 +241,24 @@ def doctor(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Verify every file in a results folder.
+    """Check this machine, or every file in a results folder.
 
-    Checks every ledger line, tables against the ledger, each bag against its row and each dataset
-    image against its label, and finds leftovers of killed processes. Exit codes: 0 no findings, 3
-    something is incomplete or damaged, 2 nothing to check.
+    Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
+    disk, browser, FlightGear and a short run, each with its mend; exit code 4 if something is
+    broken.
+
+    With a folder: checks every ledger line, tables against the ledger, each bag against its row and
+    each dataset image against its label, and finds leftovers of killed processes. Exit codes: 0 no
+    findings, 3 something is incomplete or damaged, 2 nothing to check.
     """
+    from taxinet_ros.errors import UsageError
+
+    if folder is None:
+        from taxinet_ros.cli.run.system import run_system_doctor
+
+        if mend:
+            raise UsageError('--mend: only with the folder of a CAMPAIGN')
+        raise typer.Exit(run_system_doctor(as_json=as_json))
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
     raise typer.Exit(run_results_doctor(folder, mended=mend, as_json=as_json))
