@@ -59,7 +59,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, improve
+from taxinet_ros.cli.study.commands import case_study, improve, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
@@ -138,7 +138,7 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
+    run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
     experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
     improve,
 ):
