@@ -27,6 +27,8 @@ from typer.exceptions import TyperException
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
+    bisect,
+    compare,
     doctor,
     explain,
     fork,
@@ -139,8 +141,8 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
-    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
-    improve,
+    compare, bisect, experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset,
+    evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -313,6 +313,11 @@ def _how_sure(evidence: Evidence, fault: Fault) -> str:
         return 'That no run failed does not mean that none can.'
     if fault is Fault.REQUIREMENT and evidence.unsatisfiable:
         return 'This follows from the formula and the ranges of its signals, without any run.'
+    if fault is Fault.REQUIREMENT:
+        return (
+            'This needs no experiment: after their first sample, no continuation whatever could '
+            'have satisfied the formula.'
+        )
     tested = [cause for cause in evidence.causes if cause.without is not None]
     confirmed = [cause for cause in tested if cause.confirmed]
     if confirmed and confirmed[0].without is not None:
