@@ -19,7 +19,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.campaign.findings import common_scenes, differing_settings
-from taxinet_ros.analysis.causes.causes import Causes, find_causes
+from taxinet_ros.analysis.causes.causes import LEAST_FAILURES, Causes, find_causes
 from taxinet_ros.analysis.experiment.pairs import (
     PairedRates,
     PairedShift,
@@ -206,8 +206,9 @@ def _cause_sentences(word: str, causes: Causes, number: int) -> Iterator[str]:
     if not number:
         return
     if not causes.found:
-        why = f' ({causes.why_not})' if causes.why_not else ''
-        yield f'What the {number:,} scenes that got {word} have in common was not found{why}.'
+        why = ', as they are too few' if number < LEAST_FAILURES else ''
+        scenes = 'scene' if number == 1 else 'scenes'
+        yield f'What the {number:,} {scenes} that got {word} have in common was not found{why}.'
     for cause in causes.found:
         inside = cause.inside
         yield (

@@ -24,7 +24,12 @@ from taxinet_ros.analysis.campaign.compared import (
     compared_sentences,
 )
 from taxinet_ros.analysis.campaign.folder import csv_text
-from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+from taxinet_ros.analysis.runs.campaign import (
+    CampaignRuns,
+    distinct_labels,
+    read_runs,
+    runs_of,
+)
 from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, make_out, read_specs
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.shared_scenes import (
@@ -110,12 +115,11 @@ def run_compare(options: CompareOptions) -> int:
         scenes = _scenes(options, options.scenes)
         out = _folder(options, options.before, options.after)
         done = _driven(scenes, (options.before, options.after), out, options.workers, console)
-        if not done:
+        if done is None:
             console.print('interrupted; the same command goes on', soft_wrap=True)
             return ExitCode.INTERRUPTED
-        labelled = distinct_labels([read_runs(out / BEFORE), read_runs(out / AFTER)])
-        # The tables have no settings beside them, but these runs had the same ones.
-        found = replace(compared(*labelled), differing=())
+        # Nothing but the network differs between these runs.
+        found = replace(compared(*distinct_labels(done)), differing=())
     _write(found, out)
     if options.as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
@@ -156,9 +160,10 @@ def _scenes(options: CompareOptions, word: str) -> SceneSet:
 
 def _driven(
     scenes: SceneSet, networks: Sequence[str], out: Path, workers: int, console: Console
-) -> bool:
-    """Drive the networks through the scenes, and write their tables; False if interrupted."""
+) -> list[CampaignRuns] | None:
+    """Drive the networks through the scenes, and write their tables; None if interrupted."""
     asked: list[bool] = []
+    tables: list[CampaignRuns] = []
     total = len(networks) * len(scenes.scenes)
     with (
         SharedTrials(scenes, out) as trials, stage_bars(console) as show,
@@ -175,10 +180,11 @@ def _driven(
             found = trials.drive(
                 network, workers=workers, on_trial=count, interrupted=lambda: bool(asked))
             if len(found) < len(scenes.scenes):
-                return False
+                return None
             frame = trials.table(network)
             make_atomically(out / name, partial(frame.to_parquet, index=False))
-    return True
+            tables.append(runs_of(frame, out / name))
+    return tables
 
 
 def _write(found: Compared, out: Path) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -12,6 +12,7 @@ from rich.console import Console
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.cli.study.case_study import stage_command
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -75,7 +76,13 @@ def run_why(options: WhyOptions) -> int:
     out = (options.out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
     _claim(out, path)
 
+    warned: set[str] = set()
+
     def show(line: str) -> None:
+        # Every sitting of the stages would say again that others were made elsewhere.
+        if line.startswith('begun ') and line in warned:
+            return
+        warned.add(line)
         console.print(line, soft_wrap=True, markup=False)
 
     show(f'why {kind} {options.path}: at most about {budget.runs} runs -> {_near(out)}')
@@ -114,9 +121,8 @@ def run_why(options: WhyOptions) -> int:
 
 
 def _print(
-    show: object, verdict: Verdict, todo: Sequence[Action], out: Path
+    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Action], out: Path
 ) -> None:
-    assert callable(show)
     show('')
     for sentence in verdict.sentences:
         show(sentence)
@@ -131,9 +137,10 @@ def _print(
 
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
     campaign, program, kept = None, '', False
-    if kind == 'campaign':
-        campaign = Path(_near(path))
-        recorded = open_campaign(path)
+    folder = path if kind == 'campaign' else path.parent
+    if kind != 'table' and (folder / LEDGER_NAME).is_file():
+        campaign = Path(_near(folder))
+        recorded = open_campaign(folder)
         program = str(recorded.facts.get('program', '')).removesuffix('.scenic')
         kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)
     shown = _with_near_paths(evidence)
@@ -144,8 +151,6 @@ def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tup
 
 def _with_near_paths(evidence: Evidence) -> Evidence:
     """The evidence with paths as one would type them."""
-    from dataclasses import replace
-
     causes = tuple(
         replace(
             cause, program=cause.program and Path(_near(cause.program)),

@@ -82,6 +82,10 @@ from taxinet_ros.study.why.verdict import Blames, CauseEvidence, Evidence, Paire
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _ANOTHER_SEED = 1_000_003
 _PROGRAM = 'scenes.scenic'
+_ONLY_TABLE = (
+    'a table has neither bags nor settings of its runs, so no run can be driven again; name the '
+    "campaign's folder"
+)
 _NO_TRUTH = 'the runs were driven by the truth, so there is no network to examine'
 
 RunStages = Callable[[Sequence[Stage]], tuple[int, Mapping[str, str]]]
@@ -139,9 +143,7 @@ class Investigation:
             return found
         self._stages([analyze_stage(self.path, self.out)])
         return replace(found, causes=self._causes(None), troubles={
-            LOCALIZE: 'a table has neither bags nor settings of its runs, so no run can be driven '
-            "again; name the campaign's folder",
-            **self._why_no_causes(),
+            LOCALIZE: _ONLY_TABLE, CONFIRM: _ONLY_TABLE, **self._why_no_causes(),
         })
 
     # A campaign ----------------------------------------------------------------------------------

@@ -211,8 +211,14 @@ def judge(evidence: Evidence) -> Verdict:
 
 def _whose(evidence: Evidence, fault: Fault) -> str:
     blames, spec = evidence.blames or Blames(), evidence.spec
-    failed = 'run' if blames.counted == 1 else 'runs'
-    counted = f'{blames.counted} failed {failed} driven again'
+    one = blames.counted == 1
+    counted = 'the failed run, driven again' if one else (
+        f'all {blames.counted} failed runs driven again')
+
+    def shares(number: int) -> str:
+        # One run is no sample: it has no interval that says anything.
+        return '' if evidence.single else f' ({_range(blames.share(number))})'
+
     match fault:
         case Fault.BENCH:
             return (
@@ -231,25 +237,22 @@ def _whose(evidence: Evidence, fault: Fault) -> str:
             )
         case Fault.REQUIREMENT:
             return (
-                f'The requirement {spec}, or the start of the scenes, is at fault: all {counted} '
-                f'({_range(blames.share(blames.requirement))}) were violated at their first '
+                f'The requirement {spec}, or the start of the scenes, is at fault: {counted}'
+                f'{shares(blames.requirement)} {"was" if one else "were"} violated at the first '
                 'sample, before anything could be done.'
             )
         case Fault.NETWORK:
-            one = blames.counted == 1
             return (
-                f'The network {evidence.network} is at fault, not the controller: '
-                f'{"the" if one else "all"} {counted} with perfect estimates '
-                f'{"satisfies" if one else "satisfy"} {spec} '
-                f'({_range(blames.share(blames.network))}).'
+                f'The network {evidence.network} is at fault, not the controller: {counted} with '
+                f'perfect estimates{"," if one else ""} {"satisfies" if one else "satisfy"} '
+                f'{spec}{shares(blames.network)}.'
             )
         case Fault.CONTROLLER:
-            one = blames.counted == 1
             return (
                 f'The controller {evidence.controller} is at fault, or what it cannot resist '
-                f'(aircraft, wind, faults): {"the" if one else "all"} {counted} with perfect '
-                f'estimates {"violates" if one else "violate"} {spec} too '
-                f'({_range(blames.share(blames.controller))}), so a better network would not help.'
+                f'(aircraft, wind, faults): {counted} with perfect estimates'
+                f'{"," if one else ""} {"violates" if one else "violate"} {spec} too'
+                f'{shares(blames.controller)}, so a better network would not help.'
             )
         case Fault.SEVERAL:
             parts = [
@@ -261,7 +264,8 @@ def _whose(evidence: Evidence, fault: Fault) -> str:
                 ) if number
             ]
             return (
-                f'There are several faults: of {counted} with perfect estimates '
+                f'There are several faults. Of {blames.counted} failed runs driven again with '
+                'perfect estimates '
                 f'{"; ".join(parts)}.'
             )
         case Fault.UNCLEAR:
@@ -299,9 +303,10 @@ def _where(evidence: Evidence, fault: Fault) -> str:
             evidence.troubles.get('causes') or 'no cause that the failures share was found')
         return f'{text}; in the worst run, {explained}.' if explained else f'{text}.'
     first = found[0]
-    more = '' if len(found) == 1 else f', and in {len(found) - 1} more that are listed below'
+    others = len(found) - 1
+    more = f'; {others} more {"cause is" if others == 1 else "causes are"} below' if others else ''
     inside = f' ({first.inside})' if first.inside else ''
-    text = f'Runs fail most in {first.words}{inside}{more}'
+    text = f'Where runs fail most: {first.words}{inside}{more}'
     where = '' if worst is None or worst.rank == first.rank else f' of cause {worst.rank}'
     return f'{text}; in the worst run{where}, {explained}.' if explained else f'{text}.'
 
