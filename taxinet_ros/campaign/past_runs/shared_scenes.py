@@ -27,6 +27,7 @@ from taxinet_ros.campaign.past_runs.localisation import (
     run_trials,
 )
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
+from taxinet_ros.campaign.rates import sample_size_was_fixed
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_any_table
@@ -73,12 +74,14 @@ class SceneSet:
         source: where they come from, as text.
         scenes: the scenes, by index.
         judging: the headline requirement, which alone is judged.
+        fixed: whether their number did not depend on any result.
         gains, controller, timing, world, world_sha256: as in the recorded runs.
     """
 
     source: str
     scenes: tuple[Scene, ...]
     judging: Judging
+    fixed: bool = True
     gains: Mapping[str, float] = field(default_factory=dict)
     controller: str = STEERING
     timing: str = ''
@@ -135,7 +138,12 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
         source=str(path), scenes=tuple(scenes), gains=dict(campaign.gains), world=world,
         judging=_headline(judging), controller=str(campaign.facts.get('controller', STEERING)),
         timing=campaign.timing, world_sha256=package,
+        fixed=_fixed(campaign.rows, campaign.planned_runs),
     )
+
+
+def _fixed(rows: Sequence[RunRow], planned: range | None) -> bool:
+    return sample_size_was_fixed({row.index: row.outcome for row in rows}, planned)
 
 
 def _headline(judging: Judging) -> Judging:
@@ -151,6 +159,7 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
             f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
             "campaign's folder"
         )
+    outcomes = dict(zip(frame['index'].tolist(), frame['outcome'].tolist(), strict=True))
     judged = frame[frame['outcome'].isin([Outcome.PASS, Outcome.FAIL])].sort_values('index')
     scenes = [
         Scene(row=row, scenario=scenario_from_human(row.scene), exact=False)
@@ -159,6 +168,7 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
     return SceneSet(
         source=str(path), scenes=spread_evenly(scenes, runs),
         judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
+        fixed=sample_size_was_fixed(outcomes, None),
     )
 
 
@@ -343,10 +353,13 @@ class SharedTrials:
         fingerprint = check_perception(network)
         spec = self.scenes.judging.headline
         rows = []
-        for scene in self.scenes.scenes:
+        for place, scene in enumerate(self.scenes.scenes):
             trial = self.results.get(fingerprint, {}).get(scene.row.run_id)
             if trial is not None:
-                rows.append(_result_row(scene.row, trial, network, fingerprint, spec))
+                row = _result_row(scene.row, trial, network, fingerprint, spec)
+                # Gaps would say that runs are missing; these scenes are all that were asked for.
+                row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
+                rows.append(row)
         return table_of(rows, (spec,))
 
 

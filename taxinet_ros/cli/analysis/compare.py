@@ -112,8 +112,8 @@ def run_compare(options: CompareOptions) -> int:
             )
         for network in (options.before, options.after):
             check_perception(network)
-        scenes = _scenes(options, options.scenes)
         out = _folder(options, options.before, options.after)
+        scenes = _scenes(options, options.scenes)
         done = _driven(scenes, (options.before, options.after), out, options.workers, console)
         if done is None:
             console.print('interrupted; the same command goes on', soft_wrap=True)

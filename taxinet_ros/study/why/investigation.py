@@ -443,9 +443,14 @@ class Investigation:
             raise UsageError(f'a free run: {NOT_REPRODUCIBLE}')
         if again := find_world(run.world, run.world_fingerprint).again_words:
             raise UsageError(again)
-        _check_same('perception', network, check_perception(network), run.fingerprint)
-        check = check_controller(run.controller, run.gains)
-        _check_same('controller', run.controller, check, run.controller_fingerprint)
+        _check_same(
+            'perception', network, lambda: check_perception(network), run.fingerprint,
+            'name its file with --perception',
+        )
+        _check_same(
+            'controller', run.controller, lambda: check_controller(run.controller, run.gains),
+            run.controller_fingerprint, 'put its file back',
+        )
         bench = TrialSetup(
             perception=network, judging=Judging(specs=run.specs), gains=run.gains,
             controller=run.controller, timing=run.timing.words, world=run.world,
@@ -604,9 +609,21 @@ def _scene_and_judging(campaign: RecordedCampaign) -> tuple[Scenario, Judging]:
     return campaign.scenario(campaign.counterexamples[0])[0], campaign.judging
 
 
-def _check_same(role: str, word: str, now: str, before: str) -> None:
-    if now != before:
+def _check_same(
+    role: str, word: str, now: Callable[[], str], before: str, mend: str
+) -> None:
+    """Check that a network or controller is there, and that of the run.
+
+    Raises:
+        UsageError: it is not.
+    """
+    was = f'sha256 {before[:12]}…' if before else 'without weights'
+    try:
+        found = now()
+    except UsageError as error:
         raise UsageError(
-            f'{role} {word} has sha256 {now[:12] or "(none)"} now, the run had '
-            f'{before[:12] or "(none)"}; name the file that it was run with'
-        )
+            f"the run's {role} {word!r} ({was}) is not here under this name; {mend}"
+        ) from error
+    if found != before:
+        what = f'sha256 {found[:12]}…' if found else 'without weights'
+        raise UsageError(f'{role} {word} is {what}, the run had one of {was}; {mend}')

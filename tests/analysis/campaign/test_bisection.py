@@ -1,5 +1,6 @@
 """Bisection over networks in order: exact per scene, with as few runs as that takes."""
 
+import itertools
 import math
 
 from hypothesis import given
@@ -54,7 +55,7 @@ def test_with_every_network_run_all_changes_are_found(table):
     found, _ = bisect(table, every=True)
     assert found.runs == len(table) * len(table[0])
     for scene, truth in zip(found.scenes, table, strict=True):
-        pairs = list(zip(truth, truth[1:], strict=False))
+        pairs = list(itertools.pairwise(truth))
         assert scene.broken == tuple(
             place for place, pair in enumerate(pairs, 1) if pair == (True, False))
         assert scene.mended == tuple(

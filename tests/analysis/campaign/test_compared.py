@@ -121,5 +121,5 @@ def test_given_no_common_scene_or_another_requirement_then_one_line_says_so(tmp_
         compared(one, far)
     (tmp_path / 'psi').mkdir()
     table = planted_table(200, 5, rate, **PLAIN).rename(columns={'rho_phi': 'rho_psi'})
-    with pytest.raises(UsageError, match='judged by phi, .* by psi'):
+    with pytest.raises(UsageError, match=r'judged by phi, .* by psi'):
         compared(other, planted_runs(table, tmp_path / 'psi'))
