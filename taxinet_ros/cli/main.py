@@ -26,6 +26,8 @@ from typer.exceptions import TyperException
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
+    bisect,
+    compare,
     doctor,
     explain,
     fork,
@@ -59,7 +61,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, improve
+from taxinet_ros.cli.study.commands import case_study, improve, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
@@ -145,9 +147,9 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
-    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
-    improve,
+    run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
+    compare, bisect, experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset,
+    evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

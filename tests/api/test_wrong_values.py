@@ -49,6 +49,7 @@ CALLS = {
     'TaxiCommand': (tx.TaxiCommand, {'steering_rad': 0.0, 'speed_mps': 5.0}),
     'AircraftState': (tx.AircraftState, STATE),
     'Run.frame': (RUN.frame, {}),
+    'compare': (tx.compare, {'before': '.', 'after': '.'}),
     'fork': (tx.fork, {'run': RUN, 'at_s': 0.1}),
     'Run.fork': (RUN.fork, {'at_s': 0.1}),
     'Run.save_bag': (RUN.save_bag, {'path': 'saved'}),

@@ -106,6 +106,89 @@ def localize(
     raise typer.Exit(run_localize(options, as_json=as_json))
 
 
+def compare(
+    before: Annotated[
+        str, typer.Argument(metavar='A', help='campaign or table, or a network: word or file')
+    ],
+    after: Annotated[str, typer.Argument(metavar='B', help='the same, to be compared with A')],
+    scenes: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='[SCENES]',
+            help='of two networks: a program, or a campaign, table or run whose scenes both drive',
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='number of scenes (default: 100 of a program, else '
+        'all of them); fewer are spread evenly')
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help='seed of the scenes of a program (default 0)')
+    ] = None,
+    spec: Annotated[
+        list[str] | None,
+        typer.Option('--spec', metavar='FORMULA', help='requirement for the scenes of a program '
+        '(default phi_eventually)'),
+    ] = None,
+    workers: ProcessesCountOption = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='folder for page and tables; finished runs in it are kept'),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two networks on the same scenes: what got better, what got worse, and why.
+
+    Takes two campaigns or tables of the same scenes, or two networks and the scenes, which both
+    then drive in the closed loop without ROS. Gives the paired difference with its interval and
+    McNemar's exact test, the scenes that changed, and what they have in common. After an interrupt,
+    the same command continues.
+    """
+    from taxinet_ros.cli.analysis.compare import CompareOptions, run_compare
+
+    raise typer.Exit(run_compare(CompareOptions(
+        before=before, after=after, scenes=scenes, runs=runs, seed=seed, specs=spec or (),
+        workers=workers, out=out, as_json=as_json,
+    )))
+
+
+def bisect(
+    networks: Annotated[
+        list[str],
+        typer.Argument(
+            metavar='GOOD ... BAD', help='networks or checkpoints in order: words or files'
+        ),
+    ],
+    scene: Annotated[
+        Path, typer.Option(metavar='BAG|TABLE|CAMPAIGN', help='the scenes')
+    ],
+    every: Annotated[
+        bool, typer.Option('--every', help='run every network in every scene, so that a scene '
+        'that breaks more than once is seen')
+    ] = False,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='at most so many scenes, evenly spread')
+    ] = None,
+    workers: ProcessesCountOption = 2,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for the results; finished runs in it are kept')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find which of several networks in order broke which scenes.
+
+    For every scene that the first one satisfies and the last one violates, finds a network that
+    violates it right after one that satisfies it. Exit codes: 0 done, 3 some run could not be
+    judged, 130 interrupted; the same command continues.
+    """
+    from taxinet_ros.cli.analysis.compare import BisectOptions, run_bisect
+
+    raise typer.Exit(run_bisect(BisectOptions(
+        networks=tuple(networks), scene=scene, every=every, runs=runs, workers=workers, out=out,
+        as_json=as_json,
+    )))
+
+
 def explain(
     bag: Annotated[
         Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')

@@ -31,8 +31,9 @@ Ask = Callable[[list[str], str], Answer]
 DOES_NOTHING = {
     'aircraft': ['show', 'nowhere'], 'analyze': ['nowhere'],
     'bag': ['info', 'nowhere'], 'bench': ['nothing'],
+    'bisect': ['nothing', 'nowhere', '--scene', 'nowhere'],
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
-    'check-node': ['no_such_program'],
+    'check-node': ['no_such_program'], 'compare': ['nothing', 'nowhere', 'nowhere'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
     'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
