@@ -16,6 +16,7 @@ from taxinet_ros.cli.options import (
     BoundOption,
     BudgetOption,
     CameraOption,
+    ClusterOption,
     ControllerCommandOption,
     ControllerOption,
     EngineOption,
@@ -26,6 +27,7 @@ from taxinet_ros.cli.options import (
     FromOption,
     ImagesOption,
     JsonOption,
+    LagOption,
     LatencyOption,
     MostRunsOption,
     NeededRunsOption,
@@ -160,6 +162,8 @@ def falsify(
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
     workers: WorkersOption = 1,
+    cluster: ClusterOption = None,
+    lag: LagOption = 8,
     out: OutOption = None,
     resume: ResumeOption = False,
     seed: SeedOption = 0,
@@ -223,7 +227,7 @@ def falsify(
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, shard=part,
+            resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
         )
     raise typer.Exit(run_falsify(options, quiet=quiet, store=store))
 
@@ -577,6 +581,7 @@ def experiment(
         str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
     ] = None,
     workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
+    cluster: ClusterOption = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
@@ -606,6 +611,7 @@ def experiment(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
             workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
+            cluster=cluster,
         )
     )
 
