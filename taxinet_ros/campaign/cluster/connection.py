@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 LOCAL = 'local:'
 MOST_LOCAL = 256
 _ADDRESS = re.compile(r'(tcp|tls)://(\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})')
-_CONNECT_S = 10.0
 _ANSWER_S = 5.0
 _AGAIN_S = 1.0
 _SHOWN = 3
@@ -53,11 +52,13 @@ class Limits:
         silence_s: without a sign of life, a worker is put aside.
         patience_s: without a scheduler or a fit worker, the campaign ends.
         begin_s: without a fit worker at the start, it does not begin.
+        connect_s: for a scheduler to answer at first.
     """
 
     silence_s: float = 30.0
     patience_s: float = 300.0
     begin_s: float = 120.0
+    connect_s: float = 10.0
 
 
 LIMITS = Limits()
@@ -211,6 +212,11 @@ class Cluster:
             self._reason = f'{worker}: {reason}'
             self._tell(f'{worker}: {reason}; it gets no runs')
 
+    def note_cut(self) -> None:
+        """Take note that Dask has lost its tasks, as it does when it has to connect again."""
+        self.connection += 1
+        self._tell(f'{self._where}: the connection was lost; runs in flight are given out again')
+
     def stop(self) -> None:
         """Ask all workers to end their current runs in order; at once, and without an answer."""
         self._tell_workers(stop_runs)
@@ -247,6 +253,7 @@ class Cluster:
             raise UsageError(
                 f"{named}: needs a package; pip install 'taxinet_ros[cluster]' ({error})"
             ) from error
+        warnings.filterwarnings('ignore', module=r'distributed\.')  # versions are checked here
         for logger in list(logging.root.manager.loggerDict):
             if logger.partition('.')[0] in ('distributed', 'tornado'):
                 logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
@@ -263,7 +270,7 @@ class Cluster:
                 'programs on its workers and here; see docs/scaling.md for TLS'
             )
         try:
-            self._client = self._connected(_CONNECT_S)
+            self._client = self._connected(self._limits.connect_s)
         except _NotConnectedError as error:
             raise UsageError(
                 f'{named}: no Dask scheduler answers there: {error}; start one with dask scheduler'
@@ -280,15 +287,13 @@ class Cluster:
 
         def connect() -> None:
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter('ignore')
-                    made.append(Client(target, timeout=timeout_s, set_as_default=False))
+                made.append(Client(target, timeout=timeout_s, set_as_default=False))
             except BaseException as error:
                 failed.append(error)
 
         thread = threading.Thread(target=connect, name='connecting', daemon=True)
         thread.start()
-        thread.join(timeout_s + _ANSWER_S)
+        thread.join(2 * timeout_s)
         if made:
             self.connection += 1
             return made[0]

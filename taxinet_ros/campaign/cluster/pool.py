@@ -281,10 +281,11 @@ class ClusterPool:
     def _take(self, key: str, task: _Task) -> None:
         """Take the results of a task that has ended, in whatever way."""
         if task.connection != self._cluster.connection:
-            return  # taken back with all of that connection
+            return  # given out again with all of that connection
+        if task.future.status == 'cancelled':
+            self._cluster.note_cut()
+            return
         try:
-            if task.future.status == 'cancelled':
-                raise ConnectionError('cancelled')
             told = json.loads(task.future.result(timeout=_RESULT_S))
         except Exception as error:  # of Dask, or of a worker of whatever kind
             self._failed(key, task, error)
