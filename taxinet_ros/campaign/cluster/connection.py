@@ -158,7 +158,7 @@ class Cluster:
         self._local: LocalCluster | None = None
         self._looked_s = self._fit_s = -1e9
         self._left = contextlib.ExitStack()
-        self._reason = ''
+        self._reason = self._scheduler = ''
 
     def __enter__(self) -> Self:
         """Connect, and check the workers that are there.
@@ -371,6 +371,14 @@ class Cluster:
             found = client.sync(scheduler.identity, n_workers=-1, callback_timeout=_ANSWER_S)
         except Exception:  # of tornado, asyncio, or the operating system
             return None
+        if found['id'] != self._scheduler:
+            if self._scheduler and self._known:
+                self._tell(
+                    f'{self._where}: the scheduler was restarted; all runs in flight are given '
+                    'out again'
+                )
+                self._forget()
+            self._scheduler = found['id']
         workers: dict[str, Any] = found['workers']
         return workers
 
@@ -382,9 +390,7 @@ class Cluster:
         """
         if self._client is not None:
             self._tell(f'{self._where}: the connection is lost; trying to connect again')
-            self._known.clear()
-            self.workers.clear()
-            self.connection += 1
+            self._forget()
             self._drop_client()
         try:
             self._client = self._connected(2.0)
@@ -393,6 +399,12 @@ class Cluster:
             waited_s = time.monotonic() - self._fit_s
             if waited_s > self._limits.patience_s:
                 raise self._gone(f'has not answered for {waited_s:.0f} s: {error}') from error
+
+    def _forget(self) -> None:
+        """Forget all workers, and with the connection all tasks."""
+        self._known.clear()
+        self.workers.clear()
+        self.connection += 1
 
     def _take_census(self, census: dict[str, Any]) -> None:
         now = time.monotonic()
@@ -423,8 +435,11 @@ class Cluster:
 
     def _take_checks(self) -> None:
         unfit: dict[str, list[str]] = {}
-        for address, worker in self._known.items():
+        for address, worker in list(self._known.items()):
             if worker.checked is None or not worker.checked.done():
+                continue
+            if worker.checked.status == 'cancelled':  # with the connection: it is checked again
+                del self._known[address]
                 continue
             future, worker.checked = worker.checked, None
             reason = self._unfit(future)

@@ -30,8 +30,9 @@ def reachable(port: int) -> bool:
 class DaskProcesses:
     """A scheduler and workers of one thread each; a context manager that leaves none behind."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.port = folder, free_port()
+    def __init__(self, folder: Path, protocol: str = 'tcp', **environment: str) -> None:
+        self.folder, self.port, self.protocol = folder, free_port(), protocol
+        self._environment = environment
         self._all: list[subprocess.Popen[bytes]] = []
         self._logs: dict[int, Path] = {}
 
@@ -45,11 +46,12 @@ class DaskProcesses:
 
     @property
     def address(self) -> str:
-        return f'tcp://127.0.0.1:{self.port}'
+        return f'{self.protocol}://127.0.0.1:{self.port}'
 
     def start_scheduler(self, *words: str) -> None:
         self.scheduler = self._start(
-            'scheduler', '--host', '127.0.0.1', '--port', str(self.port), *words
+            'scheduler', '--host', '127.0.0.1', '--port', str(self.port),
+            '--protocol', self.protocol, *words,
         )
         wait_for(lambda: reachable(self.port))
 
@@ -71,7 +73,7 @@ class DaskProcesses:
             process = subprocess.Popen(
                 [str(Path(sys.executable).with_name('dask')), *words, '--no-dashboard'],
                 stdout=log, stderr=subprocess.STDOUT, cwd=self.folder, start_new_session=True,
-                env={**os.environ, **environment},
+                env={**os.environ, **self._environment, **environment},
             )
         self._all.append(process)
         self._logs[process.pid] = file

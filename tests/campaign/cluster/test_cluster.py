@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shutil
 import signal
 import sys
@@ -11,9 +12,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import dask.config
 import falsify_samples as toy
 import pytest
+import yaml
 from dask_processes import DaskProcesses, Wire, kill
+from distributed import Security
 
 import taxinet_ros
 from taxinet_ros.campaign import search as search_module
@@ -27,11 +31,12 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.worker_pool import RunSource, WorkerPool, run_search
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.journal import read_journal
 
 pytestmark = pytest.mark.slow
 TOY = Path(__file__).with_name('toy_worker.py')
+SCALING = Path(__file__).parents[3] / 'docs' / 'scaling.md'
 RUNS = 40
 Acts = dict[int, Callable[[Search], object]]
 LIMITS = Limits(silence_s=2.0, patience_s=60.0)
@@ -43,12 +48,12 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope='module')
-def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
     """A cluster of two workers, which tests leave as they found it."""
-    with DaskProcesses(tmp_path_factory.mktemp('dask')) as processes:
-        processes.add_worker()
-        processes.add_worker()
-        yield processes
+    with DaskProcesses(tmp_path_factory.mktemp('dask')) as started:
+        started.add_worker()
+        started.add_worker()
+        yield started
 
 
 @pytest.fixture
@@ -126,17 +131,21 @@ def check_whole(out: Path, other: Path) -> None:
 @pytest.mark.parametrize('changes', [
     {'sampler': 'ce'}, {'sampler': 'ce', 'lag': 3}, {'sampler': 'halton'},
 ], ids=['adaptive', 'another lag', 'by index'])
-def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(dask, here, tmp_path, changes):
+def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
+    processes, here, tmp_path, changes
+):
     told: list[str] = []
-    there(dask.address, tmp_path / 'there', told, **changes)
+    there(processes.address, tmp_path / 'there', told, **changes)
     check_whole(tmp_path / 'there', here(**changes))
     assert told == []
     assert list(read_facts(tmp_path / 'there').values[STACKS].values()) == [dict(provenance())]
 
 
-def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(dask, here, tmp_path):
+def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
+    processes, here, tmp_path
+):
     file, pace, out = tmp_path / 'scheduler.json', tmp_path / 'pace', tmp_path / 'there'
-    file.write_text(f'{{"address": "{dask.address}"}}')
+    file.write_text(f'{{"address": "{processes.address}"}}')
     pace.write_text('0.05')
     ended = there(check_cluster(str(file)), out, [], {12: Search.interrupt})
     assert ended.interrupted
@@ -151,14 +160,14 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(dask, 
     check_whole(out, here())
 
 
-def test_given_two_campaigns_at_once_then_each_has_its_own_rows(dask, here, tmp_path):
+def test_given_two_campaigns_at_once_then_each_has_its_own_rows(processes, here, tmp_path):
     outs = [tmp_path / 'one', tmp_path / 'two']
     (tmp_path / 'pace').write_text('0.01')
     failed: list[BaseException] = []
 
     def make(out: Path) -> None:
         try:
-            there(dask.address, out, [])
+            there(processes.address, out, [])
         except BaseException as error:
             failed.append(error)
 
@@ -174,15 +183,16 @@ def test_given_two_campaigns_at_once_then_each_has_its_own_rows(dask, here, tmp_
 
 
 def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_lost_or_doubled(
-    dask, here, tmp_path
+    processes, here, tmp_path
 ):
     """One of three workers is killed; and a child, in whose place its worker starts another."""
     (tmp_path / 'pace').write_text('0.02')
-    third = dask.add_worker()
+    third = processes.add_worker()
     told: list[str] = []
     (tmp_path / 'deadly-3').write_text('')
     search = there(
-        dask.address, tmp_path / 'there', told, {10: lambda search: kill(third)}, sampler='halton'
+        processes.address, tmp_path / 'there', told, {10: lambda search: kill(third)},
+        sampler='halton',
     )
     assert [line.partition(': ')[2] for line in told] == ['lost; its runs are given to others']
     retried = [row.index for row in search.rows if row.retries]
@@ -192,13 +202,13 @@ def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_l
 
 
 def test_given_a_worker_that_is_stopped_and_one_that_is_cut_off_then_both_are_named(
-    dask, here, tmp_path
+    processes, here, tmp_path
 ):
     """One host is stopped and goes on later; another stays connected, but nothing passes."""
     (tmp_path / 'pace').write_text('0.05')
-    wire = Wire(dask.port)
-    stopped = dask.add_worker()
-    cut = dask.add_worker(f'tcp://127.0.0.1:{wire.port}')
+    wire = Wire(processes.port)
+    stopped = processes.add_worker()
+    cut = processes.add_worker(f'tcp://127.0.0.1:{wire.port}')
     told: list[str] = []
 
     def lose(search: Search) -> None:
@@ -208,7 +218,7 @@ def test_given_a_worker_that_is_stopped_and_one_that_is_cut_off_then_both_are_na
     limits = dataclasses.replace(LIMITS, silence_s=1.5)
     try:
         there(
-            dask.address, tmp_path / 'there', told,
+            processes.address, tmp_path / 'there', told,
             {10: lose, 90: lambda search: stopped.send_signal(signal.SIGCONT)}, limits, runs=120,
         )
     finally:
@@ -227,31 +237,36 @@ def test_given_a_scheduler_that_restarts_then_the_campaign_goes_on_with_new_work
     (tmp_path / 'dask').mkdir()
     (tmp_path / 'pace').write_text('0.03')
     told: list[str] = []
-    with DaskProcesses(tmp_path / 'dask') as dask:
-        dask.add_worker()
+    with DaskProcesses(tmp_path / 'dask') as processes:
+        processes.add_worker()
 
         def restart(search: Search) -> None:
-            kill(dask.scheduler)
-            dask.start_scheduler()
-            dask.add_worker()
+            kill(processes.scheduler)
+            processes.start_scheduler()
+            processes.add_worker()
 
-        there(dask.address, tmp_path / 'there', told, {8: restart}, sampler='halton')
+        there(processes.address, tmp_path / 'there', told, {8: restart}, sampler='halton')
         # Dask may have connected again by itself before anybody looked.
-        assert len([line for line in told if f'{dask.address}: the connection ' in line]) == 1, told
+        assert {
+            f'{processes.address}: the connection is lost; trying to connect again',
+            f'{processes.address}: the scheduler was restarted; all runs in flight are given out '
+            'again',
+        } & set(told), told
         (tmp_path / 'pace').unlink()
         check_whole(tmp_path / 'there', here(sampler='halton'))
         # And one that does not come back ends the campaign, which has kept what it had.
         (tmp_path / 'pace').write_text('0.03')
         with pytest.raises(InfraError, match=r'has not answered for .*continue with --resume'):
             there(
-                dask.address, tmp_path / 'gone', [], {8: lambda search: kill(dask.scheduler)},
+                processes.address, tmp_path / 'gone', [],
+                {8: lambda search: kill(processes.scheduler)},
                 dataclasses.replace(LIMITS, patience_s=1.0), sampler='halton',
             )
     assert 8 <= len(read_table(tmp_path / 'gone')) < RUNS
 
 
 def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_none(
-    dask, here, tmp_path
+    processes, here, tmp_path
 ):
     """One has a file of the program changed, the other a library without some instructions."""
     other = tmp_path / 'elsewhere' / 'taxinet_ros'
@@ -260,13 +275,13 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
     changed = other / 'core' / 'topics.py'
     changed.write_text(changed.read_text() + '# changed\n')
     strange = [
-        dask.add_worker(PYTHONPATH=str(other.parent)),
-        dask.add_worker(NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX512_ICL AVX512_SPR'),
+        processes.add_worker(PYTHONPATH=str(other.parent)),
+        processes.add_worker(NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX512_ICL AVX512_SPR'),
     ]
     told: list[str] = []
     (tmp_path / 'pace').write_text('0.1')
     try:
-        there(dask.address, tmp_path / 'there', told, sampler='halton')
+        there(processes.address, tmp_path / 'there', told, sampler='halton')
     finally:
         for process in strange:
             kill(process)
@@ -278,15 +293,15 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
-def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(dask, tmp_path):
+def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(processes, tmp_path):
     told: list[str] = []
     out = tmp_path / 'there'
     (tmp_path / 'weights').write_text('0' * 64)
-    chosen = options(out, cluster=dask.address)
+    chosen = options(out, cluster=processes.address)
     with (
         pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(
-            chosen.campaign, dask.address, tell=told.append,
+            chosen.campaign, processes.address, tell=told.append,
             limits=dataclasses.replace(LIMITS, patience_s=0.5),
         ) as cluster,
         Search(chosen, ('perception',)) as search,
@@ -299,3 +314,35 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(dask, t
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
     assert not [row for row in search.rows if row.outcome.judged]
+
+
+def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_takes_part(
+    here, tmp_path
+):
+    """As docs/scaling.md has it, with a certificate for all three."""
+    keys = Security.temporary()
+    files = {'ca-file': tmp_path / 'ca.pem', 'cert': tmp_path / 'cert.pem',
+             'key': tmp_path / 'key.pem'}
+    contents = (keys.tls_ca_file, keys.tls_client_cert, keys.tls_client_key)
+    for file, content in zip(files.values(), contents, strict=True):
+        file.write_text(content)
+    text = re.findall(r'```yaml\n(distributed:.*?)```', SCALING.read_text(), re.DOTALL)
+    assert len(text) == 1
+    configured = re.sub(r'/etc/dask/(\w+\.pem)', rf'{tmp_path}/\1', text[0])
+    config = tmp_path / 'dask.yaml'
+    config.write_text(configured)
+    (tmp_path / 'dask').mkdir()
+    with DaskProcesses(tmp_path / 'dask', 'tls', DASK_CONFIG=str(config)) as cluster:
+        cluster.add_worker()
+        assert cluster.address.startswith('tls://')
+        asked = dask.config.merge(dask.config.config, yaml.safe_load(configured))
+        with dask.config.set(asked):
+            there(cluster.address, tmp_path / 'there', [], sampler='halton')
+        for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
+            with pytest.raises(UsageError, match='no Dask scheduler answers there'):
+                there(
+                    address, tmp_path / 'never', [],
+                    limits=dataclasses.replace(LIMITS, connect_s=1.0),
+                )
+    assert not (tmp_path / 'never').exists()
+    check_whole(tmp_path / 'there', here(sampler='halton'))

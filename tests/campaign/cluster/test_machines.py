@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from dask_processes import free_port
 
@@ -121,6 +122,18 @@ def test_given_this_machine_then_it_describes_itself_and_misses_a_folder_or_a_ne
         ))
     with pytest.raises(UsageError, match=r'gone\.safetensors'):
         describe(to_json(dataclasses.replace(NEEDS, perception='gone.safetensors')))
+
+
+def test_given_local_workers_then_nobody_elsewhere_can_reach_them(tmp_path):
+    needs = dataclasses.replace(NEEDS, perception='truth')
+    with Cluster('local:2', needs, out=tmp_path / 'out') as cluster:
+        assert cluster.threads == 2
+        listening = {
+            one.laddr.ip for one in psutil.Process().net_connections()
+            if one.status == psutil.CONN_LISTEN
+        }
+        assert listening <= {'127.0.0.1', '::1'}
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(('where', 'named'), [

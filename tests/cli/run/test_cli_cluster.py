@@ -75,8 +75,9 @@ def test_given_python_then_it_has_the_cluster_too(here, tmp_path):
         sampler='halton', specs='tight=always(abs(cte)<=0.3)', cluster='local:1', lag=3,
         out=tmp_path / 'there',
     )
-    columns = ['run_id', 'outcome', 'rho.tight', 'stack']
-    pd.testing.assert_frame_equal(table(found.folder)[columns], table(here)[columns])
+    pd.testing.assert_frame_equal(
+        table(found.folder).drop(columns='bag'), table(here).drop(columns='bag')
+    )
 
 
 @pytest.mark.parametrize(('words', 'named'), [
