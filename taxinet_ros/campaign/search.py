@@ -23,7 +23,7 @@ from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, 
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, drawn_share, make_sampler
-from taxinet_ros.campaign.samplers.sampler import LAG, Exhausted, Probabilities
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Branch, Point
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
@@ -308,7 +308,10 @@ class Search:
         )
         if options.shard is not None:
             check_can_be_sharded(options.sampler)
+        if options.in_flight is None:
             self._sampler.ignore_results()
+        else:
+            self._sampler.set_lag(options.lag)
         if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
             options.sampler, options.sampler_options
         ):
@@ -334,7 +337,7 @@ class Search:
             ),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
-            'sampler_lag': LAG,
+            'sampler_lag': self.options.lag,
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
@@ -354,6 +357,7 @@ def search_heading(options: SearchOptions) -> str:
     """Heading that describes the search."""
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    workers = f'cluster {options.cluster}' if options.cluster else workers
     part = '' if options.shard is None else f', {shard_words(options)}'
     verb = 'resuming' if options.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers}'

@@ -10,14 +10,17 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import Shard
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
-from taxinet_ros.campaign.samplers.sampler import LAG, split_options
+from taxinet_ros.campaign.samplers.sampler import LAG, MOST_LAG, split_options
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
+from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
 FAILURES = 'failures'
@@ -89,6 +92,9 @@ class SearchOptions:
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
         shard: the part of the search to run, or None for the whole.
+        lag: number of runs that may be in flight where scenes depend on results: each is chosen by
+            the results of all but the last ``lag - 1``.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
     """
 
     campaign: CampaignOptions
@@ -99,6 +105,19 @@ class SearchOptions:
     stop: StopRule | None = None
     budget_s: float | None = None
     shard: Shard | None = None
+    lag: int = LAG
+    cluster: str = ''
+
+    @property
+    def in_flight(self) -> int | None:
+        """Number of runs that may be in flight; None if nothing depends on results.
+
+        Workers here are no more than the lag in any case.
+        """
+        if self.shard is not None:
+            return None
+        by_results = SAMPLERS[self.sampler].depends_on is DependsOn.RESULTS
+        return self.lag if by_results or self.stop is not None or not self.cluster else None
 
     @property
     def runs(self) -> int:
@@ -110,6 +129,7 @@ class SearchOptions:
 def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
     resume: bool, until: str | None, budget_min: float | None, shard: Shard | None = None,
+    lag: int = LAG, cluster: str | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
 
@@ -122,12 +142,17 @@ def make_search_options(
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
         shard: the part of the search to run, or None for the whole.
+        lag: see :class:`SearchOptions`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
 
     Raises:
         UsageError: one line on the first error.
     """
-    if not 1 <= workers <= LAG:
-        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
+    if not 1 <= lag <= MOST_LAG:
+        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
+    if lag != LAG and shard is not None:
+        raise UsageError(f'--lag {lag}: has no effect with --shard, whose scenes ignore results')
+    where = check_workers_or_cluster(workers, lag, cluster, campaign)
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
     if shard is not None:
@@ -138,8 +163,45 @@ def make_search_options(
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
         workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
-        budget_s=None if budget_min is None else 60 * budget_min, shard=shard,
+        budget_s=None if budget_min is None else 60 * budget_min, shard=shard, lag=lag,
+        cluster=where,
     )
+
+
+def check_workers_or_cluster(
+    workers: int, lag: int, cluster: str | None, campaign: CampaignOptions
+) -> str:
+    """Check what makes the runs: worker processes here, or a cluster.
+
+    Args:
+        workers: number of worker processes.
+        lag: number of runs that may be in flight.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        campaign: the campaign.
+
+    Returns:
+        The checked cluster, or ''.
+
+    Raises:
+        UsageError: too many workers, no cluster, or runs that a cluster cannot make.
+    """
+    if cluster is None:
+        if not 1 <= workers <= lag:
+            raise UsageError(f'--workers {workers}: needs to be within 1..{lag}')
+        return ''
+    if workers != 1:
+        raise UsageError(
+            f'--workers {workers}: not with --cluster, whose own workers are used; leave it out'
+        )
+    for role, word in (('perception', campaign.perception), ('controller', campaign.controller)):
+        if word in (EXTERNAL, ''):
+            raise UsageError(
+                f'--cluster: not with a {role} that you start yourself, which the workers do not '
+                'see; use --workers, or give its command'
+            )
+    if again := find_world(campaign.world).again_words:
+        raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
+    return check_cluster(cluster)
 
 
 def _check_shard(shard: Shard, runs: int, until: str | None) -> None:

@@ -381,6 +381,22 @@ SamplerSettingOption = Annotated[
     ),
 ]
 WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]
+LagOption = Annotated[
+    int,
+    typer.Option(
+        metavar='RUNS',
+        help='runs in flight at most: each scene is chosen by the results of all but the last '
+        'RUNS - 1; another lag is another search, whatever its workers',
+    ),
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='WHERE',
+        help='make the runs on a Dask cluster, with the same results: tcp://HOST:PORT or '
+        'tls://HOST:PORT of its scheduler, the FILE of dask scheduler --scheduler-file, or local:N',
+    ),
+]
 ResumeOption = Annotated[
     bool, typer.Option('--resume', help='continue an interrupted command in --out')
 ]

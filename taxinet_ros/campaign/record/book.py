@@ -42,6 +42,7 @@ from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.types import NS_PER_S
@@ -91,7 +92,8 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
         perception = result.perception or perception
     result = dataclasses.replace(result, timing=result.timing or options.timing.words)
     return RunRow.of_run(
-        request, result, perception=perception, sim_s=sim_s, bag=bag, stack=this_stack()
+        request, result, perception=perception, sim_s=sim_s, bag=bag,
+        stack=result.stack or this_stack(),
     )
 
 
@@ -240,6 +242,19 @@ class CampaignBook:
         """
         self.facts, self._facts_due = {**self.facts, **facts}, True
         self._write_due_facts()
+
+    def add_machine(self, record: Provenance) -> None:
+        """Record another machine, before the first of its runs.
+
+        Args:
+            record: its provenance, see :mod:`taxinet_ros.core.provenance`.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
+        stack = stack_id(record)
+        if stack not in self.facts[STACKS]:
+            self.add_facts({STACKS: {**self.facts[STACKS], stack: dict(record)}})
 
     def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
         """Record that a run is about to start; rename the files of an earlier attempt.

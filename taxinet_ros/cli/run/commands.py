@@ -16,6 +16,7 @@ from taxinet_ros.cli.options import (
     BoundOption,
     BudgetOption,
     CameraOption,
+    ClusterOption,
     ControllerCommandOption,
     ControllerOption,
     EngineOption,
@@ -28,6 +29,7 @@ from taxinet_ros.cli.options import (
     ImagesOption,
     JsonOption,
     JsonSummaryOption,
+    LagOption,
     LatencyOption,
     MostRunsOption,
     NeededRunsOption,
@@ -168,6 +170,8 @@ def falsify(
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
     workers: WorkersOption = 1,
+    cluster: ClusterOption = None,
+    lag: LagOption = 8,
     out: OutOption = None,
     resume: ResumeOption = False,
     seed: SeedOption = 0,
@@ -233,7 +237,7 @@ def falsify(
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, shard=part,
+            resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
         )
     raise ended(
         run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,
@@ -589,6 +593,7 @@ def experiment(
         str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
     ] = None,
     workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
+    cluster: ClusterOption = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
@@ -618,6 +623,7 @@ def experiment(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
             workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
+            cluster=cluster,
         )
     )
 
