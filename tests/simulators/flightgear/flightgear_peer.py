@@ -146,11 +146,14 @@ class FlightGearPeer:
         aside = -(ground @ self.north)
         picture = np.full((height, width, 3), (60, 90, 40), np.uint8)
         picture[np.abs(aside) < 30.0] = 70
+        # Edges are mixed by area, else lines along the columns would be off by half a pixel.
+        wide = np.maximum(np.hypot(*np.gradient(aside)), 1e-9)
         for line in LINES_M:
-            picture[np.abs(aside + line) < 0.8] = 240
+            share = np.clip((0.8 - np.abs(aside + line)) / wide + 0.5, 0, 1)[..., None]
+            picture = (picture + share * (240.0 - picture)).astype(np.uint8)
         picture[rays @ slope > -1e-3] = (120, 150, 220)
         if self.flicker:
-            picture = picture + np.uint8(9 * (self.frame % 2))
+            picture = picture + np.uint8(9 * (self.frame % 3))
         return picture
 
     def run(self, script: str) -> None:
