@@ -392,6 +392,8 @@ def _draw_shifts(axes: Axes, opinions: Sequence[SceneOpinion], other: str) -> No
         axes.axhline(side, color='k', linewidth=0.8, linestyle='--')
     axes.axvline(NEAR_M, color='k', linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
+    axes.set_xticks([5, 10, 20, 50, 100, 200], ['5', '10', '20', '50', '100', '200'])
+    axes.minorticks_off()
     axes.set_ylim(-4, 4)
     axes.set_xlabel('distance from the camera [m]')
     axes.set_ylabel(f'shift of edges of paint, ours minus {other} [px]')

@@ -56,7 +56,7 @@ class FlightGearPeer:
 
     def __init__(self, size_px: tuple[int, int] = (480, 288)) -> None:
         self.size_px = size_px
-        self.frame, self.frozen = 0, False
+        self.frame, self.drawn, self.frozen = 0, 0, False
         self.flicker, self.lag, self.silent_s = False, 1, 0.0
         self.answers: dict[str, Callable[[], tuple[int, bytes]]] = {}
         """Answers in place of its own, by the beginning of a path."""
@@ -153,7 +153,8 @@ class FlightGearPeer:
             picture = (picture + share * (240.0 - picture)).astype(np.uint8)
         picture[rays @ slope > -1e-3] = (120, 150, 220)
         if self.flicker:
-            picture = picture + np.uint8(9 * (self.frame % 3))
+            self.drawn += 1
+            picture = picture + np.uint8(9 * (self.drawn % 2))
         return picture
 
     def run(self, script: str) -> None:
