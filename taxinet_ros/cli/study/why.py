@@ -93,7 +93,7 @@ def run_why(options: WhyOptions) -> int:
             sitting = StudyRun(
                 out, with_engine(stages, options.engine, options.audit), log=log,
                 command=stage_command(), workers=options.workers, show=show, folder=Path.cwd(),
-                logs=out / 'logs',
+                logs=out / 'logs', again='the same command',
             )
             return sitting.run(), sitting.refused
 
@@ -104,7 +104,6 @@ def run_why(options: WhyOptions) -> int:
         try:
             evidence = work.evidence()
         except StoppedError as stopped:
-            show('the same command goes on')
             return stopped.code
         verdict = judge(evidence)
         todo = tuple(_actions(evidence, verdict, path, kind))

@@ -78,7 +78,7 @@ class StudyRun:
     def __init__(
         self, out: Path, found: Sequence[Stage], *, log: StageLog, command: Sequence[str],
         workers: int, show: Callable[[str], None], folder: Path | None = None,
-        logs: Path | None = None,
+        logs: Path | None = None, again: str = '--resume',
     ) -> None:
         """Prepare the sitting; nothing is started yet.
 
@@ -91,10 +91,12 @@ class StudyRun:
             show: prints a line.
             folder: working directory of the commands; None: the study's folder.
             logs: existing folder for what the commands print; None: it is shown.
+            again: what continues the study, for messages.
         """
         self.refused: dict[str, str] = {}
         self._folder = folder or out
         self._logs = logs
+        self._again = again
         self._out = out
         self._stages = tuple(found)
         self._log = log
@@ -172,7 +174,7 @@ class StudyRun:
         self._log.write('end', stage.name, key=key, outputs=stage.results(self._out),
                         wall_s=wall_s, code=code, command=list(words), workers=self._workers)
         if interrupted:
-            self._show(f'interrupted after {stage.name}; --resume goes on')
+            self._show(f'interrupted after {stage.name}; {self._again} goes on')
             return ExitCode.INTERRUPTED
         return ExitCode.OK
 
@@ -220,9 +222,9 @@ class StudyRun:
 
     def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:
         if interrupted or code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            self._show(f'interrupted in {stage.name}; --resume goes on')
+            self._show(f'interrupted in {stage.name}; {self._again} goes on')
             return ExitCode.INTERRUPTED
-        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, --resume goes on')
+        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, {self._again} goes on')
         return code if code > 0 and code not in stage.accepts else ExitCode.INFRA
 
 

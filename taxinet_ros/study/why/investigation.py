@@ -559,6 +559,11 @@ def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
                 f'{field.title[0].upper()}{field.title[1:]}: {field.value_words(one["shrunk"])} '
                 f'fails, {field.value_words(one["passes_at"])} passes.'
             )
+    if values['end'] == End.SPENT.value:
+        sentences.append(
+            'Shrinking ended before it was minimal, as its runs were spent; a larger --budget '
+            'goes on.'
+        )
     return tuple(sentences)
 
 

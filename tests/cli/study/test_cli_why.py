@@ -111,6 +111,36 @@ def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_pat
     assert stages.done == ['shrink']
 
 
+def test_given_a_run_that_fails_with_the_truth_too_then_the_controller_is_at_fault(
+    tmp_path, taxinet
+):
+    weak = tx.SteeringLaw(tx.SteeringGains(heading_gain=0.01))
+    scene = tx.Scenario(cross_track_m=5.0, duration_s=3.0)
+    bag = tx.run(scene, perception='truth', controller=weak, specs=NEAR).save_bag(
+        tmp_path / 'runs' / 'weak', images=False)
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert found.blames == Blames(controller=1)
+    assert stages.done == ['shrink']
+    whose, where, _ = judge(found).sentences
+    assert 'The controller steering is at fault' in whose
+    assert where.startswith('Shrinking ended before it was minimal')  # its share is few runs
+
+
+def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_blamed(
+    tmp_path, taxinet
+):
+    found = tx.falsify(
+        'nominal', runs=3, perception='truth', specs='far=always(abs(cte) >= 3)',
+        settings={'duration_s': 1}, out=tmp_path / 'found',
+    ).folder
+    found, stages = looked_into(found, taxinet, tmp_path)
+    assert stages.done == ['analyze', 'localize', 'shrink']
+    assert found.blames == Blames(requirement=2)  # the budget is for two of the three
+    assert judge(found).fault is Fault.REQUIREMENT
+    assert (found.judged, found.failed) == (3, 3)
+    assert 'all runs fail, so causes cannot be distinguished' in found.troubles['causes']
+
+
 def test_given_a_run_that_passed_then_no_stage_is_run(tmp_path, taxinet):
     bag = tx.run(tx.Scenario(duration_s=1.0), perception='truth', specs=NEAR).save_bag(
         tmp_path / 'runs' / 'good', images=False)
