@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 
 import falsify_samples as toy
+import psutil
 from dask_processes import DaskProcesses
 from scipy.stats import t as student
 
@@ -30,7 +31,8 @@ from taxinet_ros.campaign.cluster.task import OUT
 from taxinet_ros.campaign.loop_run import Loop, campaign_loop
 from taxinet_ros.campaign.options import LOOP, make_options
 from taxinet_ros.campaign.record.book import run_request
-from taxinet_ros.campaign.samplers.space import Point
+from taxinet_ros.campaign.samplers.registry import make_sampler
+from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.worker_pool import (
@@ -98,15 +100,16 @@ def measure(workers: int, where: str, arguments: argparse.Namespace, sampler: st
 
 
 def of_real_runs() -> list[str]:
-    """What a scene of Scenic costs, and what a run sends."""
+    """What a scene and a sampler cost, and what a run sends."""
     with SceneSource('s_falsif', seed=1, overrides={}, laid_over={}) as source:
         space = source.space()
         source.scene(0, space.point([0.5] * len(space)))
-        begun = time.monotonic()
+        begun = processor_s()
         for index in range(1, 201):
             source.scene(index, space.point([index / 201] * len(space)))
-        scene_s = (time.monotonic() - begun) / 200
+        scene_s = (processor_s() - begun) / 200
         scenario = source.scene(0)
+        asked = [asked_words(name, space) for name in ('halton', 'ce', 'active')]
     options = make_options(
         program='s_falsif', runs=1, seed=1, perception='truth', settings=(), specs=(), out=None,
         processes=False, engine=LOOP,
@@ -115,9 +118,28 @@ def of_real_runs() -> list[str]:
     result = Loop(campaign_loop(dataclasses.replace(options, bags=False), '', '')).run(request)
     sent = [len(json.dumps(each)) for each in (request_to_json(request), result_to_json(result))]
     return [
-        f'a scene of s_falsif: {1e3 * scene_s:.2f} ms (mean of 200)',
+        f'a scene of s_falsif: {1e3 * scene_s:.2f} ms of processor time (mean of 200)', *asked,
         f'a run sends {sent[0]} bytes to the worker and {sent[1]} back',
     ]
+
+
+def processor_s() -> float:
+    """Processor time of this process and its living children [s]."""
+    family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return sum(sum(process.cpu_times()[:2]) for process in family)
+
+
+def asked_words(name: str, space: Space) -> str:
+    """What a sampler costs per run, early and late in a search."""
+    sampler, costs = make_sampler(name, space, 1, 1000), []
+    for number in range(1000):
+        begun = time.process_time()
+        index, point = sampler.next()
+        sampler.tell(index, (point[0] or 0.5) - 0.2)
+        costs.append(time.process_time() - begun)
+        assert number == index
+    early, late = (1e3 * statistics.mean(part) for part in (costs[50:150], costs[-100:]))
+    return f'{name}: {early:.2f} ms of processor time a run near run 100, {late:.2f} near run 950'
 
 
 def main() -> None:
