@@ -392,7 +392,9 @@ def _draw_shifts(axes: Axes, opinions: Sequence[SceneOpinion], other: str) -> No
         axes.axhline(side, color='k', linewidth=0.8, linestyle='--')
     axes.axvline(NEAR_M, color='k', linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
-    axes.set_xticks([5, 10, 20, 50, 100, 200], ['5', '10', '20', '50', '100', '200'])
+    shown = axes.get_xlim()
+    ticks = [at for at in (2, 5, 10, 20, 50, 100, 200, 500) if shown[0] < at < shown[1]]
+    axes.set_xticks(ticks, [str(at) for at in ticks])
     axes.minorticks_off()
     axes.set_ylim(-4, 4)
     axes.set_xlabel('distance from the camera [m]')
