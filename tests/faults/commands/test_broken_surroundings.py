@@ -43,7 +43,7 @@ DOES_NOTHING = {
     'place': ['show', 'nowhere'],
     'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
-    'xplane': ['nothing'],
+    'why': ['nowhere'], 'xplane': ['nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')
 WRONG = re.compile('Traceback|a defect of taxinet|\x1b')
