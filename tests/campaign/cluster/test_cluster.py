@@ -339,7 +339,7 @@ def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_ta
         with dask.config.set(asked):
             there(cluster.address, tmp_path / 'there', [], sampler='halton')
         for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
-            with pytest.raises(UsageError, match='no Dask scheduler answers there'):
+            with pytest.raises(UsageError, match='what answers there is no Dask scheduler'):
                 there(
                     address, tmp_path / 'never', [],
                     limits=dataclasses.replace(LIMITS, connect_s=1.0),
