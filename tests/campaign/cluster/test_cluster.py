@@ -189,16 +189,16 @@ def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_l
     (tmp_path / 'pace').write_text('0.2')  # it has two tasks when the first result comes
     third = processes.add_worker()
     told: list[str] = []
-    (tmp_path / 'deadly-3').write_text('')
+    (tmp_path / 'deadly-38').write_text('')
     search = there(
         processes.address, tmp_path / 'there', told, {1: lambda search: kill(third)},
         sampler='halton',
     )
     assert [line.partition(': ')[2] for line in told] == ['lost; its runs are given to others']
     retried = [row.index for row in search.rows if row.retries]
-    assert retried == [3]
+    assert retried == [38]
     (tmp_path / 'pace').unlink()
-    (tmp_path / 'deadly-3').write_text('')
+    (tmp_path / 'deadly-38').write_text('')
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
