@@ -14,6 +14,7 @@ import logging
 import os
 import platform
 import re
+import socket
 import tempfile
 import threading
 import time
@@ -269,13 +270,30 @@ class Cluster:
                 f'{self._where}: neither encrypted nor authenticated: whoever reaches it can run '
                 'programs on its workers and here; see docs/scaling.md for TLS'
             )
+        if self._local is None:
+            self._check_answers(named)
         try:
             self._client = self._connected(self._limits.connect_s)
         except _NotConnectedError as error:
             raise UsageError(
-                f'{named}: no Dask scheduler answers there: {error}; start one with dask scheduler'
+                f'{named}: what answers there is no Dask scheduler, or has other TLS settings '
+                f'({error})'
             ) from error
         self._check_scheduler(named)
+
+    def _check_answers(self, named: str) -> None:
+        """Check that somebody listens at the address, which Dask would say late and vaguely."""
+        place = urlsplit(self._where)
+        try:
+            with socket.create_connection(
+                (place.hostname or '', place.port or 0), self._limits.connect_s
+            ):
+                pass
+        except OSError as error:
+            raise UsageError(
+                f'{named}: nobody answers there ({error.strerror or error}); start it with dask '
+                'scheduler'
+            ) from error
 
     def _connected(self, timeout_s: float) -> Client:
         """A new client; a server of another kind may never answer, or with anything."""

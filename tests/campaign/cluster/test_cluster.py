@@ -186,18 +186,19 @@ def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_l
     processes, here, tmp_path
 ):
     """One of three workers is killed; and a child, in whose place its worker starts another."""
-    (tmp_path / 'pace').write_text('0.02')
+    (tmp_path / 'pace').write_text('0.2')  # it has two tasks when the first result comes
     third = processes.add_worker()
     told: list[str] = []
-    (tmp_path / 'deadly-3').write_text('')
+    (tmp_path / 'deadly-38').write_text('')
     search = there(
-        processes.address, tmp_path / 'there', told, {10: lambda search: kill(third)},
+        processes.address, tmp_path / 'there', told, {1: lambda search: kill(third)},
         sampler='halton',
     )
     assert [line.partition(': ')[2] for line in told] == ['lost; its runs are given to others']
     retried = [row.index for row in search.rows if row.retries]
-    assert retried == [3]
-    (tmp_path / 'deadly-3').write_text('')
+    assert retried == [38]
+    (tmp_path / 'pace').unlink()
+    (tmp_path / 'deadly-38').write_text('')
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
@@ -339,7 +340,7 @@ def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_ta
         with dask.config.set(asked):
             there(cluster.address, tmp_path / 'there', [], sampler='halton')
         for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
-            with pytest.raises(UsageError, match='no Dask scheduler answers there'):
+            with pytest.raises(UsageError, match='what answers there is no Dask scheduler'):
                 there(
                     address, tmp_path / 'never', [],
                     limits=dataclasses.replace(LIMITS, connect_s=1.0),
