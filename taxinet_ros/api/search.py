@@ -76,7 +76,8 @@ def falsify(
         rates: as for ``tx.run``.
         latency: as for ``tx.run``.
         world: as for ``tx.run``.
-        until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
+        until: ``failures=K``, ``half-width=W`` of the failure rate's interval, or a sequential
+            test, ``min-satisfaction=SHARE`` or ``max-off-runway=SHARE``; None: all runs.
         workers: number of processes; results do not depend on it.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
         resume: continue the campaign in ``out``.

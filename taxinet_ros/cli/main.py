@@ -33,6 +33,7 @@ from taxinet_ros.cli.analysis.commands import (
     gate,
     localize,
     monitor,
+    plan,
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
@@ -139,8 +140,8 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
-    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
-    improve,
+    experiment, gate, plan, plugins, doctor, monitor, spec, demo, train, dataset, evaluate,
+    case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -266,6 +266,27 @@ def gate(
         int, typer.Option(help='maximum number of runs with an infrastructure error')
     ] = 0,
     confidence: Annotated[float, typer.Option(help='confidence of each one-sided bound')] = 0.95,
+    planned: Annotated[
+        bool,
+        typer.Option(
+            '--planned', help='judge once, at exactly the planned number of runs, with the whole '
+            'confidence (as taxinet plan counts)'
+        ),
+    ] = False,
+    sequential: Annotated[
+        bool,
+        typer.Option(
+            '--sequential', help='follow the runs in their order to the first decision of a '
+            'sequential test, at which falsify --until stops'
+        ),
+    ] = False,
+    design: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='with --sequential: the share that a good system has, better '
+            'than the threshold; the test then takes the fewest runs for it'
+        ),
+    ] = None,
     inconclusive: Annotated[
         str,
         typer.Option(
@@ -284,16 +305,77 @@ def gate(
     the whole interval of one violates it, else INCONCLUSIVE (3) with an estimate of the additional
     runs needed. Runs with an infrastructure error are excluded and counted separately.
     """
-    from taxinet_ros.analysis.gate import GateOptions
+    from taxinet_ros.analysis.gate import GateOptions, Look
     from taxinet_ros.cli.analysis.gate import run_gate
+    from taxinet_ros.errors import UsageError
 
+    if planned and sequential:
+        raise UsageError('gate: --planned and --sequential do not go together; leave one out')
+    look = Look.PLANNED if planned else Look.SEQUENTIAL if sequential else Look.ANY
     options = GateOptions(
         min_satisfaction=min_satisfaction, max_off_runway=max_off_runway, max_infra=max_infra,
-        confidence=confidence,
+        confidence=confidence, look=look, design=design,
     )
     raise typer.Exit(
         run_gate(campaign, options, inconclusive=inconclusive, junit=junit, as_json=as_json)
     )
+
+
+def plan(
+    campaign: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar='[CAMPAIGN]', help='runs there are already, drawn by the program itself',
+            show_default=False,
+        ),
+    ] = None,
+    min_satisfaction: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at least this share of runs satisfy'),
+    ] = None,
+    max_off_runway: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at most this share of runs leave the runway'),
+    ] = None,
+    so_far: Annotated[
+        str | None,
+        typer.Option(metavar='RUNS:FAILURES', help='runs there are already, instead of CAMPAIGN'),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help='confidence of the claim')] = 0.95,
+    failures: Annotated[
+        int | None, typer.Option(help='plan for up to so many failures (default: 0 to 3)')
+    ] = None,
+    if_true: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='assumed true share, in the words of the claim: gives the chance '
+            'of each plan, and a sequential one'
+        ),
+    ] = None,
+    power: Annotated[
+        float, typer.Option(metavar='CHANCE', help='with --if-true: wanted chance to pass')
+    ] = 0.9,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan how many runs a claim takes, from the start or after those there are.
+
+    Exact binomial numbers for each number of allowed failures, their chance to pass at a true
+    share, and the runs of a sequential test. Runs nothing.
+    """
+    from taxinet_ros.analysis.plan import Claim
+    from taxinet_ros.campaign.sequential import MAX_OFF_RUNWAY, MIN_SATISFACTION
+    from taxinet_ros.cli.analysis.plan import run_plan
+    from taxinet_ros.errors import UsageError
+
+    if (min_satisfaction is None) == (max_off_runway is None):
+        raise UsageError('plan: give one claim, --min-satisfaction or --max-off-runway')
+    threshold = max_off_runway if min_satisfaction is None else min_satisfaction
+    assert threshold is not None
+    claim = Claim(
+        criterion=MAX_OFF_RUNWAY if min_satisfaction is None else MIN_SATISFACTION,
+        threshold=threshold, confidence=confidence, failures=failures, if_true=if_true, power=power,
+    )
+    raise typer.Exit(run_plan(claim, campaign, so_far=so_far, as_json=as_json))
 
 
 def monitor(
