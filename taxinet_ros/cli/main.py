@@ -29,6 +29,7 @@ from taxinet_ros.cli.analysis.commands import (
     analyze,
     doctor,
     explain,
+    forecast_app,
     fork,
     gate,
     localize,
@@ -145,6 +146,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(forecast_app, name='forecast')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
