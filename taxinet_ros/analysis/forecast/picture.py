@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from taxinet_ros.analysis.forecast.forecast import Bound
 from taxinet_ros.analysis.report.parts import Picture, Theme
 
-_HIGH = 3.0
-_LOW = -20.0
+_HIGH, _LOW = 3.0, -200.0
+_LINEAR = 2.0
+_TICKS = (-100, -10, -2, -1, 0, 1, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,7 @@ def forecast_picture(
             _draw(axes, theme, run, percent)
             axes.set_ylabel(f'robustness of\n{spec}')
         panels[-1].set_xlabel('time [s]')
-        panels[0].legend(loc='lower right', fontsize=8)
+        panels[0].legend(loc='upper right', fontsize=8)
 
     return Picture(
         name=name, title=f'Final robustness, forecast during the run ({percent})', draw=draw,
@@ -84,7 +85,10 @@ def _draw(axes: Axes, theme: Theme, run: ShownRun, percent: str) -> None:
         axes.axhline(run.final, color=theme.ink, linestyle=':', linewidth=1.3,
                      label='what came out')
     axes.axhline(0.0, color=theme.ink, linewidth=0.8)
-    lowest = min(-4.0, 1.5 * (run.final or 0.0))
-    axes.set_ylim(max(_LOW, lowest), _HIGH)
+    # Failures may be a hundred times deeper than passes are high.
+    axes.set_yscale('symlog', linthresh=_LINEAR)
+    axes.set_yticks(_TICKS, [f'{tick:g}' for tick in _TICKS])
+    axes.set_yticks([], minor=True)
+    axes.set_ylim(_LOW, _HIGH)
     axes.margins(x=0.01)
     axes.set_title(run.title, fontsize=10)

@@ -311,6 +311,12 @@ def _print_run(
     guarantee: Guarantee,
 ) -> None:
     lower, upper = told['lower'], told['certain_upper']
+    if upper is not None and told['certain_lower'] == upper:
+        console.print(
+            f'{told["run_id"]}: at {told["t_s"]:g} s, {forecast.spec} is {upper:+.3f} for certain',
+            soft_wrap=True,
+        )
+        return
     least = 'no lower bound' if lower is None else f'at least {lower:+.3f}'
     most = '' if upper is None else f', at most {upper:+.3f} for certain'
     kind = 'at all moments of the run' if guarantee is Guarantee.RUN else 'at this moment alone'
