@@ -162,7 +162,7 @@ def _coverage_table(found: Sequence[Coverage]) -> Table:
 
 
 def _rate(one: Rate) -> str:
-    return f'{100 * one.rate:.1f} % [{100 * one.low:.1f}, {100 * one.high:.1f}]'
+    return f'{100 * one.rate:.1f} % [{100 * one.low:.0f}, {100 * one.high:.0f}]'
 
 
 def _share(one: Rate) -> str:
