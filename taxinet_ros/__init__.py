@@ -20,6 +20,7 @@ from taxinet_ros.instructions import pin
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
     from taxinet_ros.api.compare import compare
+    from taxinet_ros.api.forecast import load_forecast
     from taxinet_ros.api.fork import fork
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
@@ -60,6 +61,7 @@ __all__ = [
     'fork',
     'load_aircraft',
     'load_camera',
+    'load_forecast',
     'load_perception',
     'load_place',
     'load_traffic',
@@ -75,6 +77,7 @@ _MODULES = {
         'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
     ),
     'taxinet_ros.api.compare': ('compare',),
+    'taxinet_ros.api.forecast': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),

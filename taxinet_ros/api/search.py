@@ -80,7 +80,8 @@ def falsify(
         rates: as for ``tx.run``.
         latency: as for ``tx.run``.
         world: as for ``tx.run``.
-        until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
+        until: ``failures=K``, ``half-width=W`` of the failure rate's interval, or a sequential
+            test, ``min-satisfaction=SHARE`` or ``max-off-runway=SHARE``; None: all runs.
         workers: number of processes; results do not depend on it.
         cluster: a Dask cluster that makes the runs instead, with the same results:
             ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` of its scheduler, a scheduler file, or

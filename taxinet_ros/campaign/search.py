@@ -18,7 +18,7 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
+from taxinet_ros.campaign.record.facts import UNTIL, campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
@@ -34,7 +34,6 @@ from taxinet_ros.campaign.scenes.source import (
 )
 from taxinet_ros.campaign.search_options import (
     FAILURES,
-    HALF_WIDTH,
     SearchOptions,
     check_can_be_sharded,
     with_sampler,
@@ -312,7 +311,7 @@ class Search:
             self._sampler.ignore_results()
         else:
             self._sampler.set_lag(options.lag)
-        if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
+        if options.stop is not None and options.stop.needs_draws and not drawn_share(
             options.sampler, options.sampler_options
         ):
             raise UsageError(
@@ -342,6 +341,7 @@ class Search:
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
             **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
+            **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
 
 

@@ -18,7 +18,15 @@ from taxinet_ros.campaign.record.shard import Shard
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, MOST_LAG, split_options
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
+from taxinet_ros.campaign.sequential import (
+    MAX_OFF_RUNWAY,
+    MIN_SATISFACTION,
+    SequentialTest,
+    course,
+    parse_test,
+)
 from taxinet_ros.core.user_code import EXTERNAL
+from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -32,23 +40,33 @@ class StopRule:
     """A rule of ``--until``.
 
     Attributes:
-        kind: ``failures``, or ``half-width`` of the 95 % interval of the failure rate.
-        value: number of failures, or the half width as a fraction.
+        kind: ``failures``; ``half-width`` of the 95 % interval of the failure rate; or the
+            criterion of a sequential test.
+        value: number of failures, the half width as a fraction, or the test's threshold.
+        test: the sequential test, or None.
     """
 
     kind: str
     value: float
+    test: SequentialTest | None = None
 
     def __str__(self) -> str:
-        return f'{self.kind}={self.value:g}'
+        return f'{self.kind}={self.value:g}' if self.test is None else str(self.test)
 
     @property
     def reached(self) -> str:
         """Text for a search that this rule ended."""
-        return f'{self} reached'
+        return f'{self} reached' if self.test is None else f'{self} decided'
+
+    @property
+    def needs_draws(self) -> bool:
+        """Whether it can only be met by runs that the program itself draws."""
+        return self.kind != FAILURES
 
     def is_met(self, rows: Sequence[RunRow]) -> bool:
         """Whether these runs meet the rule."""
+        if self.test is not None:
+            return course(rows, self.test).decision is not None
         if self.kind == FAILURES:
             return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value
         found = failure_rate(rows, 0).rate
@@ -56,12 +74,15 @@ class StopRule:
 
 
 def parse_stop_rule(text: str) -> StopRule:
-    """Parse the rule ``failures=K`` or ``half-width=W``.
+    """Parse ``failures=K``, ``half-width=W``, or a sequential test (:func:`.parse_test`).
 
     Raises:
-        UsageError: it is neither.
+        UsageError: it is none of them.
     """
     kind, _, number = (part.strip() for part in text.partition('='))
+    if kind in (MIN_SATISFACTION, MAX_OFF_RUNWAY):
+        test = parse_test(text)
+        return StopRule(kind=kind, value=test.shown(test.limit), test=test)
     try:
         value = float(number)
     except ValueError:
@@ -69,7 +90,8 @@ def parse_stop_rule(text: str) -> StopRule:
     whole = kind == FAILURES and value >= 1 and value.is_integer()
     if not whole and not (kind == HALF_WIDTH and 0 < value < 0.5):
         raise UsageError(
-            f'--until {text}: expected {FAILURES}=K (1, 2, …) or {HALF_WIDTH}=W (0…0.5)'
+            f'--until {text}: expected {FAILURES}=K (1, 2, …), {HALF_WIDTH}=W (0…0.5), '
+            f'{MIN_SATISFACTION}=SHARE or {MAX_OFF_RUNWAY}=SHARE'
         )
     return StopRule(kind=kind, value=value)
 
@@ -157,12 +179,21 @@ def make_search_options(
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
     if shard is not None:
         _check_shard(shard, campaign.runs, until)
+    stop = parse_stop_rule(until) if until else None
+    if (
+        stop is not None and stop.kind == MAX_OFF_RUNWAY
+        and campaign.judging.stop_on is not StopOn.NEVER
+    ):
+        raise UsageError(
+            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
+            'stopped it is unknown whether it would have left the runway'
+        )
     options = split_options(sampler_options)
     if sampler is not None:
         check_sampler(sampler, options)
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
-        workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
+        workers=workers, resume=resume, stop=stop,
         budget_s=None if budget_min is None else 60 * budget_min, shard=shard, lag=lag,
         cluster=where,
     )

@@ -20,7 +20,7 @@ SECTIONS = {
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
-    'Judge': ('gate', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
+    'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
     'Train': ('dataset', 'train', 'improve', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
@@ -54,6 +54,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     'experiment': ('taxinet experiment shadows_afternoon --runs 120 --perception original',),
     'gate': ('taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',),
+    'plan': (
+        'taxinet plan --min-satisfaction 0.999',
+        'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
+    ),
+    'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
+    'forecast check': ('taxinet forecast check bound.json bags/other',),
+    'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),
     'compare': ('taxinet compare original taxinet s_falsif', 'taxinet compare bags/old bags/new'),
     'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),

@@ -30,10 +30,12 @@ from taxinet_ros.cli.analysis.commands import (
     compare,
     doctor,
     explain,
+    forecast_app,
     fork,
     gate,
     localize,
     monitor,
+    plan,
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
@@ -148,11 +150,12 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
-    compare, bisect, experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset,
+    compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train, dataset,
     evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(forecast_app, name='forecast')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
@@ -169,7 +172,8 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...; or processors',
+            'or intervals [SAMPLER]...; or sequential; or searches [SAMPLER|LANDSCAPE]...; or '
+            'processors',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
@@ -215,6 +219,9 @@ def bench(
     `taxinet bench intervals` searches landscapes of known failure rate and reports how often the
     intervals of `falsify` cover it and how often `gate` passes wrongly.
 
+    `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
+    err and how many runs they take.
+
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
 
@@ -242,6 +249,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_intervals
 
         raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for_study('sequential', words, given):
+        from taxinet_ros.cli.bench.samplers import run_sequential
+
+        raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 

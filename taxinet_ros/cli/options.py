@@ -404,7 +404,9 @@ UntilOption = Annotated[
     str | None,
     typer.Option(
         metavar='RULE',
-        help='stop early: failures=K, or half-width=W of the interval of the failure rate',
+        help='stop early: failures=K; half-width=W of the interval of the failure rate; or as soon '
+        'as a sequential test decides, min-satisfaction=SHARE or max-off-runway=SHARE with '
+        ',design=SHARE and ,confidence=SHARE if wanted (then taxinet gate --sequential)',
     ),
 ]
 ShardOption = Annotated[

@@ -35,6 +35,7 @@ CALLS = {
     'load_perception': (tx.load_perception, {}),
     'load_aircraft': (tx.load_aircraft, {}),
     'load_camera': (tx.load_camera, {}),
+    'load_forecast': (tx.load_forecast, {}),
     'load_place': (tx.load_place, {}),
     'load_traffic': (tx.load_traffic, {}),
     'open_recording': (tx.open_recording, {}),

@@ -27,6 +27,7 @@ from taxinet_ros.campaign.record.facts import (
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
+    UNTIL,
     WORLD,
     package_words,
     recorded_stacks,
@@ -380,11 +381,11 @@ UNKNOWN_TO_SAMPLER = 'untold'
 """The fact that lists the runs whose results a search's sampler never receives."""
 _MAY_DIFFER = frozenset({
     'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
-    ENGINE, AUDIT_PERCENT,
+    ENGINE, AUDIT_PERCENT, UNTIL,
 })
 """Facts that may differ on a resume: more runs may be requested; the digest covers the text;
 warnings differ between versions; another machine or version only causes a warning; both engines
-give the same rows and bags."""
+give the same rows and bags; a stop rule chooses no scene."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
     'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.record.book import UNKNOWN_TO_SAMPLER, read_same_campaign, short_json
-from taxinet_ros.campaign.record.facts import ARMS
+from taxinet_ros.campaign.record.facts import ARMS, UNTIL, recorded_rules
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import MERGED
@@ -121,6 +121,9 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
             f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
         )
     kept = _kept_facts(content.campaign, of_graph)
+    rules = [*recorded_rules(content.campaign), *recorded_rules(facts)]
+    if rules:
+        kept[UNTIL] = list(dict.fromkeys(rules))
     return EarlierRuns(
         rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun, content=content,
         facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
