@@ -22,6 +22,7 @@ from taxinet_ros.cli.help import (
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
+from taxinet_ros.errors import UsageError
 
 ROOT = typer.main.get_command(app)
 TAXINET = Path(sys.executable).with_name('taxinet')
@@ -120,6 +121,7 @@ def test_given_no_terminal_when_a_command_is_long_then_a_line_now_and_then_says_
 ):
     now = [100.0]
     monkeypatch.setattr(progress.time, 'monotonic', lambda: now[0])
+    monkeypatch.delenv(progress.HEARTBEAT)
     with stage_bars(progress.Console()) as show:
         for done in range(1, 31):
             now[0] += 1
@@ -131,3 +133,11 @@ def test_given_no_terminal_when_a_command_is_long_then_a_line_now_and_then_says_
         'reading: 10 of 30, about 0:00:18 left', 'reading: 20 of 30, about 0:00:10 left',
         'reading: 30 of 30',
     ]
+
+
+@pytest.mark.parametrize('text', ['often', '-1', 'nan'])
+def test_given_another_heartbeat_then_it_is_refused_by_name(text, monkeypatch):
+    monkeypatch.setenv(progress.HEARTBEAT, text)
+    with pytest.raises(UsageError, match=f'TAXINET_HEARTBEAT_S={text}: expected seconds'), \
+            stage_bars(progress.Console()):
+        pass
