@@ -232,6 +232,8 @@ def _heard(domain: int) -> Check:
     from rclpy.node import Node
     from std_msgs.msg import String
 
+    from taxinet_ros.nodes.running.leave import leave_graph
+
     heard: list[Any] = []
     contexts = [Context(), Context()]
     begun = time.monotonic()
@@ -252,7 +254,7 @@ def _heard(domain: int) -> Check:
             speaker.publish(String(data='here'))
             executor.spin_once(timeout_sec=0.05)
         for node in nodes:
-            node.destroy_node()
+            leave_graph(node)
     finally:
         for context in contexts:
             rclpy.try_shutdown(context=context)

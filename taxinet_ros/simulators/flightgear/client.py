@@ -16,6 +16,7 @@ import json
 import os
 import re
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,8 @@ class FlightGear:
         self._connection, self._second = (
             http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
         )
+        for connection in (self._connection, self._second):
+            weakref.finalize(self, connection.close)
         self._answered = False
         self.ready = False
         """Whether it has been prepared; False again when the connection was lost."""
