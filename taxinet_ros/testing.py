@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.motion.controller import check_controller as controller_fingerprint
 from taxinet_ros.core.mtl import parse_formula, parse_spec, robustness, signal_names
@@ -43,7 +44,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import UserCodeError, pair_of_numbers
 from taxinet_ros.core.verdict.judge import check_specs
-from taxinet_ros.core.world import Observation, find_world
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
 

@@ -32,6 +32,7 @@ from taxinet_ros.bag.run.resimulation import check_state, states_and_commands
 from taxinet_ros.bag.run.run_bag import node_words
 from taxinet_ros.bag.run.topics import ESTIMATE
 from taxinet_ros.bag.run.trace import CameraFrame
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.fork import (
     Fork,
     ReplayedController,
@@ -41,7 +42,7 @@ from taxinet_ros.core.fork import (
     needs_other_model,
 )
 from taxinet_ros.core.loop import Step
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Placed
+from taxinet_ros.core.motion.aircraft import Placed
 from taxinet_ros.core.motion.controller import STEERING, Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import Perception, perception_names

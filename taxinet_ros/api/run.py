@@ -62,7 +62,6 @@ from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
-    NO_ESTIMATE,
     GroundTruth,
     NetworkPerception,
     Perception,
@@ -79,7 +78,7 @@ from taxinet_ros.core.trace import (
     trace_signals,
     trace_table,
 )
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.units import dimension_of, si_unit
 from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.core.verdict.judge import Judgement, check_others, check_specs

@@ -21,6 +21,7 @@ from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES, RunBag, RunEnding, node_
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.facts import program_attachment
 from taxinet_ros.core import topics
+from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.pacing.timing import Timing
@@ -29,7 +30,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
-from taxinet_ros.core.world import ChosenWorld, Observation, World, find_world
+from taxinet_ros.core.world import ChosenWorld, World, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 OnStep = Callable[[int], None]

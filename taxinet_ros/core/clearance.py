@@ -18,7 +18,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
@@ -202,6 +201,9 @@ def _own_parts(aircraft: str) -> tuple[Vectors, ...]:
     [m]. Height and pitch are rounded, to a centimetre and half a degree, so that a measured
     aircraft has the bits of one whose file states what was measured.
     """
+    # JSBSim, which runs with nobody about do not need here.
+    from taxinet_ros.core.motion.aircraft import measured_model
+
     model = find_aircraft(aircraft)
     settled = model.settled or measured_model(model).settled
     assert settled is not None

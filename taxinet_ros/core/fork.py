@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, Placed
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.motion.aircraft import Aircraft, Placed
 from taxinet_ros.core.motion.controller import Controller
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
@@ -43,7 +44,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_SPEED,
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
-from taxinet_ros.core.world import ChosenWorld, Observation, SimulatedWorld, World
+from taxinet_ros.core.world import ChosenWorld, SimulatedWorld, World
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import FORK
 

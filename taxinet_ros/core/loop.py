@@ -6,13 +6,18 @@ evaluate the requirements on the truth, advance the world (paper, section 3.1).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.clearance import Clearance
+from taxinet_ros.core.control_step import (
+    CONTROL_PERIOD_NS,
+    MAX_GAP_NS,
+    Observation,
+    rolling_on,
+    signals,
+)
 from taxinet_ros.core.faults import loop_delay_ns
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
@@ -22,16 +27,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import StopOn
-from taxinet_ros.core.world import (
-    Observation,
-    SimulatedWorld,
-    WorldMaker,
-    check_picture,
-    closing,
-)
-
-MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
-"""Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
+from taxinet_ros.core.world import SimulatedWorld, WorldMaker, check_picture, closing
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -53,15 +49,6 @@ class Step:
             cte_m=cte_m, he_rad=he_rad, x_m=along_m, speed_mps=now.state.speed_mps,
             estimate=self.estimate, command=self.command, clearance_m=self.clearance_m,
         )
-
-
-def rolling_on(speed_mps: float) -> TaxiCommand:
-    """Command before the first answer: constant initial motion.
-
-    Args:
-        speed_mps: initial speed of the scenario [m/s].
-    """
-    return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
 
 
 class LateCommands:
@@ -88,27 +75,6 @@ class LateCommands:
         delay_ns = next(self._latencies_ns) + loop_delay_ns(self._scenario, now_ns)
         self.answers.put(seq, now_ns + delay_ns, command)
         return self.answers.newest(now_ns)
-
-
-def signals(
-    *, cte_m: float, he_rad: float, x_m: float, speed_mps: float,
-    estimate: TrackingError, command: TaxiCommand, clearance_m: float = MOST_CLEARANCE_M,
-) -> dict[str, float]:
-    """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
-
-    A missing estimate is NaN, so no formula about it can be satisfied.
-    """
-    return {
-        'cte': cte_m,
-        'he': he_rad,
-        'x': x_m,
-        'speed': speed_mps,
-        'steering': command.steering_rad,
-        'cte_estimate': estimate.cte_m if estimate.usable else math.nan,
-        'he_estimate': estimate.he_rad if estimate.usable else math.nan,
-        'clearance': clearance_m,
-        'collision': float(clearance_m <= 0) if clearance_m == clearance_m else math.nan,
-    }
 
 
 def run_closed_loop(

@@ -22,7 +22,7 @@ from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,

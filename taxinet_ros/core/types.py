@@ -54,6 +54,10 @@ class TrackingError:
         return self.valid and math.isfinite(self.cte_m) and math.isfinite(self.he_rad)
 
 
+NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
+"""Result of a perception that has no estimate."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AircraftState:
     """Pose and motion of the aircraft's reference point (its centre of gravity) in ``map``.
@@ -87,7 +91,7 @@ class AircraftState:
     def tracking_error(self) -> TrackingError:
         """Ground-truth errors relative to the runway's centreline.
 
-        Those relative to another track: :class:`taxinet_ros.core.world.Observation`.
+        Those relative to another track: :class:`taxinet_ros.core.control_step.Observation`.
         """
         return TrackingError(cte_m=self.y_m, he_rad=self.yaw_rad)
 

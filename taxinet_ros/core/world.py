@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, last_step
 from taxinet_ros.core.datarefs import NO_DATAREFS, refuse_datarefs
 from taxinet_ros.core.faults import SteeringFaults, shown_step
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft, full_steering_rad
-from taxinet_ros.core.place.track import OnTrack, Track
+from taxinet_ros.core.motion.aircraft import Aircraft, full_steering_rad
 from taxinet_ros.core.renderer import OURS, ChosenRenderer, ForeignCode, RunCamera, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
-from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, origin_words
 
@@ -41,55 +41,6 @@ TAKES_DATAREFS = 'takes_datarefs'
 
 SHOWS_TRAFFIC = 'shows_traffic'
 """Attribute of a package's world, true where it shows others on the ground."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Observation:
-    """Observation at one control step.
-
-    Attributes:
-        seq: control step, from 0.
-        stamp_ns: simulated time since the start of the run [ns].
-        state: true state of the aircraft.
-        image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
-            (200, 360, 3); None if not requested.
-        track: that is followed; None for the runway's centreline.
-    """
-
-    seq: int
-    stamp_ns: int
-    state: AircraftState
-    image: NDArray[np.uint8] | None
-    track: Track | None = None
-
-    @property
-    def on_track(self) -> OnTrack:
-        """Where the aircraft is along and beside the track."""
-        state = self.state
-        if self.track is None:
-            return OnTrack(state.x_m, state.y_m, state.yaw_rad)
-        return self.track.measure(state.x_m, state.y_m, state.yaw_rad)
-
-    @property
-    def truth(self) -> TrackingError:
-        """Ground-truth cross-track and heading error, relative to the track."""
-        _, cte_m, he_rad = self.on_track
-        return TrackingError(cte_m=cte_m, he_rad=he_rad)
-
-
-def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
-    """Number of the last control step of a run; steps 0..N cover the duration, ends included.
-
-    Raises:
-        UsageError: the duration is not a multiple of the control period.
-    """
-    steps, rest = divmod(scenario.duration_ns, period_ns)
-    if rest:
-        raise UsageError(
-            f'scenario: duration {scenario.duration_s:g} s is not a multiple of the '
-            f'control period {period_ns / 1e9:g} s'
-        )
-    return steps
 
 
 class World(Protocol):

@@ -14,14 +14,18 @@ from taxinet_msgs.msg import Scenario, Timing, Verdict
 from taxinet_ros.bag.run.message_values import scenario_of, verdict_values
 from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.loop import MAX_GAP_NS, rolling_on, signals
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import (
+    CONTROL_PERIOD_NS,
+    MAX_GAP_NS,
+    last_step,
+    rolling_on,
+    signals,
+)
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
+from taxinet_ros.core.types import NO_ESTIMATE
 from taxinet_ros.core.verdict.judge import Judge
 from taxinet_ros.core.verdict.judging import Judging, StopOn
-from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.live_monitor.node import LIVE_PARAMETERS, RESTART, LiveMonitor
 from taxinet_ros.nodes.lockstep import diagnostics

@@ -40,13 +40,12 @@ from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.campaign.record.facts import program_attachment
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
-from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic

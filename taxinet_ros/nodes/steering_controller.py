@@ -7,7 +7,6 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario
 
-from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import command_cdr
 from taxinet_ros.core.motion.controller import (
@@ -15,6 +14,7 @@ from taxinet_ros.core.motion.controller import (
     STEERING,
     SteeringGains,
     check_controller,
+    gains_text,
     make_controller,
 )
 from taxinet_ros.errors import UsageError

@@ -10,6 +10,7 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.campaign.options import make_options
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import (
     SteeringFaults,
     check_free,
@@ -18,7 +19,6 @@ from taxinet_ros.core.faults import (
     shown_step,
     unseen_faults,
 )
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import FAULTS, LENS_DIRT, PICTURE_FAULTS, STEERING_BIAS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand

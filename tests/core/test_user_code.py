@@ -15,14 +15,9 @@ import pytest
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains, check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.perception.perception import (
-    NO_ESTIMATE,
-    GroundTruth,
-    check_perception,
-    make_perception,
-)
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception, make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import UserCodeError, command_of, short_word
 from taxinet_ros.errors import UsageError
 

@@ -9,13 +9,13 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.core.camera.camera import WING, Camera, pose
+from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.place.catalogue import default_runway
-from taxinet_ros.core.rig.catalogue import find_aircraft
+from taxinet_ros.core.rig.catalogue import WING, find_aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, find_world

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from training_samples import foreign_folder
 
-from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.accuracy import absolute_errors, error_statistics
 from taxinet_ros.training.data.dataset import draw_scenes, make_dataset

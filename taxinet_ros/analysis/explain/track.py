@@ -19,8 +19,8 @@ from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import shown_step
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line

@@ -37,7 +37,7 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import Rate, rate, sample_size_was_fixed
 from taxinet_ros.campaign.record.facts import recorded_rules, recorded_world
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN, RunRow
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome

@@ -38,15 +38,13 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
     is_topic,
 )
-from taxinet_ros.core.loop import MAX_GAP_NS
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
 MOST_STEPS = 100_000

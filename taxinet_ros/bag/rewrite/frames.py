@@ -21,7 +21,7 @@ from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 

@@ -27,7 +27,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
-from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.motion.controller import is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
@@ -108,32 +108,6 @@ def recorded_run(recording: StoredRuns) -> RecordedRun:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
-
-
-def gains_text(gains: Mapping[str, float]) -> str:
-    """Steering gains as a controller reports them; the inverse of :func:`parse_gains`."""
-    return ' '.join(f'{name}={value!r}' for name, value in gains.items())
-
-
-def is_steering_law(words: str) -> bool:
-    """Whether a controller's description is that of the steering law: its changed gains."""
-    known = SteeringGains.__dataclass_fields__
-    return all(word.partition('=')[0] in known for word in words.split())
-
-
-def parse_gains(words: str) -> dict[str, float]:
-    """Parse steering gains from a controller's report.
-
-    Raises:
-        ValueError: not a report of gains.
-        UsageError: a gain is out of range.
-    """
-    pairs = (word.split('=') for word in words.split())
-    gains = {name: float(value) for name, value in pairs}
-    if unknown := set(gains) - set(SteeringGains.__dataclass_fields__):
-        raise ValueError(f'unknown steering gain {min(unknown)!r}')
-    SteeringGains(**gains)
-    return gains
 
 
 def _request(message: Any) -> RunRequest:

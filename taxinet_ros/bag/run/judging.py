@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.bag.run.samples import RecordedReading, RunSamples, same_bits
-from taxinet_ros.core.loop import MAX_GAP_NS
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS
 from taxinet_ros.core.mtl import (
     Assumptions,
     Monitor,

@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.loop import rolling_on, signals
+from taxinet_ros.core.control_step import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
 from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track

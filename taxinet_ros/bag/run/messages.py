@@ -21,12 +21,12 @@ from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.bag.topics import describe_topic
 from taxinet_ros.core import topics
-from taxinet_ros.core.camera.camera import WING
+from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
-from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 
 _STAMP = ('header.stamp.sec', 'header.stamp.nanosec')

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from taxinet_ros.bag.run.judging import SpecVerdict
     from taxinet_ros.bag.run.samples import RunSamples
     from taxinet_ros.bag.run.trace import CameraFrame, Column
+    from taxinet_ros.core.control_step import Observation
     from taxinet_ros.core.mtl import Assumptions, Spec
     from taxinet_ros.core.pacing.free_run import FreeRunAccount
     from taxinet_ros.core.provenance import Provenance
     from taxinet_ros.core.scenario import Scenario
-    from taxinet_ros.core.world import Observation
 
 _SPEC = Kind('a tx.Spec', lambda value: bool(value.formula and value.name))
 

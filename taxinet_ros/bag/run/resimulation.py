@@ -16,10 +16,10 @@ from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
-from taxinet_ros.core.loop import LateCommands, rolling_on
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, rolling_on
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import ChosenWorld, Observation, closing, find_world
+from taxinet_ros.core.world import ChosenWorld, closing, find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import FORK, KMWH
 

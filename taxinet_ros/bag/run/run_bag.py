@@ -24,7 +24,6 @@ from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.bag.layout import run_folder
-from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.message_values import (
     reading_values,
     scenario_json,
@@ -44,9 +43,9 @@ from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.loop import Step
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
+from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw, gains_text
 from taxinet_ros.core.mtl import Spec
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception
@@ -56,7 +55,7 @@ from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import RunRequest
-from taxinet_ros.core.world import ChosenWorld, Observation
+from taxinet_ros.core.world import ChosenWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
 from taxinet_ros.registry import CONTROLLERS, PERCEPTIONS, origin_words

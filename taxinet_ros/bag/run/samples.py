@@ -33,7 +33,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     Assumptions,

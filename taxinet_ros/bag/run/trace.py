@@ -30,7 +30,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
@@ -39,7 +39,7 @@ from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.stored_runs import StoredRuns
-    from taxinet_ros.core.world import Observation
+    from taxinet_ros.core.control_step import Observation
 
 Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]

@@ -15,8 +15,8 @@ from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core import topics
-from taxinet_ros.core.camera.camera import WING
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion
 
 _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')

@@ -21,14 +21,14 @@ from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.bench.measure import Figure, Subject
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step, signals
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.motion.controller import SteeringGains, steer
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judge import Judge
-from taxinet_ros.core.world import last_step
 
 SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
 """Scenario of the measured run, here and through the graph."""

@@ -18,7 +18,8 @@ from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import ground_atlas, make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import standard_style
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model

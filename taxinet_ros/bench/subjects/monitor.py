@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.core.loop import MAX_GAP_NS, signals
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, signals
 from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness, signal_names
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError

@@ -15,12 +15,12 @@ from typing import Any
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
-from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains
+from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, WORLD, recorded_world
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains, is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human

@@ -41,7 +41,7 @@ from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerConte
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario

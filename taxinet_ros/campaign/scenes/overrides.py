@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
@@ -35,7 +36,6 @@ from taxinet_ros.core.scenario_fields import (
     WIND_SPEED,
     by_key,
 )
-from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
 WEATHER = (SKY.key, RAIN.key)

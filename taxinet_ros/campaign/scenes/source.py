@@ -28,6 +28,7 @@ from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
+from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     BY_PLACE,
@@ -38,7 +39,6 @@ from taxinet_ros.core.scenario_fields import (
     TRACK,
     by_key,
 )
-from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.processes.child import (

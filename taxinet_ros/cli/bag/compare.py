@@ -12,7 +12,7 @@ from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.cli.bag.input import readable_bags, warn_of_stacks
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 
 EQUAL, DIFFERENT = 0, 1

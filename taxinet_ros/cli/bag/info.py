@@ -13,11 +13,12 @@ from rich.console import Console
 
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo
-from taxinet_ros.bag.run.facts import NodeFacts, RunFacts, free_account, is_steering_law, made_on
+from taxinet_ros.bag.run.facts import NodeFacts, RunFacts, free_account, made_on
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import FORK_METADATA, RUN_METADATA
 from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.fork import fork_of_text
+from taxinet_ros.core.motion.controller import is_steering_law
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.provenance import words as stack_words

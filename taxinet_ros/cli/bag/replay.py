@@ -18,7 +18,7 @@ from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
 from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_words, readable_bags
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.errors import UsageError

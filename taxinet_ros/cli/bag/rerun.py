@@ -34,7 +34,7 @@ from taxinet_ros.cli.bag.input import (
     readable_bags,
     warn_of_stacks,
 )
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult

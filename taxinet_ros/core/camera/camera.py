@@ -45,7 +45,7 @@ from taxinet_ros.core.datarefs import refuse_datarefs
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.rig.camera_model import CameraModel, rotation
-from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA, find_camera
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 
@@ -58,10 +58,8 @@ STAGES = (
 )
 """Rendering stages in order; a scene has those that it needs."""
 
-WING = find_camera(DEFAULT_CAMERA)
-"""The paper's camera, the default."""
 IMAGE_HEIGHT, IMAGE_WIDTH, _ = WING.shape
-"""Its image size [px]."""
+"""Image size of the wing camera [px]."""
 
 Vectors = NDArray[np.float64]
 

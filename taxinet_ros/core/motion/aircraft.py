@@ -17,6 +17,7 @@ from statistics import fmean
 
 import jsbsim
 
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.gusts import Gusts
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
@@ -101,8 +102,6 @@ class SpeedHold:
         return min(max(lever, 0.0), 1.0), min(max(brake, 0.0), 1.0)
 
 
-CONTROL_PERIOD_NS = 100_000_000
-"""Time between two control steps [ns]: the paper's 10 Hz."""
 PHYSICS_HZ = 120
 TAXI_SPEED_MPS = USUAL_SPEED_MPS
 """Default ground speed of a scenario [m/s]."""

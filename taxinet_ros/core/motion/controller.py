@@ -315,3 +315,29 @@ def _code(word: str) -> UserCode | None:
 def controller_options(word: str) -> list[str]:
     """Command-line options that select a controller."""
     return [] if word == STEERING else ['--controller', word]
+
+
+def gains_text(gains: Mapping[str, float]) -> str:
+    """Steering gains as a controller reports them; the inverse of :func:`parse_gains`."""
+    return ' '.join(f'{name}={value!r}' for name, value in gains.items())
+
+
+def is_steering_law(words: str) -> bool:
+    """Whether a controller's description is that of the steering law: its changed gains."""
+    known = SteeringGains.__dataclass_fields__
+    return all(word.partition('=')[0] in known for word in words.split())
+
+
+def parse_gains(words: str) -> dict[str, float]:
+    """Parse steering gains from a controller's report.
+
+    Raises:
+        ValueError: not a report of gains.
+        UsageError: a gain is out of range.
+    """
+    pairs = (word.split('=') for word in words.split())
+    gains = {name: float(value) for name, value in pairs}
+    if unknown := set(gains) - set(SteeringGains.__dataclass_fields__):
+        raise ValueError(f'unknown steering gain {min(unknown)!r}')
+    SteeringGains(**gains)
+    return gains

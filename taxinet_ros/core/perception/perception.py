@@ -18,7 +18,7 @@ from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, is_frame
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.perception.weights import SUFFIX, load_model
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
     PluginCode,
@@ -33,9 +33,6 @@ from taxinet_ros.core.user_code import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
-
-NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
-"""Result of a perception that has no estimate."""
 
 
 class Perception(Protocol):

@@ -28,9 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.perception.perception import NO_ESTIMATE, GroundTruth, Perception
-from taxinet_ros.core.types import NS_PER_S, TrackingError
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.perception.perception import GroundTruth, Perception
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
 
 AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE = (

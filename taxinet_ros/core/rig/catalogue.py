@@ -25,6 +25,8 @@ CAMERAS: Catalogue[CameraModel] = Catalogue(
 """The paper's wing camera, those on a strut, below the nose and on the fin, and the user's."""
 find_camera = CAMERAS.find
 DEFAULT_CAMERA = CAMERAS.default
+WING = find_camera(DEFAULT_CAMERA)
+"""The paper's camera, the default."""
 
 
 def load_aircraft(word: str) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
@@ -20,6 +20,7 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.rig.aircraft_model import USUAL_SPEED_MPS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judging import StopOn, stops
@@ -145,7 +146,7 @@ def signal_ranges(
     ranges['steering'] = -gains.max_steering_rad, gains.max_steering_rad
     if scenario.pushed:
         return ranges
-    fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps, scenario.speed_mps)
+    fastest_mps = _OVERSHOOT * max(USUAL_SPEED_MPS, gains.speed_mps, scenario.speed_mps)
     way_m, line = fastest_mps * duration_s, scenario.line
     side_m = line.farthest_start_m + way_m
     ranges['cte'] = -side_m, side_m
@@ -219,7 +220,7 @@ class Judge:
 
         Args:
             stamp_ns: time since the start of the run [ns].
-            sample: the signals as given by :func:`.loop.signals`; those that depend on earlier
+            sample: the signals as given by :func:`.signals`; those that depend on earlier
                 frames are added here if a formula reads them.
         """
         if self._watch is not None:

@@ -23,13 +23,13 @@ from rclpy.task import Future
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.rewrite.frames import frame_messages
-from taxinet_ros.bag.run.facts import RecordedRun, gains_text
+from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.controller import STEERING, gains_text
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError

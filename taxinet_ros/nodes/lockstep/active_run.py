@@ -15,9 +15,9 @@ from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
 from taxinet_ros.core.faults import check_free
-from taxinet_ros.core.loop import LateCommands, rolling_on
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing

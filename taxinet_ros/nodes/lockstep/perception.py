@@ -10,9 +10,9 @@ from taxinet_msgs.msg import Scenario
 from taxinet_ros.bag.cdr.image import frame_of_cdr
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import error_cdr
-from taxinet_ros.core.camera.camera import WING
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.participant import Participant

@@ -15,7 +15,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.run.message_values import reading_values, scenario_values
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.camera.camera import WING
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic

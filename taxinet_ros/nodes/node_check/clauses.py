@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import SIGINT_GRACE_S, SIGTERM_GRACE_S

@@ -31,12 +31,12 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_ros.bag.run.messages import error_cdr, observation_messages
 from taxinet_ros.core import topics
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TrackingError
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
-from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT

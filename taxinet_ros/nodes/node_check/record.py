@@ -9,7 +9,7 @@ from typing import Any, Final
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
 from taxinet_msgs.msg import NodeStatus
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic

@@ -10,7 +10,8 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, last_step
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
@@ -21,7 +22,7 @@ from taxinet_ros.core.scenario_fields import (
     TRAFFIC,
 )
 from taxinet_ros.core.types import AircraftState, TaxiCommand
-from taxinet_ros.core.world import Observation, World, last_step
+from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.simulators.xplane.camera import OpenScreen, ViewFromXPlane
 from taxinet_ros.simulators.xplane.screen import Display, Screen

@@ -30,7 +30,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS

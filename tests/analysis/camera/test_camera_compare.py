@@ -20,8 +20,7 @@ from taxinet_ros.analysis.camera.compare import (
     spread_out,
 )
 from taxinet_ros.core.perception.labelled_frames import LabelledFrame
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.errors import UsageError
 
 

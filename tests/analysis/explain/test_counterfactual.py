@@ -17,12 +17,13 @@ from taxinet_ros.analysis.explain.counterfactual import (
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad
 from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.core.camera.camera import WING, Camera
+from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import SimulatedWorld

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from taxinet_ros.analysis.explain.explain import error_words, misled_words
 from taxinet_ros.analysis.explain.track import APART_NS, Track, choose_rows
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.place.catalogue import default_runway
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 
 APART = APART_NS // CONTROL_PERIOD_NS
 

@@ -12,8 +12,7 @@ from taxinet_ros.analysis.explain.occlusion import (
 )
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH
 from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 
 GAINS = SteeringGains()
 

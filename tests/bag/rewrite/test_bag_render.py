@@ -21,9 +21,9 @@ from taxinet_ros.bag.rewrite.frames import (
     restore_frames,
     restore_in_place,
 )
-from taxinet_ros.bag.run.facts import gains_text, parse_gains
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.core.motion.controller import gains_text, parse_gains
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError

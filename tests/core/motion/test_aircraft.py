@@ -13,12 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.motion.aircraft import (
-    CONTROL_PERIOD_NS,
-    TAXI_SPEED_MPS,
-    Aircraft,
-    SpeedHold,
-)
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import TAXI_SPEED_MPS, Aircraft, SpeedHold
 from taxinet_ros.core.motion.controller import STOP, SteeringGains, steer
 from taxinet_ros.core.rig.aircraft_model import SpeedGains
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, find_aircraft

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.loop import LateCommands, rolling_on
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, parse_latency, parse_timing
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand

@@ -28,9 +28,9 @@ from taxinet_ros.core.perception.network import (
 )
 from taxinet_ros.core.perception.onnx.network import NetworkFiles, OnnxNetwork, prepare
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
-from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.core.world import SimulatedWorld
 
 Node = helper.make_node

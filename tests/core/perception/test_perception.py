@@ -14,14 +14,13 @@ from onnx_samples import save
 from taxinet_ros import testing
 from taxinet_ros.core.perception.network import CTE_SCALE_M, HE_SCALE_RAD
 from taxinet_ros.core.perception.perception import (
-    NO_ESTIMATE,
     Perception,
     check_perception,
     make_perception,
     perception_names,
 )
 from taxinet_ros.core.perception.weights import SHIPPED, digest
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.errors import UsageError
 
 TRUTH = TrackingError(cte_m=-1.5, he_rad=0.2)

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.perception.substituted import (
     AS_RECORDED,
     TRUTH_CTE,
@@ -17,7 +16,7 @@ from taxinet_ros.core.perception.substituted import (
     parse_substitution,
     substituted,
 )
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.errors import UsageError
 
 ERRORS = st.builds(TrackingError, cte_m=st.floats(-20, 20), he_rad=st.floats(-1.5, 1.5))

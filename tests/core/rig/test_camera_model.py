@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import yaml
 
-from taxinet_ros.core.camera.camera import WING, Camera, project
+from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.camera_model import make_camera, read_camera
-from taxinet_ros.core.rig.catalogue import CAMERAS, find_camera, load_camera
+from taxinet_ros.core.rig.catalogue import CAMERAS, WING, find_camera, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import UsageError

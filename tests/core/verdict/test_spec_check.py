@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, signals
+from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import SHIPPED, RobustnessInterval, Verdict, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows

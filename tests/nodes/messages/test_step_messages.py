@@ -27,7 +27,7 @@ from taxinet_ros.bag.run.messages import (
     robustness_cdr,
 )
 from taxinet_ros.bag.topics import describe_topic
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec, Verdict
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion

@@ -22,10 +22,10 @@ from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.cli.run.check_node import run_check
-from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.node_check.clauses import CLAUSES, Finding, Status, judge

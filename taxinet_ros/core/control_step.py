@@ -1,0 +1,103 @@
+"""One control step of a run, 10 Hz in simulated time: what is observed, and what is monitored.
+
+Whatever reads, writes or judges steps needs this, and none of the world, camera and aircraft that
+make them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.place.track import OnTrack, Track
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.errors import UsageError
+
+CONTROL_PERIOD_NS = 100_000_000
+"""Time between two control steps [ns]: the paper's 10 Hz."""
+MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
+"""Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Observation:
+    """Observation at one control step.
+
+    Attributes:
+        seq: control step, from 0.
+        stamp_ns: simulated time since the start of the run [ns].
+        state: true state of the aircraft.
+        image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
+            (200, 360, 3); None if not requested.
+        track: that is followed; None for the runway's centreline.
+    """
+
+    seq: int
+    stamp_ns: int
+    state: AircraftState
+    image: NDArray[np.uint8] | None
+    track: Track | None = None
+
+    @property
+    def on_track(self) -> OnTrack:
+        """Where the aircraft is along and beside the track."""
+        state = self.state
+        if self.track is None:
+            return OnTrack(state.x_m, state.y_m, state.yaw_rad)
+        return self.track.measure(state.x_m, state.y_m, state.yaw_rad)
+
+    @property
+    def truth(self) -> TrackingError:
+        """Ground-truth cross-track and heading error, relative to the track."""
+        _, cte_m, he_rad = self.on_track
+        return TrackingError(cte_m=cte_m, he_rad=he_rad)
+
+
+def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
+    """Number of the last control step of a run; steps 0..N cover the duration, ends included.
+
+    Raises:
+        UsageError: the duration is not a multiple of the control period.
+    """
+    steps, rest = divmod(scenario.duration_ns, period_ns)
+    if rest:
+        raise UsageError(
+            f'scenario: duration {scenario.duration_s:g} s is not a multiple of the '
+            f'control period {period_ns / 1e9:g} s'
+        )
+    return steps
+
+
+def rolling_on(speed_mps: float) -> TaxiCommand:
+    """Command before the first answer: constant initial motion.
+
+    Args:
+        speed_mps: initial speed of the scenario [m/s].
+    """
+    return TaxiCommand(steering_rad=0.0, speed_mps=speed_mps)
+
+
+def signals(
+    *, cte_m: float, he_rad: float, x_m: float, speed_mps: float,
+    estimate: TrackingError, command: TaxiCommand, clearance_m: float = MOST_CLEARANCE_M,
+) -> dict[str, float]:
+    """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    A missing estimate is NaN, so no formula about it can be satisfied.
+    """
+    return {
+        'cte': cte_m,
+        'he': he_rad,
+        'x': x_m,
+        'speed': speed_mps,
+        'steering': command.steering_rad,
+        'cte_estimate': estimate.cte_m if estimate.usable else math.nan,
+        'he_estimate': estimate.he_rad if estimate.usable else math.nan,
+        'clearance': clearance_m,
+        'collision': float(clearance_m <= 0) if clearance_m == clearance_m else math.nan,
+    }
