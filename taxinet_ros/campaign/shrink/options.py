@@ -26,6 +26,7 @@ from taxinet_ros.campaign.options import (
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.overrides import WEATHER
+from taxinet_ros.campaign.search_options import check_workers_or_cluster
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.motion.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -252,6 +253,7 @@ class ShrinkOptions:
         campaign: judging, perception and output folder; ``runs`` limits the runs of the search.
         workers: number of concurrent graphs.
         resume: continue an interrupted shrinking.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
     """
 
     run: JudgedRun
@@ -259,6 +261,15 @@ class ShrinkOptions:
     campaign: CampaignOptions
     workers: int = 1
     resume: bool = False
+    cluster: str = ''
+
+    in_flight = LAG
+    """Number of runs that may be in flight."""
+
+    @property
+    def runs(self) -> int:
+        """Maximum number of its runs."""
+        return self.campaign.runs
 
     @property
     def headline(self) -> str:
@@ -269,7 +280,7 @@ class ShrinkOptions:
 def make_shrink_options(
     path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
     workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
-    engine: str = GRAPH, audit: str | None = None,
+    engine: str = GRAPH, audit: str | None = None, cluster: str | None = None,
 ) -> ShrinkOptions:
     """Check the command-line arguments.
 
@@ -286,12 +297,11 @@ def make_shrink_options(
         controller: controller, if not the run's.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
 
     Raises:
         UsageError: one line on the first error.
     """
-    if not 1 <= workers <= LAG:
-        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
     if runs < LEAST_ASKED:
         raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
     run = find_run(path)
@@ -319,6 +329,7 @@ def make_shrink_options(
         run=run, space=space,
         campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
         workers=workers, resume=resume,
+        cluster=check_workers_or_cluster(workers, LAG, cluster, campaign),
     )
 
 

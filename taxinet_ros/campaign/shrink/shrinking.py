@@ -289,6 +289,7 @@ def shrink_heading(options: ShrinkOptions) -> str:
     """Heading that describes the shrinking."""
     campaign, run = options.campaign, options.run
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    workers = f'cluster {options.cluster}' if options.cluster else workers
     verb = 'resuming to shrink' if options.resume else 'shrinking'
     interval = run.robustness.get(options.headline)
     rho = f', {interval.bound_words()}' if interval else ''

@@ -293,6 +293,7 @@ def shrink(
     nominal: NominalOption = None,
     runs: NeededRunsOption = 100,
     workers: WorkersOption = 1,
+    cluster: ClusterOption = None,
     out: OutOption = None,
     resume: ResumeOption = False,
     perception: OwnPerceptionOption = None,
@@ -315,7 +316,7 @@ def shrink(
         options = make_shrink_options(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
             workers=workers, out=out, resume=resume, images=images, controller=controller,
-            engine=engine, audit=audit,
+            engine=engine, audit=audit, cluster=cluster,
         )
     raise typer.Exit(run_shrink(options, quiet=quiet))
 

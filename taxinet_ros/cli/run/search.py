@@ -200,7 +200,7 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 
 def _open_cluster(
-    options: SearchOptions, console: Console, store: str = ''
+    options: SearchOptions | ShrinkOptions, console: Console, store: str = ''
 ) -> contextlib.AbstractContextManager[Cluster | None]:
     """Context of the connected cluster of a search, or of None."""
     if not options.cluster:
@@ -221,7 +221,7 @@ def _run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) 
 def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | ClusterPool:
     options, facts = search.options, search.book.facts
     campaign = options.campaign
-    if cluster is None or isinstance(options, ShrinkOptions):
+    if cluster is None:
         command = campaign_worker_command(campaign, facts)
         return WorkerPool(command, options.workers, campaign.out / 'logs')
     elsewhere = dataclasses.replace(campaign, out=Path(OUT))
@@ -343,12 +343,15 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     with _shrink_view(console, quiet=quiet) as show:
         shrinking = Shrinking(options, PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
-        with print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking:
+        with (
+            _open_cluster(options, console) as cluster,
+            print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking,
+        ):
             if shrinking.book.warning:
                 console.print(shrinking.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            _run_on_workers(shrinking)
+            _run_on_workers(shrinking, cluster)
     found = make_report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
@@ -42,6 +43,7 @@ class CaseStudyOptions:
         report_only: only write the report of the stages done.
         tables: folder of tables to write the report of, or None.
         engine, audit: what makes the runs, and share of them to audit as text or None.
+        cluster: a Dask cluster that makes the runs of campaigns, or None.
     """
 
     config: Path | None = None
@@ -57,6 +59,7 @@ class CaseStudyOptions:
     tables: Path | None = None
     engine: str = GRAPH
     audit: str | None = None
+    cluster: str | None = None
 
 
 def run_case_study(options: CaseStudyOptions) -> int:
@@ -74,7 +77,8 @@ def run_case_study(options: CaseStudyOptions) -> int:
         return _report(options)
     console = Console(highlight=False)
     config = _config(options)
-    found = with_engine(stages(config), options.engine, options.audit)
+    where = check_cluster(options.cluster) if options.cluster else ''
+    found = with_engine(stages(config), options.engine, options.audit, where)
     wanted = stages_until(found, options.until) if options.until else found
     if options.listed:
         out = options.out or Path('OUT')
@@ -155,7 +159,7 @@ def _check_alone(options: CaseStudyOptions, what: str, *, taken: Collection[str]
         '--config': options.config, '--scale': options.scale, '--runs': options.runs,
         '--images': options.images, '--workers': options.workers, '--until': options.until,
         '--resume': options.resume, '--list': options.listed,
-        '--engine': options.engine != GRAPH, '--audit': options.audit,
+        '--engine': options.engine != GRAPH, '--audit': options.audit, '--cluster': options.cluster,
         '--report-only': options.report_only and not what.startswith('--report-only'),
     }
     for name, value in given.items():

@@ -9,6 +9,7 @@ import typer
 
 from taxinet_ros.cli.options import (
     AuditOption,
+    ClusterOption,
     EngineOption,
     JsonOption,
     VariedOption,
@@ -35,6 +36,7 @@ def why(
     ] = 2,
     engine: EngineOption = 'loop',
     audit: AuditOption = None,
+    cluster: ClusterOption = None,
     out: Annotated[
         Path | None, typer.Option(help='folder for page and evidence (default: bags/NAME-why); '
         'what is done in it is kept')
@@ -53,7 +55,7 @@ def why(
 
     raise typer.Exit(run_why(WhyOptions(
         path=path, perception=perception, budget=budget, workers=workers, engine=engine,
-        audit=audit, out=out, as_json=as_json,
+        audit=audit, cluster=cluster, out=out, as_json=as_json,
     )))
 
 
@@ -78,6 +80,7 @@ def case_study(
     ] = None,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
+    cluster: ClusterOption = None,
     out: Annotated[Path | None, typer.Option(help='folder of the study; must be new')] = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue the study in --out, with its own sizes')
@@ -109,7 +112,7 @@ def case_study(
     raise typer.Exit(run_case_study(CaseStudyOptions(
         config=config, scale=scale, runs=runs, images=images, workers=workers, out=out,
         resume=resume, until=until, listed=listed, report_only=report_only, tables=tables,
-        engine=engine, audit=audit,
+        engine=engine, audit=audit, cluster=cluster,
     )))
 
 
@@ -159,6 +162,7 @@ def improve(
     ] = 2,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
+    cluster: ClusterOption = None,
     out: Annotated[Path | None, typer.Option(help='folder; must be new')] = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue in --out, with its own options')
@@ -173,7 +177,9 @@ def improve(
     from taxinet_ros.study.improve.options import ImproveOptions
 
     if resume:
-        others = given_options(context).keys() - {'out', 'workers', 'resume', 'engine', 'audit'}
+        others = given_options(context).keys() - {
+            'out', 'workers', 'resume', 'engine', 'audit', 'cluster',
+        }
         refuse_given(context, others, 'is taken from the folder that --resume continues')
     options = None if resume else ImproveOptions(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
@@ -181,4 +187,4 @@ def improve(
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    raise typer.Exit(run_improve(options, out, workers, engine, audit))
+    raise typer.Exit(run_improve(options, out, workers, engine, audit, cluster))

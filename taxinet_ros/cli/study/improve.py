@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.cli.study.case_study import stage_command
@@ -23,7 +24,7 @@ from taxinet_ros.study.stages.stage import Stage, with_engine
 
 def run_improve(
     options: ImproveOptions | None, out: Path | None, workers: int, engine: str,
-    audit: str | None,
+    audit: str | None, cluster: str | None,
 ) -> int:
     """Run the rounds and print their results.
 
@@ -33,6 +34,7 @@ def run_improve(
         workers: worker processes of a resumed loop.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
+        cluster: a Dask cluster that makes the runs of campaigns, or None.
 
     Returns:
         Exit code: 0 done, 130 interrupted, else that of the stage that failed.
@@ -44,6 +46,7 @@ def run_improve(
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     with_engine((), engine, audit)  # checks them before anything is made
+    where = check_cluster(cluster) if cluster else ''
     if options is not None:
         check_workers(options.workers)
     options, out = _begun(options, out, workers)
@@ -66,7 +69,7 @@ def run_improve(
 
         def run_stages(stages: Sequence[Stage]) -> int:
             return StudyRun(
-                out, with_engine(stages, engine, audit), log=log, command=stage_command(),
+                out, with_engine(stages, engine, audit, where), log=log, command=stage_command(),
                 workers=options.workers, show=show,
             ).run()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
@@ -44,6 +45,7 @@ class WhyOptions:
         budget: about how many runs to make.
         workers: processes.
         engine, audit: what makes the runs, and share of them to audit as text or None.
+        cluster: a Dask cluster that makes the runs of campaigns, or None.
         out: folder; None: one below ``bags/`` named after the campaign or run.
         as_json: print ``why.json`` in place of the verdict.
     """
@@ -54,6 +56,7 @@ class WhyOptions:
     workers: int
     engine: str
     audit: str | None
+    cluster: str | None
     out: Path | None
     as_json: bool
 
@@ -71,6 +74,7 @@ def run_why(options: WhyOptions) -> int:
     console = Console(highlight=False, stderr=options.as_json)
     budget = Budget(runs=options.budget)
     with_engine((), options.engine, options.audit)  # checks them before anything is made
+    where = check_cluster(options.cluster) if options.cluster else ''
     path = options.path.absolute()
     kind = kind_of(path)
     out = (options.out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
@@ -91,7 +95,7 @@ def run_why(options: WhyOptions) -> int:
 
         def run_stages(stages: Sequence[Stage]) -> tuple[int, Mapping[str, str]]:
             sitting = StudyRun(
-                out, with_engine(stages, options.engine, options.audit), log=log,
+                out, with_engine(stages, options.engine, options.audit, where), log=log,
                 command=stage_command(), workers=options.workers, show=show, folder=Path.cwd(),
                 logs=out / 'logs', again='the same command',
             )

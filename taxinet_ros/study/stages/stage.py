@@ -156,23 +156,28 @@ def workers_option(workers: int) -> tuple[str, ...]:
     return ('--workers', str(workers))
 
 
-def with_engine(found: Iterable[Stage], engine: str, audit: str | None) -> tuple[Stage, ...]:
-    """Stages whose campaigns are run by an engine, which does not affect results.
+def with_engine(
+    found: Iterable[Stage], engine: str, audit: str | None, cluster: str = ''
+) -> tuple[Stage, ...]:
+    """Stages whose campaigns are run by an engine or a cluster, which do not affect results.
 
     Args:
         found: the stages.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
 
     Raises:
         UsageError: unknown engine, or a bad share.
     """
     check_engine(engine, audit, GroundTruth.word, STEERING, {})
-    if engine == GRAPH:
-        return tuple(found)
-    words = ('--engine', engine, *(() if audit is None else ('--audit', audit)))
+    words = (
+        *(() if engine == GRAPH else ('--engine', engine)),
+        *(() if audit is None else ('--audit', audit)),
+    )
     return tuple(
-        replace(stage, hints=(*stage.hints, *words)) if stage.kind is Kind.RUNS else stage
+        replace(stage, hints=(*(('--cluster', cluster) if cluster else stage.hints), *words))
+        if stage.kind is Kind.RUNS else stage
         for stage in found
     )
 

@@ -63,6 +63,27 @@ def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(fo
     assert (out / 'shrink.png').read_bytes().startswith(b'\x89PNG')
 
 
+def test_given_a_cluster_then_the_shrunk_scenario_is_the_same(folder):
+    done = taxinet(
+        'shrink', 'c/nominal-s0-00000', '--cluster', 'local:2', '--engine', 'loop', '--audit', '0',
+        '--out', 'there', cwd=folder,
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'cluster local:2 -> there' in done.stdout.splitlines()[0]
+    here, there = (
+        json.loads((folder / name / 'shrink.json').read_text()) for name in ('s', 'there')
+    )
+    assert there['end'] == 'minimal'
+    assert there['parameters'] == here['parameters']
+    refused = taxinet(
+        'shrink', 'c/nominal-s0-00000', '--cluster', 'local:2', '--workers', '2', '--out', 'x',
+        cwd=folder,
+    )
+    assert refused.returncode == 2
+    assert '--workers 2: not with --cluster' in refused.stderr
+    assert not (folder / 'x').exists()
+
+
 def test_given_the_command_that_is_printed_then_the_shrunk_scenario_fails_as_it_did(folder):
     line = (folder / 'stdout').read_text().splitlines()[-1]
     assert line.startswith('run it: taxinet run s/shrunk.scenic --perception truth --spec ')

@@ -143,5 +143,10 @@ def test_given_an_engine_then_campaigns_run_on_it_and_their_results_are_the_same
         for every in (found, by_loop)
     )
     assert few.key(tmp_path) == many.key(tmp_path)
+    there = with_engine(found, 'loop', None, 'tcp://10.0.0.1:8786')
+    for one, other in zip(found, there, strict=True):
+        runs = one.words[0] in ('falsify', 'experiment')
+        assert ('--cluster' in other.command()) == runs
+        assert runs <= ('--workers' not in other.command())
     with pytest.raises(UsageError, match='--audit 5: no effect with --engine graph'):
         with_engine(found, 'graph', '5')
