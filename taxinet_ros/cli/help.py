@@ -21,7 +21,7 @@ SECTIONS = {
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
     'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
-    'Train': ('dataset', 'train', 'improve', 'case-study'),
+    'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
 }
@@ -72,6 +72,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet train s_falsif --start original --add-runs bags/found=4000 --out next.safetensors',
     ),
     'improve': ('taxinet improve s_falsif --start original --rounds 2 --out bags/improved',),
+    'tune': (
+        'taxinet tune s_falsif --perception taxinet --candidates 30 --out bags/tuned',
+        "taxinet tune --vary 'steering.max_intercept_rad=10 deg:60 deg' --scenes 20",
+    ),
     'case-study': ('taxinet case-study --scale 0.02 --out bags/smoke',),
     'camera list': ('taxinet camera list',),
     'camera show': ('taxinet camera show wing',),

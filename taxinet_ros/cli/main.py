@@ -63,7 +63,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, improve, why
+from taxinet_ros.cli.study.commands import case_study, improve, tune, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
@@ -151,7 +151,7 @@ app = typer.Typer(
 for command in (
     run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
     compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train, dataset,
-    evaluate, case_study, improve,
+    evaluate, case_study, improve, tune,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -8,10 +8,11 @@ substitutions.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -94,6 +95,7 @@ class Task:
         word: word of the substitution.
         seed: seed of its noise: seed and index of the run, which also determine drawn latencies.
         exact: whether the scene is bit-exact.
+        gains: steering gains in place of the setup's, or None.
     """
 
     run_id: str
@@ -101,6 +103,7 @@ class Task:
     word: str
     seed: tuple[int, int]
     exact: bool = True
+    gains: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -167,6 +170,20 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
             done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
             yield from (future.result() for future in done)
 
+
+@contextlib.contextmanager
+def trial_pool(
+    bench: TrialSetup, workers: int
+) -> Iterator[Callable[[Sequence[Task]], list[Trial]]]:
+    """Context of a function that runs some trials in worker processes, all of them at once.
+
+    Raises:
+        InfraError: a worker process died.
+    """
+    with process_pool(workers, 'trial worker', _start_worker, bench) as pool:
+        yield lambda tasks: [future.result() for future in [pool.submit(_trial, t) for t in tasks]]
+
+
 _worker: list[tuple[TrialSetup, Perception, Controller]] = []
 """State of a worker process: setup, network and controller."""
 
@@ -186,7 +203,9 @@ def make_trial(
     task: Task, bench: TrialSetup, network: Perception, controller: Controller | None = None
 ) -> Trial:
     """Run one scene in this process; loads the bench's controller if none is given."""
-    controller = controller or make_controller(bench.controller, SteeringGains(**bench.gains))
+    if controller is None or task.gains is not None:
+        gains = bench.gains if task.gains is None else task.gains
+        controller = make_controller(bench.controller, SteeringGains(**gains))
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
         judged = run_closed_loop(
