@@ -200,10 +200,10 @@ def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
     lines.append({
         'better': 'better on scenes that the search has not seen',
         'worse': 'WORSE on scenes that the search has not seen: keep the initial gains',
-        'unclear': 'not shown to be better on scenes that the search has not seen; '
-        'more --unseen scenes may tell',
+        'unclear': 'not shown to be better on scenes that the search has not seen: keep the initial '
+        'gains; more --unseen scenes may tell',
     }[tuned.verdict])
-    if tuned.verdict != 'worse':
+    if tuned.verdict == 'better':
         lines.append(
             f'next: taxinet falsify {options.learning.source} --perception {options.perception} '
             f'{gain_words(found)}'
