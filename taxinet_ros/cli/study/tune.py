@@ -200,8 +200,8 @@ def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
     lines.append({
         'better': 'better on scenes that the search has not seen',
         'worse': 'WORSE on scenes that the search has not seen: keep the initial gains',
-        'unclear': 'not shown to be better on scenes that the search has not seen: keep the initial '
-        'gains; more --unseen scenes may tell',
+        'unclear': 'not shown to be better on scenes that the search has not seen: keep the '
+        'initial gains; more --unseen scenes may tell',
     }[tuned.verdict])
     if tuned.verdict == 'better':
         lines.append(
