@@ -73,14 +73,12 @@ class Cell:
     Attributes:
         label: display text, with its unit.
         low, high: ends of a number [unit of the key]; equal for a single number, 0 for a word.
-        last: whether the upper end belongs to it.
         word: the value of a parameter that is no number, as in tables.
     """
 
     label: str
     low: float = 0.0
     high: float = 0.0
-    last: bool = False
     word: str = ''
 
 
@@ -356,7 +354,7 @@ def _parameter(field: ScenarioField, given: Section) -> Parameter:
         return Parameter(field=field, cells=tuple(_words(field, given)), source=source)
     unit = given.text('unit', '')
     cells = [
-        Cell(label=field.value_words(number), low=number, high=number, last=True)
+        Cell(label=field.value_words(number), low=number, high=number)
         for number in _listed(field, given, 'values', unit, least=1)
     ] if 'values' in given else []
     if 'range' in given or 'edges' in given:
@@ -438,10 +436,9 @@ def _ranged(field: ScenarioField, given: Section, unit: str) -> list[Cell]:
         low, high = _ends(field, given, unit)
         cells = given.whole('cells', 1, MOST_CELLS, _DEFAULT_CELLS)
         edges = [low + (high - low) * number / cells for number in range(cells)] + [high]
-    last = len(edges) - 2
     return [
-        Cell(label=_span(field, low, high), low=low, high=high, last=number == last)
-        for number, (low, high) in enumerate(itertools.pairwise(edges))
+        Cell(label=_span(field, low, high), low=low, high=high)
+        for low, high in itertools.pairwise(edges)
     ]
 
 
@@ -480,25 +477,34 @@ def _exclusion(
         if number in numbers or number in words:
             raise when.wrong('is given twice', name)
         if one.numeric:
-            raw = when.take(name, 'a number or [low, high]')
-            ends = raw if isinstance(raw, list) else [raw, raw]
-            if len(ends) != 2:
-                raise when.wrong(expected('a number or [low, high]', raw), name)
-            low, high = (_number(one.field, when, name, end, units[key]) for end in ends)
-            if low > high:
-                raise when.wrong(f'{low:g} to {high:g} is empty', name)
-            if not any(cell.low <= high and low <= cell.high for cell in one.cells):
-                raise when.wrong(f'{low:g} to {high:g} is outside its cells already', name)
-            numbers[number] = (low - one.slack, high + one.slack)
-            texts.append(f'{one.field.label} {_span(one.field, low, high)}'
-                         if low < high else f'{one.field.label} {one.field.value_words(low)}')
+            numbers[number], text = _excluded_numbers(one, when, name, units[key])
         else:
-            found = [_word(one.field, value, name) for value in when.several(name)]
-            for value in found:
-                if value not in [cell.word for cell in one.cells]:
-                    raise when.wrong(f'{value} is none of its values', name)
-            words[number] = frozenset(found)
-            texts.append(f'{one.field.label} {" or ".join(found)}')
+            words[number], text = _excluded_words(one, when, name)
+        texts.append(f'{one.field.label} {text}')
     if not texts:
         raise given.wrong('has no condition', 'when')
     return Exclusion(numbers=numbers, words=words, why=why, text=', '.join(texts))
+
+
+def _excluded_numbers(
+    one: Parameter, when: Section, name: str, unit: str
+) -> tuple[tuple[float, float], str]:
+    raw = when.take(name, 'a number or [low, high]')
+    ends = raw if isinstance(raw, list) else [raw, raw]
+    if len(ends) != 2:
+        raise when.wrong(expected('a number or [low, high]', raw), name)
+    low, high = (_number(one.field, when, name, end, unit) for end in ends)
+    if low > high:
+        raise when.wrong(f'{low:g} to {high:g} is empty', name)
+    if not any(cell.low <= high and low <= cell.high for cell in one.cells):
+        raise when.wrong(f'{low:g} to {high:g} is outside its cells already', name)
+    text = _span(one.field, low, high) if low < high else one.field.value_words(low)
+    return (low - one.slack, high + one.slack), text
+
+
+def _excluded_words(one: Parameter, when: Section, name: str) -> tuple[frozenset[str], str]:
+    found = [_word(one.field, value, name) for value in when.several(name)]
+    for value in found:
+        if value not in [cell.word for cell in one.cells]:
+            raise when.wrong(f'{value} is none of its values', name)
+    return frozenset(found), ' or '.join(found)
