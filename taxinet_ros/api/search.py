@@ -90,8 +90,8 @@ def falsify(
         lag: number of runs that may be in flight where scenes depend on results.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
         resume: continue the campaign in ``out``.
-        odd: with the sampler ``coverage``, the operational design domain whose cells it covers: name
-            of a shipped one, or a YAML file.
+        odd: with the sampler ``coverage``, the operational design domain whose cells it covers:
+            name of a shipped one, or a YAML file.
 
     Returns:
         The campaign: rows, counterexamples, rates.

@@ -192,7 +192,10 @@ def odd_coverage(
     failed = np.concatenate([one.failed for one in campaigns])
     weight = _weights(campaigns)
     anytime = any(one.anytime for one in campaigns)
-    records = scenes.to_dict('records')
+    records: list[dict[str, Any]] = [
+        dict(zip(odd.keys, values, strict=True))
+        for values in scenes[list(odd.keys)].to_numpy(dtype=object).tolist()
+    ]
     places = np.array([odd.place(scene) for scene in records], dtype=np.int64)
     outside = _outside(odd, records, places)
     inside = np.array([not why for why in outside], dtype=bool)
@@ -313,11 +316,11 @@ def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
             raise UsageError(f'{one.path}: mixes runs of {one.perception}; make a table of each')
     seen: dict[tuple[Any, ...], Path] = {}
     for one in campaigns:
-        mine = {tuple(values) for values in one.scenes[_SAME].to_numpy(dtype=object).tolist()}
-        double = next((seen[scene] for scene in mine if scene in seen), None)
+        scenes = {tuple(values) for values in one.scenes[_SAME].to_numpy(dtype=object).tolist()}
+        double = next((seen[scene] for scene in scenes if scene in seen), None)
         if double is not None:
             raise UsageError(f'{one.path}: has runs that are in {double} too; name each once')
-        seen |= dict.fromkeys(mine, one.path)
+        seen |= dict.fromkeys(scenes, one.path)
 
 
 def _weights(campaigns: Sequence[CampaignRuns]) -> npt.NDArray[np.float64]:
@@ -327,7 +330,7 @@ def _weights(campaigns: Sequence[CampaignRuns]) -> npt.NDArray[np.float64]:
 
 
 def _outside(
-    odd: Odd, records: Sequence[Mapping[Any, Any]], places: Ints
+    odd: Odd, records: Sequence[Mapping[str, Any]], places: Ints
 ) -> list[tuple[str, ...]]:
     """Why each run is outside; empty for those inside."""
     found = []
@@ -403,9 +406,9 @@ def _hole(odd: Odd, scenes: pd.DataFrame) -> Hole | None:
             ], axis=0)
         for box in boxes:
             found &= ~np.all([
-                (values[:, numeric.index(number)] >= ends[0])
-                & (values[:, numeric.index(number)] <= ends[1])
-                for number, ends in box.numbers.items()
+                (values[:, numeric.index(number)] >= low_end)
+                & (values[:, numeric.index(number)] <= high_end)
+                for number, (low_end, high_end) in box.numbers.items()
             ], axis=0)
         return found
 

@@ -59,6 +59,8 @@ _KEYS = ('name', 'source', 'parameters', 'exclude')
 _PARAMETER_KEYS = ('range', 'values', 'unit', 'cells', 'edges', 'source')
 _SLACK = 1e-6
 """Share of a range by which a number may lie beyond its ends: a conversion of units adds a bit."""
+_SHOWN = 0.02
+"""Share of a cell's width by which a shown end may differ from the true one."""
 OUTSIDE, UNKNOWN = -1, -2
 """In place of a cell's number: in no cell; not recorded."""
 
@@ -149,12 +151,14 @@ class Exclusion:
 
     Attributes:
         numbers: least and greatest number, both excluded, by number of the parameter.
+        slack: width by which they may be exceeded, by number of the parameter.
         words: excluded words by number of the parameter.
         why: the reason.
         text: the conditions for people.
     """
 
     numbers: Mapping[int, tuple[float, float]]
+    slack: Mapping[int, float]
     words: Mapping[int, frozenset[str]]
     why: str
     text: str
@@ -167,13 +171,14 @@ class Exclusion:
     def holds(self, values: Mapping[int, Any]) -> bool:
         """Whether a scene's values, by number of the parameter, are in the box."""
         return all(
-            low <= float(values[one]) <= high for one, (low, high) in self.numbers.items()
+            low - self.slack[one] <= float(values[one]) <= high + self.slack[one]
+            for one, (low, high) in self.numbers.items()
         ) and all(str(values[one]) in words for one, words in self.words.items())
 
     def removes(self, cells: Mapping[int, Cell]) -> bool:
         """Whether it removes all of a combination of cells, by number of the parameter."""
         return self.parameters <= set(cells) and all(
-            low <= cells[one].low and cells[one].high <= high
+            low - self.slack[one] <= cells[one].low and cells[one].high <= high + self.slack[one]
             for one, (low, high) in self.numbers.items()
         ) and all(cells[one].word in words for one, words in self.words.items())
 
@@ -450,14 +455,15 @@ def _ends(field: ScenarioField, given: Section, unit: str) -> list[float]:
 
 
 def _span(field: ScenarioField, low: float, high: float) -> str:
-    ends = [field.value_words(end) for end in (low, high)]
-    # 'x.xx' where one decimal would make two cells look alike
-    if ends[0] == ends[1]:
-        ends = [f'{end:g}' for end in (low, high)]
-    unit = f' {field.unit}'
-    first, second = (end.removesuffix(unit).removesuffix(' deg') for end in ends)
-    mark = ' deg' if field.unit == '°' else unit if ends[1].endswith(unit) else ''
-    return f'{first} to {second}{mark}'.rstrip()
+    """Two ends and one unit: ``25 to 50 %``."""
+    if field is TIME_OF_DAY:
+        return f'{field.value_words(low)} to {field.value_words(high)}'
+    ends = [field.form.format(end) for end in (low, high)]
+    if any(abs(float(text) - end) > _SHOWN * (high - low)
+           for text, end in zip(ends, (low, high), strict=True)):
+        ends = [f'{end:.4g}' for end in (low, high)]
+    unit = 'deg' if field.unit == '°' else field.unit
+    return f'{ends[0]} to {ends[1]} {unit}'.rstrip()
 
 
 def _exclusion(
@@ -483,7 +489,10 @@ def _exclusion(
         texts.append(f'{one.field.label} {text}')
     if not texts:
         raise given.wrong('has no condition', 'when')
-    return Exclusion(numbers=numbers, words=words, why=why, text=', '.join(texts))
+    slack = {number: parameters[number].slack for number in numbers}
+    return Exclusion(
+        numbers=numbers, slack=slack, words=words, why=why, text=', '.join(texts)
+    )
 
 
 def _excluded_numbers(
@@ -499,7 +508,7 @@ def _excluded_numbers(
     if not any(cell.low <= high and low <= cell.high for cell in one.cells):
         raise when.wrong(f'{low:g} to {high:g} is outside its cells already', name)
     text = _span(one.field, low, high) if low < high else one.field.value_words(low)
-    return (low - one.slack, high + one.slack), text
+    return (low, high), text
 
 
 def _excluded_words(one: Parameter, when: Section, name: str) -> tuple[frozenset[str], str]:
@@ -507,4 +516,5 @@ def _excluded_words(one: Parameter, when: Section, name: str) -> tuple[frozenset
     for value in found:
         if value not in [cell.word for cell in one.cells]:
             raise when.wrong(f'{value} is none of its values', name)
-    return frozenset(found), ' or '.join(found)
+    labels = {cell.word: cell.label.removeprefix(f'{one.field.label} ') for cell in one.cells}
+    return frozenset(found), ' or '.join(labels[value] for value in found)

@@ -217,7 +217,8 @@ def _print_hole(console: Console, found: OddCoverage) -> None:
     where = ', '.join(f'{BY_KEY[key].label} {value}' for key, value in found.hole_words().items())
     console.print(
         f'dispersion: at least {found.hole.radius:.2f} of each range from the nearest run, at '
-        f'{where}; no {found.inside:,} runs have less than {found.hole.least:.2f}', soft_wrap=True,
+        f'{where}; {found.inside:,} runs cannot have less than {found.hole.least:.2f}',
+        soft_wrap=True,
     )
 
 
