@@ -359,13 +359,16 @@ def _gaps(odd: Odd, pairs: Mapping[Combination, Pairs]) -> tuple[Gap, ...]:
     empty = {each: one.feasible & (one.runs == 0) for each, one in pairs.items()}
     found: list[Gap] = []
     while len(found) < MOST_GAPS:
-        best: tuple[int, Combination, int, int] | None = None
+        best: tuple[tuple[int, float], Combination, int, int] | None = None
         for each, mask in empty.items():
             for axis in (0, 1):
                 sums = mask.sum(axis=1 - axis)
-                cell = int(np.argmax(sums))
-                if sums[cell] and (best is None or sums[cell] > best[0]):
-                    best = int(sums[cell]), each, axis, cell
+                shares = sums / np.maximum(pairs[each].feasible.sum(axis=1 - axis), 1)
+                # Of as many, those that leave the least over.
+                cell = int(np.lexsort((-np.arange(len(sums)), shares, sums))[-1])
+                size = int(sums[cell]), float(shares[cell])
+                if sums[cell] and (best is None or size > best[0]):
+                    best = size, each, axis, cell
         if best is None:
             break
         _, each, axis, cell = best
