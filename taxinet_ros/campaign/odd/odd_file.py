@@ -336,7 +336,7 @@ def read_odd(path: Path) -> Odd:
     ) if 'exclude' in top else ()
     odd = Odd(
         name=name, source=source, parameters=parameters, exclusions=exclusions,
-        text=json.dumps(values, sort_keys=True, ensure_ascii=False),
+        text=json.dumps(values, sort_keys=True, ensure_ascii=False, default=str),
     )
     for number, each in odd.feasible(1).items():
         if not each.any():
