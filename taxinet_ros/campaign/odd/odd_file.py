@@ -458,7 +458,7 @@ def _span(field: ScenarioField, low: float, high: float) -> str:
     """Two ends and one unit: ``25 to 50 %``."""
     if field is TIME_OF_DAY:
         return f'{field.value_words(low)} to {field.value_words(high)}'
-    ends = [field.form.format(end) for end in (low, high)]
+    ends = [field.form.format(end) if end else '0' for end in (low, high)]
     if any(abs(float(text) - end) > _SHOWN * (high - low)
            for text, end in zip(ends, (low, high), strict=True)):
         ends = [f'{end:.4g}' for end in (low, high)]
