@@ -178,9 +178,15 @@ class Exclusion:
     def removes(self, cells: Mapping[int, Cell]) -> bool:
         """Whether it removes all of a combination of cells, by number of the parameter."""
         return self.parameters <= set(cells) and all(
-            low - self.slack[one] <= cells[one].low and cells[one].high <= high + self.slack[one]
-            for one, (low, high) in self.numbers.items()
-        ) and all(cells[one].word in words for one, words in self.words.items())
+            self.contains(one, cells[one]) for one in self.parameters
+        )
+
+    def contains(self, parameter: int, cell: Cell) -> bool:
+        """Whether all of a cell meets the condition on a parameter that this depends on."""
+        if parameter in self.words:
+            return cell.word in self.words[parameter]
+        (low, high), slack = self.numbers[parameter], self.slack[parameter]
+        return low - slack <= cell.low and cell.high <= high + slack
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,8 +284,22 @@ class Odd:
             return False
         rest = sorted(self._restricted - set(partial))
         return not rest or any(
-            self._completes({**partial, rest[0]: cell}) for cell in range(self.sizes[rest[0]])
+            self._completes({**partial, rest[0]: cell}) for cell in self._freest[rest[0]]
         )
+
+    @cached_property
+    def _freest(self) -> Mapping[int, tuple[int, ...]]:
+        """Cells to try for each restricted parameter: others meet more conditions of exclusions."""
+        found = {}
+        for number in self._restricted:
+            met = [
+                frozenset(at for at, one in enumerate(self.exclusions)
+                          if number in one.parameters and one.contains(number, cell))
+                for cell in self.parameters[number].cells
+            ]
+            least = {one for one in met if not any(other < one for other in met)}
+            found[number] = tuple(met.index(one) for one in sorted(least, key=sorted))
+        return found
 
 
 def known_odds() -> tuple[str, ...]:

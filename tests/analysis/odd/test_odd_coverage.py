@@ -140,7 +140,7 @@ def test_given_several_campaigns_then_they_are_added_up_unless_that_means_nothin
     assert found.rate[:5] == (7, 3, *rate(3, 7))
     assert found.strengths[0].covered == 7
     for wrong, message in (
-        (dataclasses.replace(other, perception='another'), 'has perception another, but .* network'),
+        (dataclasses.replace(other, perception='another'), 'has perception another, but .* netw'),
         (dataclasses.replace(other, spec='psi'), 'has formula psi, but .* phi'),
         (dataclasses.replace(other, perception='a, b'), 'has perception a, b'),
         (one, 'has runs that are in .* too; name each once'),

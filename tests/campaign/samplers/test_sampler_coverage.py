@@ -46,8 +46,7 @@ def test_given_categories_then_every_combination_is_covered_in_few_runs(
 
 
 def test_given_rare_categories_and_numbers_then_it_needs_far_fewer_runs_than_drawing():
-    """Two rare options at once have one draw in 400, and 300 draws miss them about every second
-    time."""
+    """Two rare options at once have one draw in 400, so 300 draws often miss them."""
     space = make_space((
         Dimension(name='a', weights=(19, 1)), Dimension(name='b', weights=(19, 1)),
         Dimension(name='x'), Dimension(name='y'),
