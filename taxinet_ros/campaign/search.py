@@ -520,7 +520,7 @@ def _odd_lines(search: Search) -> list[str]:
         named = '; '.join(odd.words(*one) for one in reach.unseen[:_MOST_UNSEEN])
         more = len(reach.unseen) - _MOST_UNSEEN
         lines.append(
-            f'{len(reach.unseen):,} {what} not reached by the program in {reach.points:,} scenes '
-            f'looked at: {named}' + (f'; and {more:,} more' if more > 0 else '')
+            f'not reached by the program in {reach.points:,} scenes looked at: '
+            f'{len(reach.unseen):,} ({named}' + (f'; and {more:,} more)' if more > 0 else ')')
         )
     return lines
