@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from taxinet_ros.api.compare import compare
     from taxinet_ros.api.forecast import load_forecast
     from taxinet_ros.api.fork import fork
+    from taxinet_ros.api.odd import odd_coverage
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
     from taxinet_ros.bag.errors import BagError
@@ -65,6 +66,7 @@ __all__ = [
     'load_perception',
     'load_place',
     'load_traffic',
+    'odd_coverage',
     'open_campaign',
     'open_recording',
     'render',
@@ -79,6 +81,7 @@ _MODULES = {
     'taxinet_ros.api.compare': ('compare',),
     'taxinet_ros.api.forecast': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
+    'taxinet_ros.api.odd': ('odd_coverage',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),
     'taxinet_ros.bag.errors': ('BagError',),

@@ -39,7 +39,8 @@ _NETWORKS = (
     'iterative-crossing', 'iterative-learned',
 )
 _SAMPLERS = (
-    'random', 'halton', 'sobol', 'grid', 'active', 'ce', 'ce-verifai', 'mab', 'bo', 'tpe', 'cmaes',
+    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
+    'tpe', 'cmaes',
 )
 
 

@@ -45,7 +45,7 @@ from taxinet_ros.registry import KMWH
     program=PATH, runs=FROM_1, seed=FROM_0, sampler=NONE | WORD, sampler_options=NONE | MAPPING,
     perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, bounds=TEXTS,
     rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1,
-    cluster=NONE | WORD, lag=FROM_1, out=NONE | PATH, resume=FLAG,
+    cluster=NONE | WORD, lag=FROM_1, out=NONE | PATH, resume=FLAG, odd=NONE | PATH,
 )
 @says_parameters
 def falsify(
@@ -57,6 +57,7 @@ def falsify(
     latency: str | Sequence[str] = (), world: str = KMWH, until: str | None = None,
     workers: int = 1, cluster: str | None = None, lag: int = LAG,
     out: str | os.PathLike[str] | None = None, resume: bool = False,
+    odd: str | os.PathLike[str] | None = None,
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
 
@@ -89,6 +90,8 @@ def falsify(
         lag: number of runs that may be in flight where scenes depend on results.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
         resume: continue the campaign in ``out``.
+        odd: with the sampler ``coverage``, the operational design domain whose cells it covers:
+            name of a shipped one, or a YAML file.
 
     Returns:
         The campaign: rows, counterexamples, rates.
@@ -109,7 +112,7 @@ def falsify(
         make_search_options(
             dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
             sampler_options=_texts(sampler_options), workers=workers, resume=resume, until=until,
-            budget_min=None, lag=lag, cluster=cluster,
+            budget_min=None, lag=lag, cluster=cluster, odd=None if odd is None else os.fspath(odd),
         ),
         participants=(),
     )

@@ -16,23 +16,35 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import UNTIL, campaign_facts, extension_facts
+from taxinet_ros.campaign.record.facts import ODD, UNTIL, campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, drawn_share, make_sampler
-from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
-from taxinet_ros.campaign.samplers.space import Branch, Point
+from taxinet_ros.campaign.samplers.covering import Covering
+from taxinet_ros.campaign.samplers.registry import (
+    SAMPLERS,
+    DependsOn,
+    check_sampler,
+    drawn_share,
+    make_covering_sampler,
+    make_sampler,
+)
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Lagged, Probabilities
+from taxinet_ros.campaign.samplers.space import Branch, Point, Space
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
+    Refused,
     Rejected,
     SceneSource,
     accepted_scene,
     first_scene,
 )
 from taxinet_ros.campaign.search_options import (
+    COVERAGE,
     FAILURES,
     SearchOptions,
     check_can_be_sharded,
@@ -74,6 +86,7 @@ class Search:
         interrupted: whether :meth:`interrupt` was called.
         check: result of checking the requirements; only within the ``with``.
         book: the search on disk.
+        covering: the sampler that covers an ODD, or None.
     """
 
     def __init__(
@@ -94,6 +107,7 @@ class Search:
         self.stopped = ''
         self.exhausted = False
         self.interrupted = False
+        self.covering: Covering | None = None
         self._campaign = options.campaign
         self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._source = SceneSource(
@@ -301,10 +315,7 @@ class Search:
         options, campaign = self.options, self._campaign
         space = self._source.space()
         self.notes = (*self._source.notes, *([whose] if whose else []))
-        names: dict[str, Any] = dict(options.sampler_options)
-        self._sampler = make_sampler(
-            options.sampler, space, campaign.seed, campaign.runs, **names
-        )
+        self._sampler = self._make_sampler(space)
         if options.shard is not None:
             check_can_be_sharded(options.sampler)
         if options.in_flight is None:
@@ -321,6 +332,31 @@ class Search:
         self.check = campaign.check(
             first_scene(self._source), lambda: self._source.search_space().drawn
         )
+
+    def _make_sampler(self, space: Space) -> Lagged:
+        options, campaign, odd = self.options, self._campaign, self.options.odd
+        names: dict[str, Any] = dict(options.sampler_options)
+        if odd is None:
+            return make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
+        strength = int(check_sampler(options.sampler, names)['strength'])
+        if strength > len(odd.parameters):
+            raise UsageError(
+                f'--sampler-option strength={strength}: the ODD {odd.name} has only '
+                f'{len(odd.parameters)} parameters'
+            )
+
+        def cells(point: Point) -> tuple[int, ...] | None:
+            # What the point leaves open is drawn as for scene 0, so that a resumed search agrees.
+            try:
+                scene = self._source.scene(0, point).to_human()
+            except (Refused, Rejected):
+                return None
+            return odd.inside(scene)
+
+        sampler, self.covering = make_covering_sampler(
+            space, campaign.seed, odd.feasible(strength), cells, **names
+        )
+        return sampler
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
@@ -341,6 +377,7 @@ class Search:
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
             **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
+            **({ODD: json.loads(self.options.odd.text)} if self.options.odd is not None else {}),
             **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
 
@@ -404,7 +441,7 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']
     lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
-    lines += [*blind_words(rows), *_worst_line(rows)]
+    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
     lines.append(table_line(rows, campaign))
     if search.options.shard is not None:
         lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
@@ -451,3 +488,39 @@ def _worst_line(rows: Sequence[RunRow]) -> list[str]:
         return []
     worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
     return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']
+
+
+_COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}
+_MOST_UNSEEN = 5
+
+
+def _odd_lines(search: Search) -> list[str]:
+    """What the judged runs cover of the ODD, and what the program was not seen to reach."""
+    odd, covering = search.options.odd, search.covering
+    if odd is None or covering is None:
+        return []
+    reach = covering.reach()
+    strength = int(check_sampler(COVERAGE, search.options.sampler_options)['strength'])
+    feasible = odd.feasible(strength)
+    covered = {each: np.zeros(mask.shape, dtype=bool) for each, mask in feasible.items()}
+    judged = [row for row in search.rows if row.outcome.judged]
+    places = [odd.inside(row.scene) for row in judged]
+    for place in places:
+        if place is not None:
+            for each, mask in covered.items():
+                mask[tuple(place[one] for one in each)] = True
+    done = sum(int((feasible[each] & mask).sum()) for each, mask in covered.items())
+    outside = places.count(None)
+    what = _COMBINATIONS[strength]
+    lines = [
+        f'ODD {odd.name}: {done:,} of {reach.wanted:,} {what} in a judged run'
+        + (f'; {outside:,} judged runs outside' if outside else '')
+    ]
+    if reach.unseen:
+        named = '; '.join(odd.words(*one) for one in reach.unseen[:_MOST_UNSEEN])
+        more = len(reach.unseen) - _MOST_UNSEEN
+        lines.append(
+            f'not reached by the program in {reach.points:,} scenes looked at: '
+            f'{len(reach.unseen):,} ({named}' + (f'; and {more:,} more)' if more > 0 else ')')
+        )
+    return lines

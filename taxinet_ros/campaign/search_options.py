@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
+from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.row import RunRow
@@ -96,6 +97,8 @@ def parse_stop_rule(text: str) -> StopRule:
     return StopRule(kind=kind, value=value)
 
 
+COVERAGE = 'coverage'
+"""The sampler that takes an operational design domain."""
 DEFAULT_SAMPLER = 'active'
 """Sampler to use if neither the user nor the program names one."""
 
@@ -117,6 +120,7 @@ class SearchOptions:
         lag: number of runs that may be in flight where scenes depend on results: each is chosen by
             the results of all but the last ``lag - 1``.
         cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
+        odd: the operational design domain that the sampler ``coverage`` covers, or None.
     """
 
     campaign: CampaignOptions
@@ -129,6 +133,7 @@ class SearchOptions:
     shard: Shard | None = None
     lag: int = LAG
     cluster: str = ''
+    odd: Odd | None = None
 
     @property
     def in_flight(self) -> int | None:
@@ -151,7 +156,7 @@ class SearchOptions:
 def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
     resume: bool, until: str | None, budget_min: float | None, shard: Shard | None = None,
-    lag: int = LAG, cluster: str | None = None,
+    lag: int = LAG, cluster: str | None = None, odd: str | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
 
@@ -166,6 +171,7 @@ def make_search_options(
         shard: the part of the search to run, or None for the whole.
         lag: see :class:`SearchOptions`.
         cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        odd: name or file of an operational design domain, or None.
 
     Raises:
         UsageError: one line on the first error.
@@ -191,11 +197,18 @@ def make_search_options(
     options = split_options(sampler_options)
     if sampler is not None:
         check_sampler(sampler, options)
+    if odd is not None and sampler != COVERAGE:
+        raise UsageError(
+            f'--odd {odd}: has an effect on --sampler {COVERAGE} only; to measure the coverage of '
+            'any search: taxinet odd coverage'
+        )
+    if odd is not None and 'cells' in options:
+        raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
         workers=workers, resume=resume, stop=stop,
         budget_s=None if budget_min is None else 60 * budget_min, shard=shard, lag=lag,
-        cluster=where,
+        cluster=where, odd=None if odd is None else read_odd(find_odd(odd)),
     )
 
 

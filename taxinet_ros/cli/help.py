@@ -20,7 +20,9 @@ SECTIONS = {
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
-    'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
+    'Judge': (
+        'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate',
+    ),
     'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
@@ -40,6 +42,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'falsify': (
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
         'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10',
+        'taxinet falsify s_falsif --runs 50 --sampler coverage --odd s_falsif',
     ),
     'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
     'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),
@@ -58,6 +61,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet plan --min-satisfaction 0.999',
         'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
     ),
+    'odd show': ('taxinet odd show s_falsif',),
+    'odd coverage': (
+        'taxinet odd coverage bags/found --odd s_falsif --plot coverage.png',
+        'taxinet odd coverage bags/one bags/two --odd my_odd.yaml --below 0.05',
+    ),
+    'odd export': ('taxinet odd export s_falsif --out openodd.yaml',),
     'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
     'forecast check': ('taxinet forecast check bound.json bags/other',),
     'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),

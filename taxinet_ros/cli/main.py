@@ -35,6 +35,7 @@ from taxinet_ros.cli.analysis.commands import (
     gate,
     localize,
     monitor,
+    odd_app,
     plan,
     spec,
 )
@@ -156,6 +157,7 @@ for command in (
     app.command()(command)
 app.add_typer(camera_app, name='camera')
 app.add_typer(forecast_app, name='forecast')
+app.add_typer(odd_app, name='odd')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')

@@ -369,8 +369,9 @@ SamplerOption = Annotated[
     str | None,
     typer.Option(
         help='how scenes are chosen: active (finds rare failures in all failure regions), '
-        "random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe, cmaes, or a name that a "
-        "package adds (default: the program's verifaiSamplerType, else active)",
+        'random, halton, sobol, grid, coverage (where no run has been), ce, ce-verifai, mab, bo, '
+        "tpe, cmaes, or a name that a package adds (default: the program's verifaiSamplerType, "
+        'else active)',
         autocompletion=complete_sampler,
     ),
 ]
@@ -378,6 +379,13 @@ SamplerSettingOption = Annotated[
     list[str] | None,
     typer.Option(
         '--sampler-option', metavar='KEY=VALUE', help='option of the sampler; repeatable'
+    ),
+]
+OddOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='NAME|FILE.yaml', help='with --sampler coverage: cover the cells of this '
+        'operational design domain (docs/odd.md), not those of the program',
     ),
 ]
 WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]

@@ -51,6 +51,7 @@ CALLS = {
     'AircraftState': (tx.AircraftState, STATE),
     'Run.frame': (RUN.frame, {}),
     'compare': (tx.compare, {'before': '.', 'after': '.'}),
+    'odd_coverage': (tx.odd_coverage, {'campaigns': '.', 'odd': 's_falsif'}),
     'fork': (tx.fork, {'run': RUN, 'at_s': 0.1}),
     'Run.fork': (RUN.fork, {'at_s': 0.1}),
     'Run.save_bag': (RUN.save_bag, {'path': 'saved'}),

@@ -26,6 +26,7 @@ from taxinet_ros.campaign.record.facts import (
     EXTENSIONS,
     FACTS_NAME,
     LEDGER_NAME,
+    ODD,
     STACKS,
     UNTIL,
     WORLD,
@@ -428,7 +429,7 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
-    for name in dict.fromkeys((*now, SHARD)):  # the whole, which is no shard, has no such fact
+    for name in dict.fromkeys((*now, SHARD, ODD)):  # the whole is no shard and has no such fact
         if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '

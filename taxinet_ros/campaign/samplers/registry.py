@@ -11,6 +11,7 @@ from taxinet_ros import registry
 from taxinet_ros.arguments import can_be_called
 from taxinet_ros.campaign.samplers import space_filling
 from taxinet_ros.campaign.samplers.active_search import ActiveSearch
+from taxinet_ros.campaign.samplers.covering import Cells, Covering, Wanted, own_cells
 from taxinet_ros.campaign.samplers.histogram import Bandit, CrossEntropy, VerifaiRule
 from taxinet_ros.campaign.samplers.optuna_study import Bayes, cmaes, tpe
 from taxinet_ros.campaign.samplers.sampler import (
@@ -147,6 +148,23 @@ ACTIVE = proposer_kind(
         'radius': Option(
             meaning='around a failure, where others are no news [quantiles]',
             default=0.1, low=0.001, high=1.0,
+        ),
+    },
+)
+COVERAGE = proposer_kind(
+    'where no run has been: every pair of cells of the ranges, or of an ODD (--odd)',
+    lambda space, seed, runs, values: Covering(
+        space, seed, *own_cells(space, int(values['cells']), int(values['strength']))
+    ),
+    floor=0.0,
+    options={
+        'cells': Option(
+            meaning='parts of each continuous dimension; with --odd those of the ODD',
+            default=4, low=1, high=50, whole=True,
+        ),
+        'strength': Option(
+            meaning='cells in a combination: 1, 2 (pairs) or 3', default=2, low=1, high=3,
+            whole=True,
         ),
     },
 )
@@ -320,6 +338,31 @@ def make_sampler(
             'draws as it does'
         )
     return Lagged(SAMPLERS[name].make(space, seed, runs, values))
+
+
+def make_covering_sampler(
+    dimensions: Iterable[Dimension], seed: int, wanted: Wanted,
+    cells: Callable[[Point], Cells | None], /, **options: str | float
+) -> tuple[Lagged, Covering]:
+    """Make the sampler ``coverage`` of a campaign for cells of scenes, such as those of an ODD.
+
+    Args:
+        dimensions: the dimensions to search.
+        seed: seed of the campaign, 0 or more.
+        wanted: the combinations to cover.
+        cells: cells of the scene of a point; None outside.
+        options: sampler options, as numbers or text.
+
+    Returns:
+        The sampler of the campaign, and the one inside that knows its reach.
+
+    Raises:
+        UsageError: an unknown option or invalid value.
+    """
+    values = check_sampler('coverage', options)
+    space = Space(dimensions)
+    covering = Covering(space, seed, wanted, cells)
+    return Lagged(WithDrawn(covering, space, seed, values['floor'])), covering
 
 
 def drawn_share(name: str, options: Mapping[str, str | float]) -> float:

@@ -640,3 +640,81 @@ def show_forecast(
         at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id, plot=plot,
         as_json=as_json,
     )))
+
+
+odd_app = typer.Typer(
+    rich_markup_mode=None, help='Operational design domains (ODD), and what campaigns cover of one.'
+)
+_OddArgument = Annotated[
+    str, typer.Argument(metavar='ODD', help='name of a shipped ODD, or a YAML file (docs/odd.md)')
+]
+
+
+@odd_app.callback(invoke_without_command=True)
+def _odd(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@odd_app.command('show')
+def show_odd(odd: _OddArgument, as_json: JsonOption = False) -> None:
+    """Check an ODD, and print its parameters, cells and exclusions."""
+    from taxinet_ros.cli.analysis.odd import show_odd
+
+    raise typer.Exit(show_odd(odd, as_json=as_json))
+
+
+@odd_app.command('coverage')
+def cover_odd(
+    campaigns: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='CAMPAIGN...', help='folders of campaigns, or .parquet tables, of one system'
+        ),
+    ],
+    odd: Annotated[
+        str, typer.Option(metavar='NAME|FILE.yaml', help='the operational design domain')
+    ],
+    spec: Annotated[
+        str | None,
+        typer.Option(metavar='NAME', help='formula that defines failure (default: the headline)'),
+    ] = None,
+    below: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='also count the cells and combinations that fail less often than '
+            'this, at 95 %'
+        ),
+    ] = None,
+    strength: Annotated[
+        int, typer.Option(min=1, max=3, help='largest number of cells in a combination')
+    ] = 3,
+    plot: Annotated[
+        Path | None, typer.Option(metavar='FILE.png', help='picture of cells and pairs of cells')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure what the judged runs of campaigns cover of an ODD.
+
+    Runs inside and outside; runs and failure rate of each cell; the share of all pairs and triples
+    of cells with a run; the gaps; the largest hole between runs; parameters that were never varied,
+    or that the ODD does not mention.
+    """
+    from taxinet_ros.cli.analysis.odd import CoverageOptions, run_coverage
+
+    raise typer.Exit(run_coverage(campaigns, CoverageOptions(
+        odd=odd, spec=spec, below=below, strength=strength, plot=plot, as_json=as_json
+    )))
+
+
+@odd_app.command('export')
+def export_odd(
+    odd: _OddArgument,
+    out: Annotated[
+        Path, typer.Option(metavar='FILE.yaml', help='file to write; must be new')
+    ],
+) -> None:
+    """Write an ODD as ASAM OpenODD 1.0 YAML, with a binding file for openodd-py beside it."""
+    from taxinet_ros.cli.analysis.odd import export_odd
+
+    raise typer.Exit(export_odd(odd, out))

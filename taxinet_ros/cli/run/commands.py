@@ -34,6 +34,7 @@ from taxinet_ros.cli.options import (
     MostRunsOption,
     NeededRunsOption,
     NominalOption,
+    OddOption,
     OutOption,
     OwnControllerOption,
     OwnPerceptionOption,
@@ -169,6 +170,7 @@ def falsify(
     runs: MostRunsOption = 100,
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
+    odd: OddOption = None,
     workers: WorkersOption = 1,
     cluster: ClusterOption = None,
     lag: LagOption = 8,
@@ -238,6 +240,7 @@ def falsify(
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
+            odd=odd,
         )
     raise ended(
         run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,

@@ -41,6 +41,7 @@ DOES_NOTHING = {
     'fork': ['nowhere', '--at', '1'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
     'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'], 'node': ['nothing'],
+    'odd': ['show', 'nowhere'],
     'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],
     'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],

@@ -1,0 +1,1 @@
+"""Coverage of an operational design domain (ODD) by the runs of campaigns."""

@@ -1,0 +1,482 @@
+"""What campaigns cover of an operational design domain, and with which failure rates.
+
+A cell, or a combination of t cells, is covered if a *judged* run inside the ODD was in it. Runs
+without a verdict cover nothing. Rates and their intervals are those of :mod:`.runs.campaign`: from
+the runs that the program itself drew; they hold for one cell at a time, not for all together.
+
+Coverage by cells is t-wise combinatorial coverage (Kuhn, Mendoza, Kacker and Lei, Combinatorial
+coverage measurement concepts and applications, IWCT 2013); beyond cells, there is the dispersion
+(:mod:`.dispersion`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
+from taxinet_ros.campaign.odd.odd_file import OUTSIDE, Combination, Odd
+from taxinet_ros.campaign.rates import rate
+from taxinet_ros.core.scenario_fields import DURATION, SCENARIO_FIELDS
+from taxinet_ros.errors import UsageError
+
+Ints = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+STRENGTHS = (1, 2, 3)
+MOST_GAPS = 10
+_SAME = [field.key for field in SCENARIO_FIELDS]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CellRuns:
+    """The runs in one cell.
+
+    Attributes:
+        parameter: number of the parameter.
+        cell: number of the cell.
+        rate: runs, failures, and the rate of failure.
+    """
+
+    parameter: int
+    cell: int
+    rate: GroupRate
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Strength:
+    """Coverage of the combinations of ``t`` cells.
+
+    Attributes:
+        t: number of cells in a combination.
+        feasible: number of feasible combinations.
+        covered: number of those with a judged run.
+        failing: number of those with a failure.
+        below: number of those whose failure rate is below the limit at 95 %; None without a limit.
+    """
+
+    t: int
+    feasible: int
+    covered: int
+    failing: int
+    below: int | None
+
+    @property
+    def share(self) -> float:
+        """Share of the feasible combinations that is covered."""
+        return self.covered / self.feasible
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Gap:
+    """Pairs of cells without a run that have one cell in common.
+
+    Attributes:
+        parameter, cell: the common cell.
+        other: number of the other parameter.
+        cells: its cells.
+    """
+
+    parameter: int
+    cell: int
+    other: int
+    cells: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pairs:
+    """Runs in the pairs of cells of two parameters.
+
+    Attributes:
+        feasible: (sizes) which are feasible.
+        runs, failures: (sizes) numbers of judged runs and of failures.
+    """
+
+    feasible: Mask
+    runs: Ints
+    failures: Ints
+
+
+@dataclass(frozen=True, kw_only=True)
+class OddCoverage:
+    """What campaigns cover of an ODD.
+
+    Attributes:
+        odd: the operational design domain.
+        campaigns: labels of the campaigns.
+        spec: formula that defines failure.
+        judged: number of judged runs, inside and outside.
+        rate: failure rate of those inside.
+        outside: number of judged runs outside by why; a run may have several reasons.
+        unjudged: number of runs without a verdict, by outcome.
+        limit: failure rate that ``below`` asks for, or None.
+        cells: the runs of every cell.
+        strengths: coverage of the combinations of 1, 2, … cells.
+        pairs: runs in each pair of cells, by numbers of the two parameters.
+        gaps: the largest gaps among feasible pairs of cells, the largest first.
+        hole: the largest hole in the numeric parameters; None without a run or such a parameter.
+        fixed: keys of parameters with the same value in all runs inside, though they have more.
+        unmentioned: keys that varied between the judged runs, but are not in the ODD.
+        cautions: what is to be known of the rates, a sentence each.
+    """
+
+    odd: Odd
+    campaigns: tuple[str, ...]
+    spec: str
+    judged: int
+    rate: GroupRate
+    outside: Mapping[str, int]
+    unjudged: Mapping[str, int]
+    limit: float | None
+    cells: tuple[CellRuns, ...]
+    strengths: tuple[Strength, ...]
+    pairs: Mapping[Combination, Pairs]
+    gaps: tuple[Gap, ...]
+    hole: Hole | None
+    fixed: tuple[str, ...]
+    unmentioned: tuple[str, ...]
+    cautions: tuple[str, ...]
+
+    @property
+    def inside(self) -> int:
+        """Number of judged runs inside the ODD."""
+        return self.rate.runs
+
+    def gap_words(self, gap: Gap) -> str:
+        """A gap for people."""
+        other = self.odd.parameters[gap.other]
+        labels = [other.cells[one].label for one in gap.cells]
+        return (
+            f'{self.odd.parameters[gap.parameter].words(gap.cell)} with {other.field.label} '
+            f'{", ".join(labels)}'
+        )
+
+    def hole_words(self) -> dict[str, str]:
+        """Where the largest hole is, by key."""
+        if self.hole is None:
+            return {}
+        numeric = [one for one in self.odd.parameters if _wide(one)]
+        return {
+            one.key: one.field.value_words(_value(one.ends, float(share)))
+            for one, share in zip(numeric, self.hole.centre, strict=True)
+        }
+
+
+def odd_coverage(
+    odd: Odd, campaigns: Sequence[CampaignRuns], *, strengths: Sequence[int] = STRENGTHS,
+    limit: float | None = None,
+) -> OddCoverage:
+    """Measure the coverage.
+
+    Args:
+        odd: the operational design domain.
+        campaigns: one or more, of one system and judged by one formula.
+        strengths: numbers of cells in a combination; those above the number of parameters are
+            left out.
+        limit: count the combinations whose failure rate is below this, 0..1 exclusively.
+
+    Raises:
+        UsageError: the campaigns are of different systems or formulas, or share runs.
+    """
+    _check_alike(campaigns)
+    scenes = pd.concat([one.scenes for one in campaigns], ignore_index=True)
+    failed = np.concatenate([one.failed for one in campaigns])
+    weight = _weights(campaigns)
+    anytime = any(one.anytime for one in campaigns)
+    records: list[dict[str, Any]] = [
+        dict(zip(odd.keys, values, strict=True))
+        for values in scenes[list(odd.keys)].to_numpy(dtype=object).tolist()
+    ]
+    places = np.array([odd.place(scene) for scene in records], dtype=np.int64)
+    outside = _outside(odd, records, places)
+    inside = np.array([not why for why in outside], dtype=bool)
+    among = Inside(
+        odd=odd, places=places[inside], failed=failed[inside], weight=weight[inside],
+        anytime=anytime, limit=limit,
+    )
+    varied = [key for key in _SAME if scenes[key].nunique() > 1]
+    kept = scenes[inside]
+    # Sets of parameters are needed for the pairs even where nobody asks for their share.
+    wanted = [t for t in strengths if t <= len(odd.parameters)]
+    pairs = among.pairs()
+    return OddCoverage(
+        odd=odd, campaigns=tuple(one.label for one in campaigns), spec=campaigns[0].spec,
+        judged=len(failed), rate=among.rate(np.ones(len(kept), dtype=bool)),
+        outside=dict(Counter(why for whys in outside for why in whys).most_common()),
+        unjudged=_unjudged(campaigns), limit=limit, cells=among.cells(),
+        strengths=tuple(among.strength(t) for t in wanted), pairs=pairs,
+        gaps=_gaps(odd, pairs), hole=_hole(odd, kept),
+        fixed=tuple(
+            one.key for one in odd.parameters
+            if len(kept) and kept[one.key].nunique() == 1 and (len(one.cells) > 1 or _wide(one))
+        ),
+        unmentioned=tuple(key for key in varied if key not in (*odd.keys, DURATION.key)),
+        cautions=_cautions(campaigns),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inside:
+    """The judged runs inside an ODD, ready to be counted.
+
+    Attributes:
+        odd: the operational design domain.
+        places: (n, parameters) cell of each run.
+        failed: (n,) whether it failed.
+        weight: (n,) 1 if the program itself drew it and it counts, else 0; NaN if none counts.
+        anytime: whether the number of runs was open.
+        limit: see :func:`odd_coverage`.
+    """
+
+    odd: Odd
+    places: Ints
+    failed: Mask
+    weight: npt.NDArray[np.float64]
+    anytime: bool
+    limit: float | None
+
+    def rate(self, among: Mask) -> GroupRate:
+        """Failure rate of some of the runs."""
+        return group_rate(self.failed[among], self.weight[among], anytime=self.anytime)
+
+    def cells(self) -> tuple[CellRuns, ...]:
+        """The runs of every cell."""
+        return tuple(
+            CellRuns(parameter=number, cell=cell, rate=self.rate(self.places[:, number] == cell))
+            for number, one in enumerate(self.odd.parameters) for cell in range(len(one.cells))
+        )
+
+    def counts(self, each: Combination, among: Mask | None = None) -> Ints:
+        """Number of runs in each combination of cells of some parameters."""
+        places = self.places if among is None else self.places[among]
+        found = np.zeros([self.odd.sizes[one] for one in each], dtype=np.int64)
+        np.add.at(found, tuple(places[:, one] for one in each), 1)
+        return found
+
+    def pairs(self) -> dict[Combination, Pairs]:
+        """The runs in each pair of cells."""
+        if len(self.odd.parameters) < 2:
+            return {}
+        return {
+            each: Pairs(
+                feasible=mask, runs=self.counts(each), failures=self.counts(each, self.failed)
+            ) for each, mask in self.odd.feasible(2).items()
+        }
+
+    def strength(self, t: int) -> Strength:
+        """Coverage of the combinations of ``t`` cells."""
+        feasible = covered = failing = below = 0
+        drawn = self.weight == 1
+        for each, mask in self.odd.feasible(t).items():
+            feasible += int(mask.sum())
+            covered += int((mask & (self.counts(each) > 0)).sum())
+            failing += int((mask & (self.counts(each, self.failed) > 0)).sum())
+            if self.limit is not None:
+                hits = self.counts(each, self.failed & drawn)[mask]
+                pairs, often = np.unique(
+                    np.stack([hits, self.counts(each, drawn)[mask]]), axis=1, return_counts=True
+                )
+                below += sum(
+                    int(times) for (k, n), times in zip(pairs.T.tolist(), often, strict=True)
+                    if n and rate(k, n, anytime=self.anytime).high < self.limit
+                )
+        return Strength(
+            t=t, feasible=feasible, covered=covered, failing=failing,
+            below=None if self.limit is None else below,
+        )
+
+
+def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
+    first = campaigns[0]
+    systems = [(one.perception, str(one.facts.get('controller', ''))) for one in campaigns]
+    weights = [str(one.facts.get('perception_sha256', ''))[:12] for one in campaigns]
+    for one, system, sha in zip(campaigns, systems, weights, strict=True):
+        for what, mine, other in (
+            ('perception', system[0], systems[0][0]), ('weights', sha, weights[0]),
+            ('controller', system[1], systems[0][1]), ('formula', one.spec, first.spec),
+        ):
+            # A table without campaign.json knows neither weights nor controller.
+            unknown = what in ('weights', 'controller') and '' in (mine, other)
+            if mine != other and not unknown:
+                raise UsageError(
+                    f'{one.path}: has {what} {mine or "(none)"}, but {first.path} '
+                    f'{other or "(none)"}; the coverage of two systems is not added up: name '
+                    'campaigns of one'
+                )
+        if ',' in one.perception:
+            raise UsageError(f'{one.path}: mixes runs of {one.perception}; make a table of each')
+    seen: dict[tuple[Any, ...], Path] = {}
+    for one in campaigns:
+        scenes = {tuple(values) for values in one.scenes[_SAME].to_numpy(dtype=object).tolist()}
+        double = next((seen[scene] for scene in scenes if scene in seen), None)
+        if double is not None:
+            raise UsageError(f'{one.path}: has runs that are in {double} too; name each once')
+        seen |= dict.fromkeys(scenes, one.path)
+
+
+def _weights(campaigns: Sequence[CampaignRuns]) -> npt.NDArray[np.float64]:
+    """Which runs count for rates; NaN only if none of any campaign does."""
+    found = np.concatenate([one.weight for one in campaigns])
+    return found if np.isnan(found).all() else np.nan_to_num(found, nan=0.0)
+
+
+def _outside(
+    odd: Odd, records: Sequence[Mapping[str, Any]], places: Ints
+) -> list[tuple[str, ...]]:
+    """Why each run is outside; empty for those inside."""
+    found = []
+    for scene, cells in zip(records, places, strict=True):
+        whys = [
+            f'{one.field.label} {"in none of its cells" if cell == OUTSIDE else "not recorded"}'
+            for one, cell in zip(odd.parameters, cells, strict=True) if cell < 0
+        ]
+        if not whys and (by := odd.excluded_by(scene)) is not None:
+            whys = [f'excluded: {by.text} ({by.why})']
+        found.append(tuple(whys))
+    return found
+
+
+def _unjudged(campaigns: Sequence[CampaignRuns]) -> dict[str, int]:
+    found: Counter[str] = Counter()
+    for one in campaigns:
+        found.update(one.others)
+        if one.undecided:
+            found['stopped before the formula was decided'] += one.undecided
+    return dict(found)
+
+
+def _gaps(odd: Odd, pairs: Mapping[Combination, Pairs]) -> tuple[Gap, ...]:
+    """Uncovered pairs, gathered by a common cell, the largest groups first."""
+    empty = {each: one.feasible & (one.runs == 0) for each, one in pairs.items()}
+    found: list[Gap] = []
+    while len(found) < MOST_GAPS:
+        best: tuple[tuple[int, float], Combination, int, int] | None = None
+        for each, mask in empty.items():
+            for axis in (0, 1):
+                sums = mask.sum(axis=1 - axis)
+                shares = sums / np.maximum(pairs[each].feasible.sum(axis=1 - axis), 1)
+                # Of as many, those that leave the least over.
+                cell = int(np.lexsort((-np.arange(len(sums)), shares, sums))[-1])
+                size = int(sums[cell]), float(shares[cell])
+                if sums[cell] and (best is None or size > best[0]):
+                    best = size, each, axis, cell
+        if best is None:
+            break
+        _, each, axis, cell = best
+        line = empty[each][cell] if axis == 0 else empty[each][:, cell]
+        cells = tuple(int(one) for one in np.flatnonzero(line))
+        found.append(Gap(parameter=each[axis], cell=cell, other=each[1 - axis], cells=cells))
+        line[:] = False
+    return tuple(found)
+
+
+def _wide(one: Any) -> bool:
+    """Whether a parameter is a number with more than one value."""
+    return bool(one.numeric) and one.ends[0] < one.ends[1]
+
+
+def _value(ends: tuple[float, float], share: float) -> float:
+    return ends[0] + share * (ends[1] - ends[0])
+
+
+def _hole(odd: Odd, scenes: pd.DataFrame) -> Hole | None:
+    numeric = [number for number, one in enumerate(odd.parameters) if _wide(one)]
+    if not numeric or not len(scenes):
+        return None
+    parameters = [odd.parameters[number] for number in numeric]
+    low = np.array([one.ends[0] for one in parameters])
+    width = np.array([one.ends[1] - one.ends[0] for one in parameters])
+    points = (scenes[[one.key for one in parameters]].to_numpy(dtype=np.float64) - low) / width
+    # An exclusion that depends on words is not of these parameters alone.
+    boxes = [one for one in odd.exclusions if one.parameters <= set(numeric)]
+
+    def inside(places: npt.NDArray[np.float64]) -> Mask:
+        values = low + places * width
+        found = np.ones(len(values), dtype=bool)
+        for column, one in enumerate(parameters):
+            found &= np.any([
+                (values[:, column] >= cell.low - one.slack)
+                & (values[:, column] <= cell.high + one.slack) for cell in one.cells
+            ], axis=0)
+        for box in boxes:
+            found &= ~np.all([
+                (values[:, numeric.index(number)] >= low_end)
+                & (values[:, numeric.index(number)] <= high_end)
+                for number, (low_end, high_end) in box.numbers.items()
+            ], axis=0)
+        return found
+
+    try:
+        return largest_hole(np.clip(points, 0.0, 1.0), inside)
+    except ValueError:  # only single values, of which no probe is one
+        return None
+
+
+def _cautions(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
+    lines = [line for one in campaigns for line in one.warnings]
+    programs = dict.fromkeys(one.program for one in campaigns)
+    if len(programs) > 1:
+        lines.append(
+            f'runs of {len(programs)} programs ({", ".join(programs)}) are counted together: a '
+            'rate is the mean of their rates, weighted by runs'
+        )
+    if any(one.anytime for one in campaigns):
+        lines.append('a number of runs was open, so intervals are those valid at any time')
+    return tuple(dict.fromkeys(lines))
+
+
+def coverage_json(found: OddCoverage) -> dict[str, Any]:
+    """Plain values for JSON; null for what is unknown."""
+    odd = found.odd
+
+    def rated(one: GroupRate) -> dict[str, Any]:
+        values = {'rate': one.rate, 'low': one.low, 'high': one.high}
+        return {
+            'runs': one.runs, 'failures': one.failures,
+            'drawn': 0 if math.isnan(one.effective) else int(one.effective),
+            **{key: None if math.isnan(value) else value for key, value in values.items()},
+        }
+
+    return {
+        'odd': {'name': odd.name, 'source': odd.source, 'sha256': odd.digest},
+        'campaigns': list(found.campaigns), 'spec': found.spec, 'judged': found.judged,
+        'inside': rated(found.rate), 'outside': dict(found.outside),
+        'unjudged': dict(found.unjudged), 'limit': found.limit,
+        'parameters': [
+            {
+                'key': one.key, 'unit': one.field.unit, 'source': one.source,
+                'cells': [
+                    {'label': one.cells[each.cell].label, **rated(each.rate)}
+                    for each in found.cells if each.parameter == number
+                ],
+            } for number, one in enumerate(odd.parameters)
+        ],
+        'excluded': [{'when': one.text, 'why': one.why} for one in odd.exclusions],
+        'combinations': [
+            {'t': one.t, 'feasible': one.feasible, 'covered': one.covered, 'share': one.share,
+             'failing': one.failing, 'below_limit': one.below} for one in found.strengths
+        ],
+        'gaps': [
+            {'key': odd.parameters[one.parameter].key,
+             'cell': odd.parameters[one.parameter].cells[one.cell].label,
+             'with': odd.parameters[one.other].key,
+             'cells': [odd.parameters[one.other].cells[cell].label for cell in one.cells]}
+            for one in found.gaps
+        ],
+        'dispersion': None if found.hole is None else {
+            'at_least': found.hole.radius, 'least_possible': found.hole.least,
+            'hole': found.hole_words(),
+        },
+        'never_varied': list(found.fixed), 'not_in_odd': list(found.unmentioned),
+        'cautions': list(found.cautions),
+    }
+

@@ -1,0 +1,1 @@
+"""Operational design domains (ODD): their files, cells and combinations of cells."""

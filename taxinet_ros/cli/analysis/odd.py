@@ -1,0 +1,230 @@
+"""``taxinet odd``: an operational design domain, and what campaigns cover of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.analysis.odd.coverage import (
+    STRENGTHS,
+    OddCoverage,
+    coverage_json,
+    odd_coverage,
+)
+from taxinet_ros.analysis.odd.picture import coverage_picture
+from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
+from taxinet_ros.analysis.runs.campaign import GroupRate, distinct_labels, read_runs
+from taxinet_ros.campaign.odd.odd_file import find_odd, read_odd
+from taxinet_ros.campaign.odd.openodd import binding_path, openodd_texts
+from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
+
+_WIDTH = 110
+_NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageOptions:
+    """Options of ``taxinet odd coverage``.
+
+    Attributes:
+        odd: name or file of the ODD.
+        spec: formula that defines failure; None for the headline.
+        below: also count the combinations that fail less often than this share; or None.
+        strength: largest number of cells in a combination.
+        plot: picture to write, or None.
+        as_json: print JSON.
+    """
+
+    odd: str
+    spec: str | None
+    below: float | None
+    strength: int
+    plot: Path | None
+    as_json: bool
+
+
+def show_odd(word: str, *, as_json: bool) -> int:
+    """Check an ODD and print it.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: it has a mistake.
+    """
+    odd = read_odd(find_odd(word))
+    counts = {
+        t: sum(int(mask.sum()) for mask in odd.feasible(t).values())
+        for t in STRENGTHS if t <= len(odd.parameters)
+    }
+    if as_json:
+        print(json.dumps({
+            'name': odd.name, 'source': odd.source, 'sha256': odd.digest,
+            'parameters': [
+                {'key': one.key, 'unit': one.field.unit, 'source': one.source,
+                 'cells': [cell.label for cell in one.cells]} for one in odd.parameters
+            ],
+            'excluded': [{'when': one.text, 'why': one.why} for one in odd.exclusions],
+            'feasible': {_NAMES[t]: count for t, count in counts.items()},
+        }, indent=2))
+        return ExitCode.OK
+    console = _console()
+    console.print(f'ODD {odd.name}' + (f': {odd.source}' if odd.source else ''), soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for heading in ('parameter', 'cells', 'source'):
+        table.add_column(heading)
+    for one in odd.parameters:
+        table.add_row(one.field.label, ', '.join(cell.label for cell in one.cells), one.source)
+    console.print(table)
+    for exclusion in odd.exclusions:
+        console.print(f'excluded: {exclusion.text} ({exclusion.why})', soft_wrap=True)
+    console.print(
+        'feasible: ' + ', '.join(f'{count:,} {_NAMES[t]}' for t, count in counts.items()),
+        soft_wrap=True,
+    )
+    return ExitCode.OK
+
+
+def export_odd(word: str, out: Path) -> int:
+    """Write an ODD as OpenODD, with a binding file beside it.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: the ODD has a mistake or no form in OpenODD, or a file is there already.
+    """
+    odd = read_odd(find_odd(word))
+    paths = (out, binding_path(out))
+    for path in paths:
+        if path.exists():
+            raise UsageError(f'--out {path}: already exists; name a new file')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: no such folder: {out.parent}')
+    for path, text in zip(paths, openodd_texts(odd, out.name), strict=True):
+        write_atomically(path, text)
+    print(f'written: {paths[0]} (ASAM OpenODD 1.0), {paths[1].name} (for openodd-py)')
+    return ExitCode.OK
+
+
+def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
+    """Measure what campaigns cover, print it, and draw it.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if options.below is not None and not 0 < options.below < 1:
+        raise UsageError(f'--below {options.below:g}: needs to be a share above 0 and below 1')
+    plot = options.plot
+    if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
+        raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
+    odd = read_odd(find_odd(options.odd))
+    first = read_runs(campaigns[0], options.spec)
+    runs = [first, *(read_runs(path, first.spec) for path in campaigns[1:])]
+    found = odd_coverage(
+        odd, distinct_labels(runs), strengths=[t for t in STRENGTHS if t <= options.strength],
+        limit=options.below,
+    )
+    if options.as_json:
+        print(json.dumps(coverage_json(found), indent=2, allow_nan=False))
+    else:
+        _print(_console(), found, options)
+    if plot is not None:
+        write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
+        if not options.as_json:
+            print(f'picture: {plot}')
+    return ExitCode.OK
+
+
+def _print(console: Console, found: OddCoverage, options: CoverageOptions) -> None:
+    odd = found.odd
+    outside = found.judged - found.inside
+    console.print(
+        f'ODD {odd.name}, {", ".join(found.campaigns)}, {found.spec}: {found.judged:,} judged '
+        f'runs, {found.inside:,} inside, {outside:,} outside', soft_wrap=True,
+    )
+    for why, count in found.outside.items():
+        console.print(f'  outside: {count:,} {why}', soft_wrap=True)
+    for outcome, count in found.unjudged.items():
+        console.print(f'  not judged, so they cover nothing: {count:,} {outcome}', soft_wrap=True)
+    for line in found.cautions:
+        console.print(f'  note: {line}', soft_wrap=True)
+    console.print(_cell_table(found))
+    for one in found.strengths:
+        below = '' if one.below is None else (
+            f'; {one.below:,} fail in less than {100 * (found.limit or 0):g} % (95 %, each alone)'
+        )
+        console.print(
+            f'{_NAMES[one.t]}: {one.covered:,} of {one.feasible:,} covered '
+            f'({math.floor(1000 * one.share) / 10:g} %), {one.failing:,} with a failure{below}',
+            soft_wrap=True,
+        )
+    for gap in found.gaps:
+        console.print(f'  gap: {found.gap_words(gap)}', soft_wrap=True)
+    _print_hole(console, found)
+    for heading, keys in (
+        ('never varied, though the ODD has more than one value', found.fixed),
+        ('varied, but not in the ODD', found.unmentioned),
+    ):
+        if keys:
+            labels = ', '.join(BY_KEY[key].label for key in keys)
+            console.print(f'{heading}: {labels}', soft_wrap=True)
+    open_pairs = next((one for one in found.strengths if one.covered < one.feasible), None)
+    if open_pairs is not None:
+        console.print(
+            f'fill them: taxinet falsify PROGRAM --sampler coverage --odd {options.odd} '
+            f'--sampler-option strength={open_pairs.t}', soft_wrap=True,
+        )
+
+
+def _cell_table(found: OddCoverage) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column('parameter', no_wrap=True)
+    table.add_column('cell', no_wrap=True)
+    for heading in ('runs', 'failed', 'failing (95 %)'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    for one in found.cells:
+        parameter = found.odd.parameters[one.parameter]
+        table.add_row(
+            parameter.field.label if one.cell == 0 else '', parameter.cells[one.cell].label,
+            f'{one.rate.runs:,}', f'{one.rate.failures:,}', _rate_words(one.rate),
+        )
+    table.add_row('', 'all', f'{found.inside:,}', f'{found.rate.failures:,}',
+                  _rate_words(found.rate))
+    return table
+
+
+def _rate_words(rate: GroupRate) -> str:
+    if rate.runs and math.isnan(rate.low):
+        return 'no rate: a sampler chose them'
+    return rate.words()
+
+
+def _print_hole(console: Console, found: OddCoverage) -> None:
+    if found.hole is None:
+        return
+    where = ', '.join(f'{BY_KEY[key].label} {value}' for key, value in found.hole_words().items())
+    console.print(
+        f'dispersion: at least {found.hole.radius:.2f} of each range from the nearest run, at '
+        f'{where}; {found.inside:,} runs cannot have less than {found.hole.least:.2f}',
+        soft_wrap=True,
+    )
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = _WIDTH
+    return console
+

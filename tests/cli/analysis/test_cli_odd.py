@@ -1,0 +1,78 @@
+"""``taxinet odd``: show, coverage and export, and the same from Python."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+import taxinet_ros as tx
+from taxinet_ros.analysis.report import pictures as picture_files
+
+TABLE = Path(__file__).parents[3] / 'bags' / 's_falsif_generic_400.parquet'
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Drawing takes by far the longest; here only that it is done matters."""
+    monkeypatch.setattr(picture_files, 'DOTS_PER_INCH', 30)
+
+
+def test_given_a_shipped_odd_when_shown_then_cells_exclusions_and_counts_are_there(taxinet):
+    code, said, _ = taxinet('odd', 'show', 's_falsif')
+    assert code == 0
+    assert 'rain         0 %, 25 to 50 %, 50 to 75 %, 75 to 100 %' in said
+    assert 'excluded: clouds clear or cirrus or scattered, rain 25 to 100 % (no rain from' in said
+    assert 'feasible: 29 cells, 339 pairs, 2,041 triples' in said
+    told = json.loads(taxinet('odd', 'show', 's_falsif', '--json')[1])
+    assert told['feasible'] == {'cells': 29, 'pairs': 339, 'triples': 2041}
+
+
+def test_given_the_recorded_table_when_measured_then_the_numbers_are_those_of_the_docs(
+    taxinet, tmp_path
+):
+    command = ('odd', 'coverage', TABLE, '--odd', 's_falsif', '--below', 0.2)
+    code, said, _ = taxinet(*command, '--plot', 'seen.png')
+    assert code == 0
+    assert '400 judged runs, 400 inside, 0 outside' in said
+    assert '1200 to 1600 m        82      37  45.1 % (34.1–56.5 %)' in said
+    assert 'pairs: 339 of 339 covered (100 %), 191 with a failure; 66 fail in less than' in said
+    assert 'triples: 1,869 of 2,041 covered (91.5 %)' in said
+    assert 'fill them: taxinet falsify PROGRAM --sampler coverage --odd s_falsif' in said
+    assert (tmp_path / 'seen.png').read_bytes().startswith(b'\x89PNG')
+    told = json.loads(taxinet(*command, '--json')[1])
+    assert [one['covered'] for one in told['combinations']] == [29, 339, 1869]
+    found = tx.odd_coverage(TABLE, 's_falsif', below=0.2)
+    assert [one.below for one in found.strengths] == [
+        one['below_limit'] for one in told['combinations']
+    ]
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['coverage', 'nowhere', '--odd', 's_falsif'], 'no such table'),
+    (['coverage', TABLE, '--odd', 'mine.yaml'], '--odd mine.yaml: no such file'),
+    (['coverage', TABLE, '--odd', 's_falsif', '--below', '2'], '--below 2: needs to be a share'),
+    (['coverage', TABLE, '--odd', 's_falsif', '--plot', 'a.gif'], '--plot a.gif: expected a new'),
+    (['coverage', TABLE, '--odd', 's_falsif', '--spec', 'psi'], '--spec psi: not judged'),
+    (['show', 'mine'], '--odd mine: no such file, and no shipped ODD; known: s_falsif'),
+    (['export', 's_falsif', '--out', 'no/such/file.yaml'], 'no such folder: no/such'),
+])
+def test_given_bad_input_then_one_line_says_what_is_wrong(taxinet, words, message):
+    code, _, complaint = taxinet('odd', *words)
+    assert code == 2
+    assert message in complaint
+    assert 'Traceback' not in complaint
+
+
+def test_given_an_odd_when_exported_then_both_files_are_there_and_none_is_overwritten(
+    taxinet, tmp_path
+):
+    assert taxinet('odd', 'export', 's_falsif', '--out', 'out.yaml')[0] == 0
+    written = yaml.safe_load((tmp_path / 'out.yaml').read_text())
+    assert set(written) == {'TAXONOMY', 'MODULES'}
+    binding = yaml.safe_load((tmp_path / 'out.binding.yaml').read_text())
+    assert binding['openodd'] == ['out.yaml']
+    code, _, complaint = taxinet('odd', 'export', 's_falsif', '--out', 'out.yaml')
+    assert (code, 'already exists' in complaint) == (2, True)
