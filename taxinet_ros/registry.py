@@ -40,6 +40,7 @@ _NETWORKS = (
 )
 _SAMPLERS = (
     'random', 'halton', 'sobol', 'grid', 'active', 'ce', 'ce-verifai', 'mab', 'bo', 'tpe', 'cmaes',
+    'splitting',
 )
 
 

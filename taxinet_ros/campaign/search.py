@@ -22,8 +22,14 @@ from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, drawn_share, make_sampler
-from taxinet_ros.campaign.samplers.sampler import LAG, Exhausted, Probabilities
+from taxinet_ros.campaign.samplers.registry import (
+    SAMPLERS,
+    DependsOn,
+    drawn_share,
+    lag_of,
+    make_sampler,
+)
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities, Sampler
 from taxinet_ros.campaign.samplers.space import Branch, Point
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
@@ -189,6 +195,11 @@ class Search:
         """Indices of the runs planned before the first one; only within the ``with``."""
         return planned_runs(self.book.facts)
 
+    @property
+    def sampler(self) -> Sampler:
+        """The sampler with the results so far; only within the ``with``."""
+        return self._sampler.sampler
+
     def learned(self) -> Probabilities:
         """The sampler's failure histograms; empty if it has none."""
         return self._sampler.learned()
@@ -333,7 +344,7 @@ class Search:
             ),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
-            'sampler_lag': LAG,
+            'sampler_lag': lag_of(self.options.sampler),
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,

@@ -41,6 +41,7 @@ from taxinet_ros.cli.run.commands import (
     aircraft_app,
     check_node,
     demo,
+    estimate,
     experiment,
     falsify,
     flightgear_app,
@@ -138,9 +139,9 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, merge, learned, shrink, analyze, localize, explain, fork,
-    experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study,
-    improve,
+    run, up, check_node, falsify, estimate, merge, learned, shrink, analyze, localize, explain,
+    fork, experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate,
+    case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -112,7 +112,8 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     content = read_same_campaign(out, facts, of_graph)
     unknown = _unknown_to_sampler(content.campaign, content.rows)
-    to_repeat = {row.index: row for row in _not_done(content.rows, unknown)}
+    lag = _lag(content.campaign)
+    to_repeat = {row.index: row for row in _not_done(content.rows, unknown, lag)}
     rows = {row.index: row for row in content.rows if row.index not in to_repeat}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
     if begun > facts['runs']:
@@ -127,7 +128,7 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
 
 
 def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> frozenset[int]:
-    """See :class:`EarlierRuns`. A run is chosen with the results up to ``LAG`` runs before it."""
+    """See :class:`EarlierRuns`. A run is chosen with the results up to the lag before it."""
     known = before.get(UNKNOWN_TO_SAMPLER, [])
     if not isinstance(known, list) or not all(type(index) is int for index in known):
         raise UsageError(
@@ -135,10 +136,16 @@ def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> fr
         )
     last = max((row.index for row in rows if row.outcome.judged), default=-1)
     broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
-    return frozenset([*known, *(index for index in broken if index + LAG <= last)])
+    return frozenset([*known, *(index for index in broken if index + _lag(before) <= last)])
 
 
-def _not_done(rows: Sequence[RunRow], unknown: frozenset[int]) -> list[RunRow]:
+def _lag(before: Mapping[str, Any]) -> int:
+    """How many runs after a run may have been chosen without its result, at most."""
+    lag = before.get('sampler_lag', LAG)
+    return lag if type(lag) is int and 1 <= lag <= LAG else LAG
+
+
+def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list[RunRow]:
     """The rows of runs that must be repeated.
 
     This includes rejected scenes, which may have been chosen without a result that is now
@@ -148,7 +155,7 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int]) -> list[RunRow]:
         row.index for row in rows
         if row.index not in unknown and (row.retries or row.outcome is Outcome.INFRA_ERROR)
     )
-    sure = LAG + min(broken, default=len(rows))
+    sure = lag + min(broken, default=len(rows))
     return [
         row for row in rows if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
         or (row.outcome is Outcome.REJECTED and row.index >= sure)

@@ -155,6 +155,14 @@ LAG = 8
 """Maximum number of runs in flight."""
 
 
+@runtime_checkable
+class Batched(Protocol):
+    """A sampler that waits, at some runs, for the results of all before them."""
+
+    def needed(self) -> int:
+        """Number of results, counted from run 0, that the next run depends on at least."""
+
+
 class Lagged:
     """A sampler for several workers: issues tickets in order, takes results in any order."""
 
@@ -169,6 +177,11 @@ class Lagged:
     def ignore_results(self) -> None:
         """Issue every run without waiting for results; for a sampler that ignores them."""
         self._lag = sys.maxsize
+
+    @property
+    def sampler(self) -> Sampler:
+        """The wrapped sampler."""
+        return self._sampler
 
     @property
     def ready(self) -> bool:
@@ -253,7 +266,8 @@ class Lagged:
     @property
     def due(self) -> int:
         """Number of results, counted from run 0, that the next run depends on."""
-        return max(self._asked - self._lag + 1, 0)
+        batched = self._sampler.needed() if isinstance(self._sampler, Batched) else 0
+        return max(self._asked - self._lag + 1, batched)
 
 
 _STREAM = 1

@@ -451,10 +451,10 @@ class _Jumps:
         self._points = points
         self._discrete = np.array([dimension.discrete for dimension in space])
         self._places = self._transformed(points)
-        self._widths = np.array([
-            max(BANDWIDTHS, key=lambda width, number=number: self._left_out(number, width))
-            for number in range(len(space))
-        ])
+        fits = [
+            [self._left_out(number, width) for width in BANDWIDTHS] for number in range(len(space))
+        ]
+        self._widths = np.array([BANDWIDTHS[int(np.argmax(fit))] for fit in fits])
 
     def draw(self, count: int, chance: np.random.Generator) -> Floats:
         """``count`` points, shape (count, d)."""

@@ -139,7 +139,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
     uploads = None if store is None else BagUploads(options.campaign.out, check_store(store))
     with (
         uploads or contextlib.nullcontext(),
-        _open_search(options, console, quiet=quiet, uploads=uploads) as search,
+        open_search(options, console, quiet=quiet, uploads=uploads) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
@@ -149,7 +149,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
-            _run_on_workers(search)
+            run_on_workers(search)
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
@@ -161,7 +161,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
 
 
 @contextlib.contextmanager
-def _open_search(
+def open_search(
     options: SearchOptions, console: Console, *, quiet: bool, uploads: BagUploads | None = None,
 ) -> Iterator[Search]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
@@ -182,7 +182,7 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
         console.print(row_line(row), soft_wrap=True)
 
 
-def _run_on_workers(search: Search | Shrinking) -> None:
+def run_on_workers(search: Search | Shrinking) -> None:
     """Execute the runs of an open search on worker processes; Ctrl-C ends it in order."""
     options = search.options
     command = campaign_worker_command(options.campaign, search.book.facts)
@@ -235,13 +235,13 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
-    with _open_search(options, console, quiet=False) as search:
+    with open_search(options, console, quiet=False) as search:
         for line in requirement_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
         for note in (*search.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
-            _run_on_workers(search)
+            run_on_workers(search)
     return search
 
 
@@ -303,7 +303,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
                 console.print(shrinking.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            _run_on_workers(shrinking)
+            run_on_workers(shrinking)
     found = make_report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)
