@@ -85,7 +85,9 @@ def write_estimate(found: RareEstimate, search: Search) -> tuple[Path, Path | No
 
 def probability_words(value: float) -> str:
     """A probability with two significant digits: 0.15 %, 3.2e-06."""
-    return f'{100 * value:.2g} %' if value >= 1e-4 else f'{value:.1e}'
+    if value >= 0.1:
+        return f'{100 * value:.0f} %'
+    return f'{100 * value:.2g} %' if value >= 1e-4 or not value else f'{value:.1e}'
 
 
 def interval_words(low: float, high: float) -> str:

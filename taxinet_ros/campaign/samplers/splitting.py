@@ -149,7 +149,8 @@ def estimate(
             float(reached.mean()), spread / math.sqrt(len(used)) / float(reached.mean()), len(used)
         )[1]
         if flat:
-            high, why = plain_high, 'the robustness is flat above 0, so no level leads to failures'
+            high = plain_high
+            why = 'islands ended at equal results: flat robustness, or chains that do not move'
     elif relative > CLEAR or not all(values):
         missed = int((values == 0).sum())
         state = State.UNCLEAR

@@ -88,7 +88,8 @@ class Island:
         wave: 0 for the first islands, then 1, 2, ….
         levels: its levels, from plain draws on.
         failing: estimated probability of failure; None before its end.
-        flat: whether it ended at equal results above 0, which give no direction.
+        flat: whether it ended at equal results above 0: the robustness is flat there, or all its
+            chains are at one point.
         runs: number of runs spent.
     """
 
@@ -195,7 +196,7 @@ class SubsetSimulation:
         plan, spent = self._plan, [island.runs for island in self.islands]
         found = [island.failing or 0.0 for island in self.islands]
         if all(island.flat for island in self.islands):
-            self.ended = 'all robustness is the same above 0: nothing leads to failures'
+            self.ended = 'all islands ended at equal results above 0'
         elif not any(found):
             self.ended = f'no failure down to a probability of {plan.floor:g}'
         elif relative_error(self.islands, plan.particles) <= plan.error:

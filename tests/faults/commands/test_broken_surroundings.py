@@ -34,7 +34,7 @@ DOES_NOTHING = {
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
     'check-node': ['no_such_program'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
-    'evaluate': ['nothing'],
+    'estimate': ['nothing'], 'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'flightgear': ['nothing'], 'fork': ['nowhere', '--at', '1'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
