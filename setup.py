@@ -80,6 +80,8 @@ EXTRAS = {
     'ros': ROS_WHEELS,
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
+    # --cluster: campaigns on the workers of a Dask cluster.
+    'cluster': ['distributed'],
     # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
     'store': ['fsspec', 's3fs'],
     # taxinet camera compare --against mitsuba.
@@ -89,6 +91,7 @@ EXTRAS = {
     'test': [
         'colcon-package-selection',
         'colcon-ros',
+        'distributed',
         'flask',
         'flask-cors',
         'foxglove-sdk',

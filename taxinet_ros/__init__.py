@@ -19,6 +19,8 @@ from taxinet_ros.instructions import pin
 
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
+    from taxinet_ros.api.compare import compare
+    from taxinet_ros.api.forecast import load_forecast
     from taxinet_ros.api.fork import fork
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
@@ -54,10 +56,12 @@ __all__ = [
     'TrackingError',
     'UsageError',
     'UserCodeError',
+    'compare',
     'falsify',
     'fork',
     'load_aircraft',
     'load_camera',
+    'load_forecast',
     'load_perception',
     'load_place',
     'load_traffic',
@@ -72,6 +76,8 @@ _MODULES = {
     'taxinet_ros.api.campaign': (
         'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
     ),
+    'taxinet_ros.api.compare': ('compare',),
+    'taxinet_ros.api.forecast': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),

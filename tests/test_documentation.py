@@ -50,6 +50,22 @@ def test_given_a_page_then_every_file_and_heading_that_it_links_to_exists(page):
     assert lost == []
 
 
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_given_a_page_then_no_figure_is_left_to_be_filled_in(page):
+    assert blanks(page.read_text(encoding='utf-8')) == []
+
+
+def test_given_a_blank_in_a_table_then_it_is_found():
+    text = '| `taxinet` | @MIXED@ | see user@example.org, TO`DO` and an `@ANY@` of code |'
+    assert blanks(f'{text} TODO: 3 of ??? runs') == ['@MIXED@', 'TODO', '???']
+
+
+def blanks(text: str) -> list[str]:
+    """What authors leave where a figure is to come, outside of code."""
+    prose = re.sub(r'```.*?```|`[^`\n]*`', '', text, flags=re.DOTALL)
+    return re.findall(r'@[A-Z][A-Z0-9_]*@|\b(?:TODO|FIXME|TBD|XXX)\b|\?\?\?', prose)
+
+
 def headings(page: Path) -> set[str]:
     """The anchors of a page's headings, as forges make them."""
     lines = re.findall(r'^#+ (.+)$', page.read_text(encoding='utf-8'), re.MULTILINE)

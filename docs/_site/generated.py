@@ -19,6 +19,7 @@ from taxinet_ros import errors
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.campaign.record.table import table
+from taxinet_ros.cli.help import EXAMPLES
 from taxinet_ros.cli.main import NODES, app
 from taxinet_ros.core import topics
 from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
@@ -54,6 +55,13 @@ def _command_lines(group: Any, context: Any, name: str, level: int) -> Iterator[
                 pieces = ' '.join(child.collect_usage_pieces(inside))
                 yield f'\n```text\n{full} {pieces}\n```\n'
                 yield from _option_lines(child, inside)
+                yield from _example_lines(full.partition(' ')[2])
+
+
+def _example_lines(command: str) -> Iterator[str]:
+    lines = EXAMPLES.get(command, ())
+    if lines:
+        yield '\n'.join(['\n```sh', *lines, '```'])
 
 
 def _option_lines(command: Any, context: Any) -> Iterator[str]:

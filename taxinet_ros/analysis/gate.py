@@ -7,10 +7,14 @@ Both bounds are one-sided, each at the stated confidence: a system exactly at th
 or fails, with a probability of at most 1 - confidence each. With several criteria, that holds for
 each; the gate passes if all do and fails if any does.
 
-That probability covers all looks at a campaign together, so it may be monitored while running, and
-an inconclusive one may be extended. Half of it is spent on the look at the number of runs planned
-before the first one, with exact binomial bounds; the other half on all other looks, with bounds
-valid at any number of runs. :mod:`taxinet_ros.campaign.rates` defines both, and which runs count.
+By default that probability covers all looks at a campaign together, so it may be monitored while
+running, and an inconclusive one may be extended. Half of it is spent on the look at the number of
+runs planned before the first one, with exact binomial bounds; the other half on all other looks,
+with bounds valid at any number of runs. :mod:`taxinet_ros.campaign.rates` defines both, and which
+runs count.
+``Look.PLANNED`` spends all of it on the planned number of runs, and says nothing at any other;
+``Look.SEQUENTIAL`` follows the runs in their order and stands by the first decision of a sequential
+test (:mod:`taxinet_ros.campaign.sequential`), which ``falsify --until`` may have stopped at.
 
 The JUnit format is that of Ant's reports as read by Jenkins, GitLab and others: a ``testsuite``
 with ``properties`` and ``testcase`` elements; a test case with a ``failure``, ``error`` or
@@ -42,6 +46,15 @@ from taxinet_ros.campaign.rates import (
 from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.campaign.sequential import (
+    MAX_OFF_RUNWAY,
+    MIN_SATISFACTION,
+    Course,
+    Decision,
+    SequentialTest,
+    course,
+    sequential_test,
+)
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -57,6 +70,17 @@ class Bounds(NamedTuple):
     share: float
     low: float
     high: float
+
+
+class Look(enum.StrEnum):
+    """Looks at a campaign that its confidence covers."""
+
+    ANY = 'any'
+    """The planned number of runs, and any other."""
+    PLANNED = 'planned'
+    """The planned number of runs alone."""
+    SEQUENTIAL = 'sequential'
+    """Every run in turn, up to the first decision."""
 
 
 class Verdict(enum.StrEnum):
@@ -75,20 +99,50 @@ class GateOptions:
         min_satisfaction: minimum share of runs that satisfy their formulas, or None.
         max_off_runway: maximum share of runs that leave the runway, or None.
         max_infra: maximum number of infrastructure errors.
-        confidence: confidence of each one-sided bound.
+        confidence: confidence of each one-sided bound, or of each answer of a sequential test.
+        look: the looks that the confidence covers.
+        design: with a sequential test and one threshold, the share that the system is designed
+            for, in the words of the threshold; or None.
     """
 
     min_satisfaction: float | None = None
     max_off_runway: float | None = None
     max_infra: int = 0
     confidence: float = 0.95
+    look: Look = Look.ANY
+    design: float | None = None
 
     def __post_init__(self) -> None:
         """Check the criteria.
 
         Raises:
-            UsageError: a share is not within 0..1, or there is no criterion.
+            UsageError: a share is not within 0..1, there is no criterion, or a test cannot be made.
         """
+        self._check_values()
+        if self.design is not None and self.look is not Look.SEQUENTIAL:
+            raise UsageError('--design: only with --sequential')
+        if self.design is not None and None not in (self.min_satisfaction, self.max_off_runway):
+            raise UsageError(
+                '--design: with one threshold only; it is unclear which of the two it belongs to'
+            )
+        if self.look is Look.SEQUENTIAL:
+            for criterion in (MIN_SATISFACTION, MAX_OFF_RUNWAY):
+                self.test(criterion)
+
+    def test(self, criterion: str) -> SequentialTest | None:
+        """The sequential test of a criterion; None if the gate has no such threshold.
+
+        Raises:
+            UsageError: no such test can be made.
+        """
+        threshold = (
+            self.max_off_runway if criterion == MAX_OFF_RUNWAY else self.min_satisfaction
+        )
+        if threshold is None:
+            return None
+        return sequential_test(criterion, threshold, self.design, self.confidence)
+
+    def _check_values(self) -> None:
         for name, value in (
             ('--min-satisfaction', self.min_satisfaction),
             ('--max-off-runway', self.max_off_runway),
@@ -114,6 +168,8 @@ class Criterion:
         bounds: share and bounds; None for a mere count.
         more_runs: approximate number of further runs for a conclusive verdict if the share stays
             the same; None if no number suffices, or none is needed.
+        course: how far a sequential test has come, or None.
+        test: that test, or None.
     """
 
     name: str
@@ -121,6 +177,8 @@ class Criterion:
     sentence: str
     bounds: Bounds | None = None
     more_runs: int | None = None
+    course: Course | None = None
+    test: SequentialTest | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,7 +203,8 @@ class GateResult:
 
 
 def gate_result(
-    rows: Sequence[RunRow], options: GateOptions, *, planned: int | range = 0
+    rows: Sequence[RunRow], options: GateOptions, *, planned: int | range = 0,
+    rules: Sequence[str] = (),
 ) -> GateResult:
     """Evaluate acceptance criteria on a campaign.
 
@@ -154,35 +213,44 @@ def gate_result(
         options: the criteria.
         planned: number of runs planned before the first one, or their indices; 0 for the actual
             number.
+        rules: stop rules of the search's sessions, as typed after ``--until``.
 
     Raises:
         UsageError: runs were stopped before it was known whether they leave the runway.
     """
     counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
     satisfied = rate_of(rows, lambda row: row.outcome is Outcome.PASS, planned or None)
-    criteria = []
+    shares = []
     if options.min_satisfaction is not None:
-        criteria.append(_criterion(satisfied, options.min_satisfaction, options, off=False))
+        shares.append((MIN_SATISFACTION, satisfied, options.min_satisfaction))
     if options.max_off_runway is not None:
-        criteria.append(_criterion(
-            _on_runway(rows, planned or None), 1 - options.max_off_runway, options, off=True
-        ))
+        on_runway = _on_runway(rows, planned or None)
+        shares.append((MAX_OFF_RUNWAY, on_runway, 1 - options.max_off_runway))
+    criteria = []
+    for criterion, good, threshold in shares:
+        test = options.test(criterion) if options.look is Look.SEQUENTIAL else None
+        if test is not None:
+            criteria.append(_sequential(rows, good, test, planned or None))
+        else:
+            off = criterion == MAX_OFF_RUNWAY
+            criteria.append(_criterion(good, threshold, options, off=off))
     criteria.append(_infra(rows, options.max_infra))
     verdicts = {one.verdict for one in criteria}
     return GateResult(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
         criteria=tuple(criteria), counts=counts, judged=satisfied.runs,
-        effective=satisfied.drawn, notes=tuple(_notes(
-            counts, satisfied, planned if isinstance(planned, int) else len(planned)
-        )),
+        effective=satisfied.drawn, notes=(
+            *_notes(counts, satisfied, planned if isinstance(planned, int) else len(planned)),
+            *_stop_notes(satisfied, options, criteria, rules),
+        ),
     )
 
 
-def bounds(found: ProgramRate, confidence: float) -> Bounds:
-    """A share with its one-sided bounds, each at a confidence over all looks at the campaign."""
+def bounds(found: ProgramRate, confidence: float, look: Look = Look.ANY) -> Bounds:
+    """A share with its one-sided bounds, each at a confidence over the looks at the campaign."""
     share = found.drawn_hits / found.drawn if found.drawn else math.nan
-    return Bounds(share, *found.bounds((1 - confidence) / 2))
+    return Bounds(share, *found.bounds((1 - confidence) / (2 if look is Look.ANY else 1)))
 
 
 def further_runs(found: ProgramRate, threshold: float, confidence: float) -> int | None:
@@ -226,9 +294,10 @@ def _criterion(
     good: ProgramRate, threshold: float, options: GateOptions, *, off: bool
 ) -> Criterion:
     """Criterion on a minimum share of good runs; ``off`` words it as a maximum of the others."""
-    found = bounds(good, options.confidence)
+    planned = options.look is Look.PLANNED
+    found = bounds(good, options.confidence, options.look)
     more = None
-    if good.runs and not good.drawn:
+    if (good.runs and not good.drawn) or (planned and (good.anytime or not good.runs)):
         verdict = Verdict.INCONCLUSIVE
     elif found.low >= threshold:
         verdict = Verdict.PASS
@@ -236,7 +305,7 @@ def _criterion(
         verdict = Verdict.FAIL
     else:
         verdict = Verdict.INCONCLUSIVE
-        more = further_runs(good, threshold, options.confidence)
+        more = None if planned else further_runs(good, threshold, options.confidence)
     name, shown, limit = 'satisfied', found, threshold
     if off:
         shown = Bounds(1 - found.share, 1 - found.high, 1 - found.low)
@@ -244,14 +313,92 @@ def _criterion(
     sign = '<=' if off else '>='
     return Criterion(
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
-        sentence=_sentence(name, shown, good, options.confidence, verdict, more),
+        sentence=_sentence(name, shown, good, options, verdict, more),
     )
 
 
+def _sequential(
+    rows: Sequence[RunRow], good: ProgramRate, test: SequentialTest, planned: Planned
+) -> Criterion:
+    """Criterion by a sequential test, at its first decision."""
+    found = course(rows, test, planned)
+    off = test.criterion == MAX_OFF_RUNWAY
+    name, sign = ('off the runway', '<=') if off else ('satisfied', '>=')
+    verdict = Verdict.INCONCLUSIVE
+    if found.decision in (Decision.PASS, Decision.FAIL):
+        verdict = Verdict(found.decision.value)
+    return Criterion(
+        name=f'{name} {sign} {test.shown(test.limit):g}, sequential', verdict=verdict,
+        course=found, test=test, sentence=_sequential_sentence(found, good, test, name),
+    )
+
+
+def _sequential_sentence(
+    found: Course, good: ProgramRate, test: SequentialTest, name: str
+) -> str:
+    if not good.runs:
+        return 'no run was judged'
+    if not good.drawn:
+        return good.why_not
+    shown = found.bad if test.criterion == MAX_OFF_RUNWAY else found.runs - found.bad
+    seen = f'{shown:,} of {found.runs:,} runs are {name}'
+    sure = f'with {100 * test.confidence:g} % confidence'
+    if found.decision is None:
+        return f'not decided yet: {seen}; go on: taxinet falsify --resume --until {test}'
+    at = f'decided by run {found.index}: {seen}'
+    if found.decision is Decision.BELOW_DESIGN:
+        assert test.design is not None
+        return (
+            f'{at}; {sure} not as good as the design, {test.shown(test.design):g}; whether the '
+            'threshold is met stays open'
+        )
+    meets = 'meets' if found.decision is Decision.PASS else 'misses'
+    return f'{at}; {sure} the system {meets} the threshold'
+
+
+def _stop_notes(
+    satisfied: ProgramRate, options: GateOptions, criteria: Sequence[Criterion],
+    rules: Sequence[str],
+) -> list[str]:
+    """What a campaign cannot claim that ended otherwise than planned."""
+    notes = []
+    other = [rule for rule in rules if rule not in {str(one.test) for one in criteria}]
+    ended = f'by --until {" and ".join(other)}' if other else 'otherwise than planned'
+    if options.look is not Look.SEQUENTIAL:
+        if satisfied.drawn and satisfied.anytime and options.look is Look.ANY:
+            how = f'may have ended by --until {" and ".join(rules)}' if rules else (
+                'has another number of runs than planned'
+            )
+            notes.append(
+                f'the campaign {how}: its verdict and bounds hold at any number of runs; its share '
+                'is biased, and no chance of passing can be claimed'
+            )
+        return notes
+    for one in criteria:
+        if one.course is None or one.test is None:
+            continue
+        if one.course.later:
+            notes.append(
+                f'{one.name}: {one.course.later:,} runs came after the decision and do not count'
+            )
+        if one.course.decision is None and (other or not rules) and satisfied.anytime:
+            notes.append(
+                f'{one.name}: the campaign ended {ended}, before this test decided: that a system '
+                'as good as its design passes as often as promised cannot be claimed'
+            )
+    return notes
+
+
 def _sentence(
-    name: str, shown: Bounds, good: ProgramRate, confidence: float, verdict: Verdict,
+    name: str, shown: Bounds, good: ProgramRate, options: GateOptions, verdict: Verdict,
     more: int | None,
 ) -> str:
+    confidence = options.confidence
+    if options.look is Look.PLANNED and (good.anytime or not good.runs):
+        return (
+            f'{good.drawn:,} runs are not the number that was planned before the first one, so '
+            'there is no planned look; leave --planned out'
+        )
     if not good.runs:
         needed = f': {more:,} runs, all good, would suffice' if more else ''
         return f'no run was judged{needed}'
@@ -263,6 +410,8 @@ def _sentence(
     )
     if verdict is not Verdict.INCONCLUSIVE:
         return text
+    if options.look is Look.PLANNED:
+        return f'{text}; more runs would need another campaign, or no --planned'
     if more is None:
         return f'{text}; too close to the threshold for any realistic number of runs'
     return f'{text}; about {_rounded(more):,} more runs needed if the share stays the same'

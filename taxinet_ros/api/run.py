@@ -60,7 +60,6 @@ from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
-from taxinet_ros.core.mtl.units import dimension_of, si_unit
 from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
@@ -81,6 +80,7 @@ from taxinet_ros.core.trace import (
     trace_table,
 )
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.units import dimension_of, si_unit
 from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.core.verdict.judge import Judgement, check_others, check_specs
 from taxinet_ros.core.verdict.judging import Judging, parse_stop_on

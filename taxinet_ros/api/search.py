@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import warnings
@@ -25,10 +26,12 @@ from taxinet_ros.arguments import (
     takes,
 )
 from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.campaign.loop_run import campaign_loop
 from taxinet_ros.campaign.loop_worker import loop_worker_command
 from taxinet_ros.campaign.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.campaign.record.facts import recorded_world
+from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
@@ -41,8 +44,8 @@ from taxinet_ros.registry import KMWH
 @takes(
     program=PATH, runs=FROM_1, seed=FROM_0, sampler=NONE | WORD, sampler_options=NONE | MAPPING,
     perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, bounds=TEXTS,
-    rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1, out=NONE | PATH,
-    resume=FLAG,
+    rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1,
+    cluster=NONE | WORD, lag=FROM_1, out=NONE | PATH, resume=FLAG,
 )
 @says_parameters
 def falsify(
@@ -52,7 +55,8 @@ def falsify(
     settings: Mapping[str, object] | None = None, stop_on: str = 'never',
     bounds: str | Sequence[str] = (), rates: str | Sequence[str] = (),
     latency: str | Sequence[str] = (), world: str = KMWH, until: str | None = None,
-    workers: int = 1, out: str | os.PathLike[str] | None = None, resume: bool = False,
+    workers: int = 1, cluster: str | None = None, lag: int = LAG,
+    out: str | os.PathLike[str] | None = None, resume: bool = False,
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
 
@@ -76,8 +80,13 @@ def falsify(
         rates: as for ``tx.run``.
         latency: as for ``tx.run``.
         world: as for ``tx.run``.
-        until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
+        until: ``failures=K``, ``half-width=W`` of the failure rate's interval, or a sequential
+            test, ``min-satisfaction=SHARE`` or ``max-off-runway=SHARE``; None: all runs.
         workers: number of processes; results do not depend on it.
+        cluster: a Dask cluster that makes the runs instead, with the same results:
+            ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` of its scheduler, a scheduler file, or
+            ``local:N``.
+        lag: number of runs that may be in flight where scenes depend on results.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
         resume: continue the campaign in ``out``.
 
@@ -100,18 +109,29 @@ def falsify(
         make_search_options(
             dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
             sampler_options=_texts(sampler_options), workers=workers, resume=resume, until=until,
-            budget_min=None,
+            budget_min=None, lag=lag, cluster=cluster,
         ),
         participants=(),
     )
-    with search:
+    with contextlib.ExitStack() as opened:
+        led = None
+        if where := search.options.cluster:
+            led = opened.enter_context(campaign_cluster(
+                search.options.campaign, where, tell=lambda line: warnings.warn(line, stacklevel=2)
+            ))
+        opened.enter_context(search)
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
             warnings.warn(python_words(line), stacklevel=CALLER)
         sha256 = search.book.facts['controller_sha256']
         command = loop_worker_command(campaign_loop(
             search.options.campaign, sha256, recorded_world(search.book.facts)[1]
         ))
-        with WorkerPool(command, workers, options.out / 'logs') as pool:
+        pool = WorkerPool(command, workers, options.out / 'logs') if led is None else ClusterPool(
+            led, command, options.out, runs=runs, in_flight=search.options.in_flight,
+            fingerprint=search.book.facts['perception_sha256'],
+            on_machine=search.book.add_machine,
+        )
+        with pool:
             run_search(search, pool)
         write_learned(search)
     exit_code(search.rows)  # raises if no scene could be run

@@ -47,7 +47,7 @@ from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.scenes.overrides import check_overrides
 from taxinet_ros.campaign.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
-from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.search_options import SearchOptions, check_workers_or_cluster
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key, by_value
@@ -314,7 +314,7 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
 
 def arm_searches(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, engine: str = GRAPH,
-    audit: str | None = None,
+    audit: str | None = None, cluster: str | None = None,
 ) -> dict[str, SearchOptions]:
     """One search per arm, in its own folder, by name of the arm.
 
@@ -325,19 +325,24 @@ def arm_searches(
         resume: continue the existing arms.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
 
     Raises:
-        UsageError: the folder, the number of workers or the engine cannot be used.
+        UsageError: the folder, the number of workers, the cluster or the engine cannot be used.
     """
-    if not 1 <= workers <= LAG:
-        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
+    campaigns = {
+        arm.name: _campaign(experiment, arm, out, engine, audit) for arm in experiment.arms
+    }
+    where = ''
+    for campaign in campaigns.values():
+        where = check_workers_or_cluster(workers, LAG, cluster, campaign)
     if not resume:
         check_new(out)
     elif not _may_be_begun(experiment, out):
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
         arm.name: SearchOptions(
-            campaign=_campaign(experiment, arm, out, engine, audit), sampler=experiment.sampler,
+            campaign=campaigns[arm.name], sampler=experiment.sampler, cluster=where,
             sampler_options=experiment.sampler_options, workers=workers,
             resume=resume and (out / arm.name / LEDGER_NAME).is_file(),
         )

@@ -24,7 +24,12 @@ from pathlib import Path
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.motion.aircraft import checked_aircraft
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.motion.controller import (
+    STEERING,
+    SteeringGains,
+    check_controller,
+    typed_gain,
+)
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -519,12 +524,9 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
             if key == AIRCRAFT_MODEL.key:
                 _check_taxiing(overrides[key])
             continue
+        name = key.removeprefix(_GAIN_PREFIX)
         try:
-            gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
-        except ValueError:
-            raise UsageError(f'--set {key}={value}: {value!r} is no number') from None
-    known = SteeringGains.__dataclass_fields__
-    for name in gains:
-        if name not in known:
-            raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
+            gains[name] = typed_gain(name, value)
+        except UsageError as error:
+            raise UsageError(f'--set {error}') from None
     return overrides, gains

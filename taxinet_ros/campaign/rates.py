@@ -89,21 +89,35 @@ def anytime_bounds(hits: float, misses: float, tail: float) -> tuple[float, floa
 
 @lru_cache(maxsize=1 << 14)
 def _anytime_upper(hits: float, misses: float, tail: float) -> float:
-    from scipy.special import betainc, betaln
-
     if misses <= 0:
         return 1.0
-    mixed = float(betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5))
-
-    def log_stake(truth: float) -> float:
-        below = float(betainc(hits + 0.5, misses + 0.5, truth) / betainc(0.5, 0.5, truth))
-        return math.log(below) + mixed - hits * math.log(truth) - misses * math.log1p(-truth)
-
     low, high = hits / (hits + misses), 1.0
     for _ in range(36):  # to ten digits
         middle = (low + high) / 2
-        low, high = (low, middle) if log_stake(middle) >= -math.log(tail) else (middle, high)
+        seen = log_evidence_below(hits, misses, middle)
+        low, high = (low, middle) if seen >= -math.log(tail) else (middle, high)
     return high
+
+
+def log_evidence_below(hits: float, misses: float, limit: float) -> float:
+    """Natural logarithm of the evidence that hits are rarer than ``limit``.
+
+    It is the stake of a gambler who began with 1 and bets on every run that hits are rarer, by the
+    likelihood ratio of Jeffreys' mixture of all smaller probabilities. If they are not rarer, it
+    ever reaches 1/tail with a probability of at most ``tail`` (Ville, 1939).
+
+    Args:
+        hits: number of hits.
+        misses: number of misses.
+        limit: probability of a hit, within 0..1 exclusively.
+    """
+    from scipy.special import betainc, betaln
+
+    share = float(betainc(hits + 0.5, misses + 0.5, limit) / betainc(0.5, 0.5, limit))
+    if share <= 0:  # less than the smallest number: these hits are certainly not rarer
+        return -math.inf
+    mixed = float(betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5))
+    return math.log(share) + mixed - hits * math.log(limit) - misses * math.log1p(-limit)
 
 
 def rate(k: int, n: int, *, anytime: bool = False) -> Rate:

@@ -89,11 +89,7 @@ class RunSettings:
         Raises:
             UsageError: a document is known by its digest only.
         """
-        gains = {f'steering.{name}': value for name, value in self.gains.items()}
-        settings = [
-            f'{key}={_setting(key, value, folder)}'
-            for key, value in {**self.values, **gains}.items()
-        ]
+        settings = [f'{key}={text}' for key, text in self.texts(folder).items()]
         return shlex.join([
             'taxinet', 'run', program, *words, '--perception', self.perception,
             *controller_options(self.controller), *world_options(self.world),
@@ -101,6 +97,20 @@ class RunSettings:
             *(word for setting in settings for word in ('--set', setting)),
             *self.timing.options,
         ])
+
+    def texts(self, folder: Path = Path()) -> dict[str, str]:
+        """Values and gains as text by key, as for ``--set``.
+
+        Args:
+            folder: folder of the files of :meth:`documents`.
+
+        Raises:
+            UsageError: a document is known by its digest only.
+        """
+        gains = {f'steering.{name}': value for name, value in self.gains.items()}
+        return {
+            key: _setting(key, value, folder) for key, value in {**self.values, **gains}.items()
+        }
 
     def documents(self) -> dict[str, str]:
         """Text by file name of every document that is not shipped.

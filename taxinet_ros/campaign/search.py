@@ -18,7 +18,7 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
+from taxinet_ros.campaign.record.facts import UNTIL, campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
@@ -40,7 +40,6 @@ from taxinet_ros.campaign.scenes.source import (
 )
 from taxinet_ros.campaign.search_options import (
     FAILURES,
-    HALF_WIDTH,
     SearchOptions,
     check_can_be_sharded,
     with_sampler,
@@ -48,6 +47,7 @@ from taxinet_ros.campaign.search_options import (
 from taxinet_ros.campaign.summary import (
     ON_STANDING_GRAPH,
     blind_words,
+    next_line,
     off_runway_words,
     participants_words,
     refused_words,
@@ -318,8 +318,11 @@ class Search:
         )
         if options.shard is not None:
             check_can_be_sharded(options.sampler)
+        if options.in_flight is None:
             self._sampler.ignore_results()
-        if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
+        else:
+            self._sampler.set_lag(options.lag)
+        if options.stop is not None and options.stop.needs_draws and not drawn_share(
             options.sampler, options.sampler_options
         ):
             raise UsageError(
@@ -344,11 +347,12 @@ class Search:
             ),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
-            'sampler_lag': lag_of(self.options.sampler),
+            'sampler_lag': min(self.options.lag, lag_of(self.options.sampler)),
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
             **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
+            **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
 
 
@@ -364,6 +368,7 @@ def search_heading(options: SearchOptions) -> str:
     """Heading that describes the search."""
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    workers = f'cluster {options.cluster}' if options.cluster else workers
     part = '' if options.shard is None else f', {shard_words(options)}'
     verb = 'resuming' if options.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers}'
@@ -414,6 +419,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines.append(table_line(rows, campaign))
     if search.options.shard is not None:
         lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
+    else:
+        lines += next_line(rows, campaign)
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'

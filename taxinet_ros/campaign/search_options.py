@@ -10,16 +10,27 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import Shard
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
-from taxinet_ros.campaign.samplers.sampler import LAG, split_options
+from taxinet_ros.campaign.samplers.sampler import LAG, MOST_LAG, split_options
 from taxinet_ros.campaign.samplers.splitting import NAME, particles_for
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
+from taxinet_ros.campaign.sequential import (
+    MAX_OFF_RUNWAY,
+    MIN_SATISFACTION,
+    SequentialTest,
+    course,
+    parse_test,
+)
+from taxinet_ros.core.user_code import EXTERNAL
+from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
 LEAST_PARTICLES = 20
@@ -33,23 +44,33 @@ class StopRule:
     """A rule of ``--until``.
 
     Attributes:
-        kind: ``failures``, or ``half-width`` of the 95 % interval of the failure rate.
-        value: number of failures, or the half width as a fraction.
+        kind: ``failures``; ``half-width`` of the 95 % interval of the failure rate; or the
+            criterion of a sequential test.
+        value: number of failures, the half width as a fraction, or the test's threshold.
+        test: the sequential test, or None.
     """
 
     kind: str
     value: float
+    test: SequentialTest | None = None
 
     def __str__(self) -> str:
-        return f'{self.kind}={self.value:g}'
+        return f'{self.kind}={self.value:g}' if self.test is None else str(self.test)
 
     @property
     def reached(self) -> str:
         """Text for a search that this rule ended."""
-        return f'{self} reached'
+        return f'{self} reached' if self.test is None else f'{self} decided'
+
+    @property
+    def needs_draws(self) -> bool:
+        """Whether it can only be met by runs that the program itself draws."""
+        return self.kind != FAILURES
 
     def is_met(self, rows: Sequence[RunRow]) -> bool:
         """Whether these runs meet the rule."""
+        if self.test is not None:
+            return course(rows, self.test).decision is not None
         if self.kind == FAILURES:
             return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value
         found = failure_rate(rows, 0).rate
@@ -57,12 +78,15 @@ class StopRule:
 
 
 def parse_stop_rule(text: str) -> StopRule:
-    """Parse the rule ``failures=K`` or ``half-width=W``.
+    """Parse ``failures=K``, ``half-width=W``, or a sequential test (:func:`.parse_test`).
 
     Raises:
-        UsageError: it is neither.
+        UsageError: it is none of them.
     """
     kind, _, number = (part.strip() for part in text.partition('='))
+    if kind in (MIN_SATISFACTION, MAX_OFF_RUNWAY):
+        test = parse_test(text)
+        return StopRule(kind=kind, value=test.shown(test.limit), test=test)
     try:
         value = float(number)
     except ValueError:
@@ -70,7 +94,8 @@ def parse_stop_rule(text: str) -> StopRule:
     whole = kind == FAILURES and value >= 1 and value.is_integer()
     if not whole and not (kind == HALF_WIDTH and 0 < value < 0.5):
         raise UsageError(
-            f'--until {text}: expected {FAILURES}=K (1, 2, …) or {HALF_WIDTH}=W (0…0.5)'
+            f'--until {text}: expected {FAILURES}=K (1, 2, …), {HALF_WIDTH}=W (0…0.5), '
+            f'{MIN_SATISFACTION}=SHARE or {MAX_OFF_RUNWAY}=SHARE'
         )
     return StopRule(kind=kind, value=value)
 
@@ -93,6 +118,9 @@ class SearchOptions:
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
         shard: the part of the search to run, or None for the whole.
+        lag: number of runs that may be in flight where scenes depend on results: each is chosen by
+            the results of all but the last ``lag - 1``.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
     """
 
     campaign: CampaignOptions
@@ -103,6 +131,19 @@ class SearchOptions:
     stop: StopRule | None = None
     budget_s: float | None = None
     shard: Shard | None = None
+    lag: int = LAG
+    cluster: str = ''
+
+    @property
+    def in_flight(self) -> int | None:
+        """Number of runs that may be in flight; None if nothing depends on results.
+
+        Workers here are no more than the lag in any case.
+        """
+        if self.shard is not None:
+            return None
+        by_results = SAMPLERS[self.sampler].depends_on is DependsOn.RESULTS
+        return self.lag if by_results or self.stop is not None or not self.cluster else None
 
     @property
     def runs(self) -> int:
@@ -114,6 +155,7 @@ class SearchOptions:
 def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
     resume: bool, until: str | None, budget_min: float | None, shard: Shard | None = None,
+    lag: int = LAG, cluster: str | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
 
@@ -126,24 +168,75 @@ def make_search_options(
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
         shard: the part of the search to run, or None for the whole.
+        lag: see :class:`SearchOptions`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
 
     Raises:
         UsageError: one line on the first error.
     """
-    if not 1 <= workers <= LAG:
-        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
+    if not 1 <= lag <= MOST_LAG:
+        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
+    if lag != LAG and shard is not None:
+        raise UsageError(f'--lag {lag}: has no effect with --shard, whose scenes ignore results')
+    where = check_workers_or_cluster(workers, lag, cluster, campaign)
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
     if shard is not None:
         _check_shard(shard, campaign.runs, until)
+    stop = parse_stop_rule(until) if until else None
+    if (
+        stop is not None and stop.kind == MAX_OFF_RUNWAY
+        and campaign.judging.stop_on is not StopOn.NEVER
+    ):
+        raise UsageError(
+            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
+            'stopped it is unknown whether it would have left the runway'
+        )
     options = split_options(sampler_options)
     if sampler is not None:
         check_sampler(sampler, options)
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
-        workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
-        budget_s=None if budget_min is None else 60 * budget_min, shard=shard,
+        workers=workers, resume=resume, stop=stop,
+        budget_s=None if budget_min is None else 60 * budget_min, shard=shard, lag=lag,
+        cluster=where,
     )
+
+
+def check_workers_or_cluster(
+    workers: int, lag: int, cluster: str | None, campaign: CampaignOptions
+) -> str:
+    """Check what makes the runs: worker processes here, or a cluster.
+
+    Args:
+        workers: number of worker processes.
+        lag: number of runs that may be in flight.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        campaign: the campaign.
+
+    Returns:
+        The checked cluster, or ''.
+
+    Raises:
+        UsageError: too many workers, no cluster, or runs that a cluster cannot make.
+    """
+    if cluster is None:
+        if not 1 <= workers <= lag:
+            raise UsageError(f'--workers {workers}: needs to be within 1..{lag}')
+        return ''
+    if workers != 1:
+        raise UsageError(
+            f'--workers {workers}: not with --cluster, whose own workers are used; leave it out'
+        )
+    for role, word in (('perception', campaign.perception), ('controller', campaign.controller)):
+        if word in (EXTERNAL, ''):
+            raise UsageError(
+                f'--cluster: not with a {role} that you start yourself, which the workers do not '
+                'see; use --workers, or give its command'
+            )
+    if again := find_world(campaign.world).again_words:
+        raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
+    return check_cluster(cluster)
 
 
 def make_estimate_options(

@@ -68,14 +68,17 @@ def bring_campaign_back(folder: Path, on_bag: Callable[[Path], None] = lambda ba
 
 
 def _store_run(folder: Path, row: RunRow, url: str, *, keep: bool = False) -> bool:
-    bag = folder / row.bag
-    if any(bag.glob(f'*.{STORAGE_ID}')) or stored_bag(bag) is None:
+    bag, place = folder / row.bag, f'{url}/{folder.resolve().name}'
+    here, stored = any(bag.glob(f'*.{STORAGE_ID}')), stored_bag(bag)
+    if stored is not None and stored.url.startswith(f'{place}/') and not here:
+        return False  # also by a worker of a cluster, in a folder of its own
+    if here or stored is None:
         try:
             for wrong in check_bag(bag).findings:
                 raise UsageError(f'{bag}: is not stored, {wrong.where}: {wrong.what}')
         except BagError as error:
             raise UsageError(f'{bag}: is not stored: {error}') from error
-    return store_bag(bag, f'{url}/{folder.resolve().name}', keep=keep)
+    return store_bag(bag, place, keep=keep)
 
 
 class BagUploads:

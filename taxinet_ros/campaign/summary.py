@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import shlex
 import statistics
 from collections.abc import Sequence
+from typing import Any
 
 from rich.text import Text
 
 from taxinet_ros.campaign.options import LOOP, CampaignOptions
-from taxinet_ros.campaign.rates import ProgramRate, count_outcomes, failure_rate
+from taxinet_ros.campaign.rates import Planned, ProgramRate, count_outcomes, failure_rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
@@ -138,8 +140,58 @@ def campaign_summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
         lines += [*stopped_words(rows), *blind_words(rows)]
     lines += free_words(rows)
     lines += refused_words(rows)
-    lines.append(table_line(rows, options))
+    lines += [table_line(rows, options), *next_line(rows, options)]
     return '\n'.join(line for line in lines if line)
+
+
+def next_line(rows: Sequence[RunRow], options: CampaignOptions) -> list[str]:
+    """Line with the command that is useful next: for failures the one that explains them."""
+    out = shlex.quote(str(options.out))
+    if options.standing_graph or not any(row.outcome.judged for row in rows):
+        return []
+    if any(row.outcome is Outcome.FAIL for row in rows):
+        return [f'next: taxinet why {out}']
+    return [f'next: taxinet gate {out} --min-satisfaction 0.95']
+
+
+def summary_json(
+    rows: Sequence[RunRow], options: CampaignOptions, planned: Planned
+) -> dict[str, Any]:
+    """The summary as plain values for JSON.
+
+    Args:
+        rows: the runs.
+        options: of the campaign.
+        planned: see :func:`~taxinet_ros.campaign.rates.failure_rate`.
+    """
+    found = failure_rate(rows, planned)
+    least = [(row.headline.upper, row.headline.lower, row.run_id, row.outcome.value)
+             for row in rows if row.headline is not None and row.outcome.judged]
+    rate, worst = None, None
+    if least:
+        upper, lower, run_id, outcome = min(least)
+        worst = {'run_id': run_id, 'outcome': outcome, 'rho': [_finite(lower), _finite(upper)]}
+    if found.rate is not None:
+        value, low, high = found.rate.other
+        rate = {
+            'value': value, 'low': low, 'high': high, 'confidence': 0.95,
+            'anytime': found.anytime,
+        }
+    return {
+        'program': options.program, 'seed': options.seed, 'perception': options.perception,
+        'controller': options.controller, 'runs': len(rows),
+        'outcomes': {
+            outcome.value: number for outcome in Outcome
+            if (number := sum(row.outcome is outcome for row in rows))
+        },
+        'off_runway': sum(bool(row.left_runway) for row in rows),
+        'satisfied': rate, 'why_no_rate': found.why_not or None,
+        'worst': worst, 'out': str(options.out),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _satisfied_words(failed: ProgramRate) -> str:

@@ -101,12 +101,13 @@ class WorkerProcess:
         answers: descriptor to wait on; read it with :meth:`read`.
     """
 
-    def __init__(self, command: Sequence[str], log: Path) -> None:
+    def __init__(self, command: Sequence[str], log: Path, folder: Path | None = None) -> None:
         """Start the process.
 
         Args:
             command: arguments; ``--answers=<descriptor>`` is added.
             log: file to which the process's output is appended.
+            folder: its working directory; None for the current one.
         """
         self.request: RunRequest | None = None
         self.seq = -1
@@ -115,7 +116,7 @@ class WorkerProcess:
         self.answers, answers_write = open_pipe()
         try:
             self._child = ChildProcess(
-                'worker', [*command, f'--answers={answers_write}'], log=log,
+                'worker', [*command, f'--answers={answers_write}'], log=log, folder=folder,
                 stdin=subprocess.PIPE, descriptors=(answers_write,), killed_with_parent=True,
             )
         except BaseException:
@@ -206,7 +207,8 @@ class WorkerPool:
     """
 
     def __init__(
-        self, command: Sequence[str], size: int, logs: Path, silence_s: float = SILENCE_S
+        self, command: Sequence[str], size: int, logs: Path, silence_s: float = SILENCE_S,
+        folder: Path | None = None,
     ) -> None:
         """Create the pool; nothing is started before the first :meth:`give`.
 
@@ -215,6 +217,7 @@ class WorkerPool:
             size: maximum number of workers.
             logs: folder for their output.
             silence_s: wall-clock limit for a run without progress [s].
+            folder: working directory of the workers; None for the current one.
         """
         self.workers: list[WorkerProcess] = []
         self.interrupted = False
@@ -222,6 +225,7 @@ class WorkerPool:
         self._size = size
         self._logs = logs
         self._silence_s = silence_s
+        self._folder = folder
         self._started = 0
 
     def __enter__(self) -> Self:
@@ -290,7 +294,8 @@ class WorkerPool:
 
     def _start(self) -> WorkerProcess:
         self._started += 1
-        worker = WorkerProcess(self._command, self._logs / f'worker-{self._started}.log')
+        log = self._logs / f'worker-{self._started}.log'
+        worker = WorkerProcess(self._command, log, self._folder)
         self.workers.append(worker)
         return worker
 
@@ -350,7 +355,30 @@ class RunSource(Protocol):
         """Record the result of a run."""
 
 
-def run_search(search: RunSource, pool: WorkerPool) -> None:
+class Executor(Protocol):
+    """What makes the runs: a pool of worker processes here, or of a cluster."""
+
+    interrupted: bool
+
+    @property
+    def busy(self) -> int:
+        """Number of runs in flight."""
+
+    @property
+    def free(self) -> bool:
+        """Whether one more run can be started."""
+
+    def give(self, request: RunRequest) -> None:
+        """Start a run."""
+
+    def answers(self, timeout_s: float) -> list[Answer]:
+        """The runs finished since the last call; waits for one, at most ``timeout_s``."""
+
+    def interrupt(self) -> None:
+        """Request an orderly end of all runs in flight; no more may be started."""
+
+
+def run_search(search: RunSource, pool: Executor) -> None:
     """Run a search to its end, or until it is interrupted and the runs in flight have ended.
 
     Raises:

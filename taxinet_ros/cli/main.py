@@ -21,21 +21,25 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
+    bisect,
+    compare,
     doctor,
     explain,
+    forecast_app,
     fork,
     gate,
     localize,
     monitor,
+    plan,
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
+from taxinet_ros.cli.help import CommandSections, add_examples
 from taxinet_ros.cli.options import asks_for_study, given_options
 from taxinet_ros.cli.run.commands import (
     aircraft_app,
@@ -60,7 +64,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, improve
+from taxinet_ros.cli.study.commands import case_study, improve, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
@@ -99,9 +103,16 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
+_COMPLETION, _COMPLETING = '_TAXINET_COMPLETE', {'--install-completion', '--show-completion'}
 _FILES_OF_A_NODE = 12
 """File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: closed by its reader'
+_ROS = frozenset({
+    'rclpy', 'taxinet_msgs', 'tf2_msgs', 'std_msgs', 'sensor_msgs', 'geometry_msgs', 'nav_msgs',
+    'diagnostic_msgs', 'action_msgs', 'rosgraph_msgs', 'visualization_msgs', 'builtin_interfaces',
+    'rcl_interfaces', 'std_srvs', 'domain_coordinator',
+})
+"""Packages of ROS 2, and of the messages built on it."""
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
     errno.EPERM,
@@ -121,7 +132,7 @@ def _past_typer() -> Iterator[None]:
         raise _Interrupted from interrupt
 
 
-class _Commands(TyperGroup):
+class _Commands(CommandSections):
     def make_context(self, *words: Any, **named: Any) -> Any:
         with _past_typer():
             return super().make_context(*words, **named)
@@ -133,18 +144,19 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    add_completion=False,
+    context_settings={'help_option_names': ['-h', '--help']},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, estimate, merge, learned, shrink, analyze, localize, explain,
-    fork, experiment, gate, plugins, doctor, monitor, spec, demo, train, dataset, evaluate,
-    case_study, improve,
+    run, up, check_node, falsify, estimate, merge, learned, why, shrink, analyze, localize, explain,
+    fork, compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train,
+    dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(forecast_app, name='forecast')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
@@ -161,7 +173,8 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...; or processors',
+            'or intervals [SAMPLER]...; or sequential; or searches [SAMPLER|LANDSCAPE]...; or '
+            'processors',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
@@ -207,6 +220,9 @@ def bench(
     `taxinet bench intervals` searches landscapes of known failure rate and reports how often the
     intervals of `falsify` cover it and how often `gate` passes wrongly.
 
+    `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
+    err and how many runs they take.
+
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
 
@@ -234,6 +250,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_intervals
 
         raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for_study('sequential', words, given):
+        from taxinet_ros.cli.bench.samplers import run_sequential
+
+        raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 
@@ -264,6 +284,9 @@ def node(
         start_node(name, context.args)
     except SystemExit as end:  # as every node ends
         raise typer.Exit(end.code if isinstance(end.code, int) else ExitCode.INFRA) from None
+
+
+add_examples(app)
 
 
 @app.callback(invoke_without_command=True)
@@ -309,6 +332,11 @@ def _command(output_closed: bool) -> object:
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
     refuse_special_files()
+    if _COMPLETION in os.environ or {*sys.argv[1:2]} & _COMPLETING:
+        try:  # these end the process
+            return app(standalone_mode=False, prog_name='taxinet')
+        except SystemExit as end:
+            return end.code
     return app(standalone_mode=False, prog_name='taxinet')
 
 
@@ -349,7 +377,9 @@ def _exit_code(command: Callable[[], object]) -> int:
         code = command()
     except TyperException as error:
         text = getattr(error, 'format_message', error.__str__)()
-        return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
+        context: Any = getattr(error, 'ctx', None)
+        where = 'taxinet' if context is None else context.command_path
+        return _complain(f'{text.rstrip(".")}; see {where} --help', ExitCode.USAGE)
     except UsageError as error:
         return _complain(str(error), ExitCode.USAGE)
     except (_Interrupted, KeyboardInterrupt, typer.Abort) as end:
@@ -365,14 +395,20 @@ def _exit_code(command: Callable[[], object]) -> int:
     except MemoryError:
         return _complain('out of memory', ExitCode.INFRA)
     except BaseException as error:  # an exit without a result is not a success
-        return _complain(_unforeseen(error), ExitCode.INFRA)
+        return _complain(*_unforeseen(error))
     return code if isinstance(code, int) else ExitCode.OK
 
 
-def _unforeseen(error: BaseException) -> str:
-    """One line for an unexpected error; the full traceback with ``TAXINET_TRACEBACK``."""
+def _unforeseen(error: BaseException) -> tuple[str, int]:
+    """A line for an unexpected error, and its exit code; the traceback if asked for."""
     if os.environ.get('TAXINET_TRACEBACK'):
         traceback.print_exception(error)
+    if isinstance(error, ModuleNotFoundError) and (error.name or '').partition('.')[0] in _ROS:
+        return (
+            f'no {error.name} in this Python: it belongs to ROS 2 (make installs it as wheels; or '
+            'source a Jazzy installation) or to its messages (make, or colcon build with '
+            'msg_defs); --engine loop needs neither, taxinet doctor says what is here'
+        ), ExitCode.USAGE
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
     if scarce := _scarce_files():
@@ -384,7 +420,7 @@ def _unforeseen(error: BaseException) -> str:
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(set TAXINET_TRACEBACK=1 for the traceback)'
-    )
+    ), ExitCode.INFRA
 
 
 def _scarce_files() -> str:

@@ -9,8 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
+from taxinet_ros.cli.help import (
+    complete_perception,
+    complete_program,
+    complete_sampler,
+    complete_setting,
+)
 from taxinet_ros.core.user_code import COMMAND
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
@@ -126,6 +132,11 @@ def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> b
     return True
 
 
+def ended(code: int, exit_zero: bool) -> typer.Exit:
+    """The end of a command; with ``--exit-zero``, violated requirements are not its exit code."""
+    return typer.Exit(ExitCode.OK if exit_zero and code == ExitCode.VIOLATED else code)
+
+
 def word_of(context: typer.Context, role: str) -> str:
     """Word of the option for a role in the graph, or of its command.
 
@@ -145,11 +156,18 @@ def word_of(context: typer.Context, role: str) -> str:
 
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file')
+    str,
+    typer.Argument(
+        metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file',
+        autocompletion=complete_program,
+    ),
 ]
 SceneArgument = Annotated[
     str | None,
-    typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file'),
+    typer.Argument(
+        metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file',
+        autocompletion=complete_program,
+    ),
 ]
 FromOption = Annotated[
     Path | None,
@@ -175,7 +193,8 @@ PerceptionOption = Annotated[
     typer.Option(
         help='truth; taxinet, original or another shipped network; a .safetensors weights file; an '
         '.onnx network; a function in a Python file, FILE.py:NAME; a name that a package adds; or '
-        'external, a node you start yourself'
+        'external, a node you start yourself',
+        autocompletion=complete_perception,
     ),
 ]
 PerceptionCommandOption = Annotated[
@@ -208,7 +227,9 @@ SetOption = Annotated[
     typer.Option(
         '--set', metavar='KEY=VALUE',
         help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
-        'duration_s=10, …) or a gain (steering.heading_gain=1.2); repeatable',
+        'duration_s=10, …) or a gain (steering.heading_gain=1.2), with its unit or another (9:30, '
+        '30 %, 1.2 km, 10 deg); repeatable',
+        autocompletion=complete_setting,
     ),
 ]
 AirportOption = Annotated[
@@ -349,7 +370,8 @@ SamplerOption = Annotated[
     typer.Option(
         help='how scenes are chosen: active (finds rare failures in all failure regions), '
         "random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe, cmaes, or a name that a "
-        "package adds (default: the program's verifaiSamplerType, else active)"
+        "package adds (default: the program's verifaiSamplerType, else active)",
+        autocompletion=complete_sampler,
     ),
 ]
 SamplerSettingOption = Annotated[
@@ -359,6 +381,22 @@ SamplerSettingOption = Annotated[
     ),
 ]
 WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]
+LagOption = Annotated[
+    int,
+    typer.Option(
+        metavar='RUNS',
+        help='runs in flight at most: each scene is chosen by the results of all but the last '
+        'RUNS - 1; another lag is another search, whatever its workers',
+    ),
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='WHERE',
+        help='make the runs on a Dask cluster, with the same results: tcp://HOST:PORT or '
+        'tls://HOST:PORT of its scheduler, the FILE of dask scheduler --scheduler-file, or local:N',
+    ),
+]
 ResumeOption = Annotated[
     bool, typer.Option('--resume', help='continue an interrupted command in --out')
 ]
@@ -366,7 +404,9 @@ UntilOption = Annotated[
     str | None,
     typer.Option(
         metavar='RULE',
-        help='stop early: failures=K, or half-width=W of the interval of the failure rate',
+        help='stop early: failures=K; half-width=W of the interval of the failure rate; or as soon '
+        'as a sequential test decides, min-satisfaction=SHARE or max-off-runway=SHARE with '
+        ',design=SHARE and ,confidence=SHARE if wanted (then taxinet gate --sequential)',
     ),
 ]
 ShardOption = Annotated[
@@ -424,5 +464,12 @@ VariedOption = Annotated[
 CampaignArgument = Annotated[Path, typer.Argument(metavar='CAMPAIGN', help="a campaign's folder")]
 ProcessesCountOption = Annotated[
     int, typer.Option('--workers', help='worker processes; same results')
+]
+ExitZeroOption = Annotated[
+    bool, typer.Option('--exit-zero', help='exit with 0 also if runs violate their requirements')
+]
+JsonSummaryOption = Annotated[
+    bool,
+    typer.Option('--json', help='print the summary as JSON; all else goes to standard error'),
 ]
 JsonOption = Annotated[bool, typer.Option('--json', help='print JSON')]

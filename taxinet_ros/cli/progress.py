@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import json
+import math
+import os
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -21,10 +26,13 @@ from rich.progress import (
 from taxinet_ros.campaign.rates import count_outcomes
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
-from taxinet_ros.errors import ExitCode, RecordError
+from taxinet_ros.errors import ExitCode, RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
 
 _PAGE_WIDTH = 100
+HEARTBEAT = 'TAXINET_HEARTBEAT_S'
+"""Environment variable: seconds between the lines that say how far a command is; 0 for none."""
+_HEARTBEAT_S = 10.0
 
 
 @contextlib.contextmanager
@@ -80,11 +88,18 @@ def run_with_progress(
 
 @contextlib.contextmanager
 def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Return a callback of stage, done and total; each stage gets a bar when it starts."""
+    """Return a callback of stage, done and total; each stage gets a bar when it starts.
+
+    Without a terminal, a line on standard error says every ten seconds how far it is
+    (``TAXINET_HEARTBEAT_S``).
+    """
+    if not console.is_terminal:
+        yield Heartbeat()
+        return
     bars: dict[str, TaskID] = {}
     with Progress(
         TextColumn('{task.description:<9}'), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+        TimeRemainingColumn(), console=console,
     ) as progress:
 
         def show(stage: str, done: int, total: int) -> None:
@@ -93,3 +108,38 @@ def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
             progress.update(bars[stage], completed=done)
 
         yield show
+
+
+class Heartbeat:
+    """Says on standard error, now and then, how far a command is whose output is not a terminal."""
+
+    def __init__(self) -> None:
+        self._stage = ''
+        self._began = self._told = time.monotonic()
+        self._every_s = _heartbeat_s()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Tell of ``done`` of ``total`` in a stage, unless something was told just before."""
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._began = stage, now
+        if now - self._told < self._every_s:
+            return
+        self._told = now
+        left = ''
+        if 0 < done < total:
+            seconds = round((now - self._began) * (total - done) / done)
+            left = f', about {datetime.timedelta(seconds=seconds)} left'
+        how_far = f': {done} of {total}{left}' if total else ''
+        print(f'{stage}{how_far}', file=sys.stderr, flush=True)
+
+
+def _heartbeat_s() -> float:
+    text = os.environ.get(HEARTBEAT) or str(_HEARTBEAT_S)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not seconds >= 0:
+        raise UsageError(f'{HEARTBEAT}={text}: expected seconds, 0 for no lines')
+    return seconds or math.inf

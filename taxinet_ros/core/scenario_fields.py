@@ -31,6 +31,7 @@ from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.traffic.traffic_file import OTHERS
+from taxinet_ros.core.units import typed_number
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -47,6 +48,7 @@ _SWITCH_WORDS = {
 }
 _PLAIN_NUMBER = re.compile(r'\s*[+-]?[0-9a-zA-Z.+-]{1,40}\s*')
 """Python also reads ``1_0`` and digits of other scripts; a typing error must not become a value."""
+_CLOCK = re.compile(r'\s*([0-9]{1,2}):([0-5][0-9])(?::([0-5][0-9]))?\s*')
 _DECIMALS = 9
 """Rounding to a nano-unit makes degrees -> radians -> degrees give back what was typed."""
 
@@ -162,12 +164,18 @@ class ScenarioField:
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def settled(self, typed: str) -> str:
-        """Convert a user's text for storage: a document to its reference, since files may change.
+        """Convert a user's text for storage.
+
+        A document becomes its reference, since files may change; a number with a unit, or a time as
+        9:30, the number in the key's own unit.
 
         Raises:
-            UsageError: unknown document, or an invalid file.
+            UsageError: unknown document, an invalid file, or a unit of something else.
         """
-        return typed if self.catalogue is None else self.catalogue.typed(typed).reference
+        if self.catalogue is not None:
+            return str(self.catalogue.typed(typed).reference)
+        number = self._with_unit(typed) if self.kind is Kind.NUMBER else None
+        return typed if number is None else repr(number).removesuffix('.0')
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
@@ -224,11 +232,27 @@ class ScenarioField:
         if isinstance(value, bool):
             raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
         try:
-            if isinstance(value, str) and not _PLAIN_NUMBER.fullmatch(value):
-                raise ValueError
+            if isinstance(value, str):
+                number = self._with_unit(value)
+                if number is not None:
+                    return number
+                if not _PLAIN_NUMBER.fullmatch(value):
+                    raise ValueError
             return float(value)
         except (TypeError, ValueError, OverflowError):
-            raise UsageError(f'scenario: {self.key} needs a number, got {told(value)}') from None
+            wanted = 'hours, or a time as 9:30' if self is TIME_OF_DAY else 'a number'
+            raise UsageError(f'scenario: {self.key} needs {wanted}, got {told(value)}') from None
+
+    def _with_unit(self, text: str) -> float | None:
+        """The number in the key's unit, of a number with a unit or a time as 9:30; else None."""
+        clock = _CLOCK.fullmatch(text) if self is TIME_OF_DAY else None
+        if clock is not None:
+            hours, minutes, seconds = (int(part or 0) for part in clock.groups())
+            return (3600 * hours + 60 * minutes + seconds) / 3600
+        try:
+            return typed_number(text, self.unit)
+        except ValueError as wanted:
+            raise UsageError(f'scenario: {self.key} needs {wanted}, got {told(text)}') from None
 
     def _switch(self, value: Any) -> bool:
         if isinstance(value, bool):

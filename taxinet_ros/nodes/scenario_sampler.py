@@ -103,7 +103,7 @@ _OPTIONS = (
         name='resume', default=False, description='continue an interrupted campaign in out',
     ),
     Parameter(
-        name='until', default='', takes='failures=K, half-width=W or empty',
+        name='until', default='', takes='a rule of taxinet falsify --until, or empty',
         description='stop a search early',
     ),
     Parameter(

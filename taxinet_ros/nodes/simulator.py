@@ -444,6 +444,8 @@ class Simulator(Node):
             self._say(topic, message)
             if topic is topics.ODOMETRY:
                 self._transforms.follow(message)
+        # A camera may take longer for a picture than the others may for their answers.
+        run.reset_watchdog()
         if run.free is not None:
             self._held = run.command or run.first
             self._say(interface.TIMING, settled_message(run.free, run.run_id))

@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from taxinet_ros.analysis.report.parts import Column, Picture, Report, Section, Table, Theme
+from taxinet_ros.analysis.report.parts import (
+    Column,
+    Link,
+    Picture,
+    Report,
+    Section,
+    Table,
+    Theme,
+)
 from taxinet_ros.bag.check.compare import same_stack
 
 GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden'
@@ -58,6 +66,8 @@ def plain_report() -> Report:
     """Two runs with viewers, one without a bag, a picture, and a table of three pages."""
     section = Section(
         name='rates', heading='How often it fails', sentences=('Half of the time.',),
+        commands=('taxinet train x --out y',),
+        links=(Link(words='the analysis', path='analyze/a report.html'),),
         pictures=(picture(),), tables=(run_table(),),
     )
     return Report(
@@ -72,7 +82,9 @@ def hostile_report() -> Report:
     columns = (Column(name=HOSTILE, title=HOSTILE), Column(name='link', title=LINK))
     table = Table(name='table', title=HOSTILE, caption=HOSTILE, columns=columns,
                   rows=((HOSTILE, LINK), (LINK, HOSTILE)), run_id_column=HOSTILE)
+    links = (Link(words=HOSTILE, path=LINK), Link(words=LINK, path=f'//host/{HOSTILE}'))
     section = Section(name='section', heading=HOSTILE, sentences=(HOSTILE, LINK),
+                      commands=(HOSTILE,), links=links,
                       pictures=(picture(words=HOSTILE),), tables=(table,))
     return Report(
         title=HOSTILE, facts={HOSTILE: HOSTILE, 'link': LINK}, summary=(HOSTILE,),

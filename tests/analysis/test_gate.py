@@ -16,6 +16,7 @@ from scipy.stats import binom
 
 from taxinet_ros.analysis.gate import (
     GateOptions,
+    Look,
     Verdict,
     bounds,
     further_runs,
@@ -26,6 +27,7 @@ from taxinet_ros.analysis.gate import (
 )
 from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.sample_size import fewest_runs
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario import Scenario
@@ -123,6 +125,8 @@ def test_given_runs_without_a_result_then_the_reader_is_told():
         '1 runs were rejected by the program and are in no share',
         '1 runs were interrupted and are in no share',
         '12 of 20 planned runs have no result',
+        'the campaign has another number of runs than planned: its verdict and bounds hold at any '
+        'number of runs; its share is biased, and no chance of passing can be claimed',
     )
 
 
@@ -324,3 +328,108 @@ def test_given_any_setting_then_what_to_type_for_a_run_without_a_bag_has_it(tmp_
     assert (name, text) == (f'place-{mine.reference}.json', mine.document)
     (tmp_path / name).write_text(text)
     assert catalogue.typed_place(str(tmp_path / name)) == mine
+
+
+def sequential(found: list[RunRow], *, rules: tuple[str, ...] = (), planned: int = 0, **changes):
+    options = GateOptions(**{'min_satisfaction': 0.9, 'look': Look.SEQUENTIAL, **changes})
+    return gate_result(found, options, planned=planned, rules=rules)
+
+
+def test_given_a_sequential_gate_then_it_stands_by_the_first_decision():
+    answer = sequential([*rows(60, 0), *(row(60 + n, Outcome.FAIL) for n in range(60))])
+    assert answer.verdict is Verdict.PASS
+    (met, _) = answer.criteria
+    assert met.name == 'satisfied >= 0.9, sequential'
+    assert met.course is not None
+    assert met.course.runs == met.course.index + 1 < 60
+    assert f'decided by run {met.course.index}' in met.sentence
+    assert f'{120 - met.course.runs} runs came after the decision' in answer.notes[0]
+    # The same runs in another order: what came first decides.
+    fails_first = [row(n, Outcome.FAIL if n < 60 else Outcome.PASS) for n in range(120)]
+    assert sequential(fails_first).verdict is Verdict.FAIL
+
+
+def test_given_a_sequential_gate_then_the_runway_counts_those_off_it():
+    answer = sequential(rows(90, 0), min_satisfaction=None, max_off_runway=0.1)
+    assert answer.verdict is Verdict.PASS
+    assert answer.criteria[0].name == 'off the runway <= 0.1, sequential'
+    assert '0 of ' in answer.criteria[0].sentence
+    both = sequential(rows(90, 0, off=1), max_off_runway=0.1)
+    assert both.verdict is Verdict.PASS
+    assert len(both.criteria) == 3
+
+
+def test_given_runs_between_threshold_and_design_then_it_is_inconclusive_and_says_so():
+    found = [row(n, Outcome.FAIL if n % 14 == 0 else Outcome.PASS) for n in range(600)]
+    answer = sequential(found, design=0.99)
+    assert answer.verdict is Verdict.INCONCLUSIVE
+    assert 'not as good as the design, 0.99; whether the threshold is met stays open' in (
+        answer.criteria[0].sentence
+    )
+
+
+@pytest.mark.parametrize(('rules', 'words'), [
+    ((), 'the campaign ended otherwise than planned, before this test decided'),
+    (('failures=1',), 'the campaign ended by --until failures=1, before this test decided'),
+    (('min-satisfaction=0.9', 'half-width=0.2'), 'ended by --until half-width=0.2, before'),
+])
+def test_given_a_campaign_that_another_rule_ended_then_the_gate_says_what_it_cannot_claim(
+    rules, words
+):
+    answer = sequential(rows(10, 0), rules=rules, planned=400)
+    assert answer.verdict is Verdict.INCONCLUSIVE
+    assert 'not decided yet: 10 of 10 runs are satisfied' in answer.criteria[0].sentence
+    assert words in answer.notes[-1]
+    assert 'cannot be claimed' in answer.notes[-1]
+    own = sequential(rows(10, 0), rules=('min-satisfaction=0.9',), planned=400)
+    assert not any('cannot be claimed' in note for note in own.notes)
+    plain = gate_result(
+        rows(10, 0), GateOptions(min_satisfaction=0.9), planned=400, rules=rules)
+    assert 'its share is biased, and no chance of passing can be claimed' in plain.notes[-1]
+
+
+def test_given_a_biased_sampler_then_a_sequential_gate_counts_the_draws_alone():
+    chosen = [dataclasses.replace(one, drawn=one.index % 4 == 0) for one in rows(
+        400, 0, sampler='active')]
+    answer = sequential(chosen)
+    assert answer.verdict is Verdict.PASS
+    assert answer.criteria[0].course.runs * 4 - 3 == answer.criteria[0].course.index + 1
+    none = [dataclasses.replace(one, drawn=False) for one in chosen]
+    answer = sequential(none)
+    assert answer.verdict is Verdict.INCONCLUSIVE
+    assert answer.criteria[0].sentence.startswith('no rate from this search: active')
+
+
+def test_given_the_planned_look_then_it_takes_the_runs_of_taxinet_plan_and_no_other_number():
+    options = GateOptions(min_satisfaction=0.95, look=Look.PLANNED)
+    enough = fewest_runs(0.05, 0.95)
+    assert gate_result(rows(enough, 0), options, planned=enough).verdict is Verdict.PASS
+    less = gate_result(rows(enough - 1, 0), options, planned=enough - 1)
+    assert less.verdict is Verdict.INCONCLUSIVE
+    assert 'more runs would need another campaign' in less.criteria[0].sentence
+    for planned in (enough - 1, enough + 1):  # extended, or unfinished
+        other = gate_result(rows(enough, 0), options, planned=planned)
+        assert other.verdict is Verdict.INCONCLUSIVE
+        assert 'are not the number that was planned' in other.criteria[0].sentence
+    assert gate_result([], options).verdict is Verdict.INCONCLUSIVE
+
+
+def test_given_a_sequential_gate_then_its_junit_has_the_criterion():
+    answer = sequential(rows(3, 0))
+    root = ElementTree.fromstring(
+        junit_xml(rows(3, 0), answer, Path('c'), {}, inconclusive_passes=False))
+    case = root.find('testsuite/testcase')
+    assert case.get('name') == 'satisfied >= 0.9, sequential'
+    assert case.find('failure').get('type') == 'INCONCLUSIVE'
+
+
+@pytest.mark.parametrize(('changes', 'words'), [
+    ({'min_satisfaction': 1.0}, 'no number of runs can decide it'),
+    ({'design': 0.8}, 'needs to be better than the threshold 0.9'),
+    ({'design': 0.95, 'max_off_runway': 0.1}, 'with one threshold only'),
+    ({'design': 0.95, 'look': Look.ANY}, '--design: only with --sequential'),
+])
+def test_given_a_sequential_gate_that_cannot_be_then_it_is_refused_by_name(changes, words):
+    with pytest.raises(UsageError) as refused:
+        sequential(rows(3, 0), **changes)
+    assert words in str(refused.value)

@@ -244,7 +244,7 @@ def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule,
     assert len(again.rows) == len(search.rows)
 
 
-@pytest.mark.parametrize('rule', ['failures=2', 'half-width=0.3'])
+@pytest.mark.parametrize('rule', ['failures=2', 'half-width=0.3', 'min-satisfaction=0.2'])
 def test_t15_given_a_stop_rule_then_workers_make_no_difference(rule, tmp_path):
     """One worker stopped after 10 runs, two after 11."""
     folders = []
@@ -252,10 +252,31 @@ def test_t15_given_a_stop_rule_then_workers_make_no_difference(rule, tmp_path):
         chosen = toy.options(
             tmp_path / str(workers), runs=200, workers=workers, stop=parse_stop_rule(rule))
         search = toy.finish(chosen, workers, pick)
-        assert search.stopped == f'{rule} reached'
+        assert search.stopped == chosen.stop.reached
+        assert search.book.facts['until'] == [rule]
         folders.append(tmp_path / str(workers))
     for folder in folders[1:]:
         toy.same_table(folders[0], folder)
+
+
+def test_given_a_search_resumed_with_another_rule_then_the_record_names_both(tmp_path):
+    first = parse_stop_rule('failures=1')
+    toy.finish(toy.options(tmp_path / 'c', runs=200, sampler='random', stop=first))
+    test = parse_stop_rule('min-satisfaction=0.2')
+    again = toy.finish(
+        toy.options(tmp_path / 'c', runs=200, sampler='random', stop=test, resume=True)
+    )
+    assert again.stopped == 'min-satisfaction=0.2 decided'
+    facts = read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign
+    assert facts['until'] == ['failures=1', 'min-satisfaction=0.2']
+
+
+def test_given_a_sequential_test_of_runs_that_the_program_does_not_draw_then_it_is_refused(
+    tmp_path
+):
+    stop = parse_stop_rule('min-satisfaction=0.2')
+    with pytest.raises(UsageError, match='no rate is known with grid'):
+        toy.finish(toy.options(tmp_path / 'c', sampler='grid', stop=stop))
 
 
 def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(tmp_path):
@@ -415,7 +436,7 @@ def test_given_a_rule_that_is_none_then_it_is_refused(text):
 
 
 def ask(folder: Path, **changes) -> SearchOptions:
-    names = ('out', 'images', 'resume')
+    names = ('out', 'images', 'resume', 'stop_on')
     campaign = {
         'program': 'nominal', 'runs': 5, 'seed': 1, 'perception': 'truth', 'settings': (),
         'specs': (), 'out': folder / 'c', 'processes': False,
@@ -424,9 +445,14 @@ def ask(folder: Path, **changes) -> SearchOptions:
     own = {
         'sampler': 'ce', 'sampler_options': (), 'workers': 1, 'resume': False, 'until': None,
         'budget_min': None,
-        **{name: value for name, value in changes.items() if name not in ('out', 'images')},
+        **{name: value for name, value in changes.items() if name not in names[:2] + names[3:]},
     }
     return make_search_options(make_options(**campaign), **own)
+
+
+def test_given_the_runway_and_runs_that_stop_early_then_the_rule_is_refused(tmp_path):
+    with pytest.raises(UsageError, match='not with --stop-on violated'):
+        ask(tmp_path, until='max-off-runway=0.1', stop_on='violated')
 
 
 def test_given_wishes_then_they_are_in_the_options(tmp_path):

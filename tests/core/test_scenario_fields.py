@@ -5,6 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
@@ -177,3 +179,47 @@ def test_given_words_then_they_are_those_that_a_scenario_takes():
         assert Scenario(aircraft=word).aircraft == word
     for word in CLOUDS:
         assert Scenario(clouds=word).clouds == word
+
+
+@pytest.mark.parametrize(('key', 'typed', 'number'), [
+    ('time_of_day', '9:30', 9.5), ('time_of_day', ' 06:00 ', 6.0), ('time_of_day', '9:30:36', 9.51),
+    ('time_of_day', '9.5 h', 9.5), ('time_of_day', '570min', 9.5), ('rain', '30 %', 30.0),
+    ('heading', '10 deg', 10.0), ('heading', '-10°', -10.0), ('distance', '1.2 km', 1200.0),
+    ('distance', '100 ft', 30.48), ('cross_track', '+250 cm', 2.5), ('duration', '0.1 min', 6.0),
+    ('speed', '18 km/h', 5.0), ('exposure_jump_ev', '0.5 EV', 0.5),
+])
+def test_given_a_number_with_a_unit_then_it_is_that_of_the_keys_own_unit(key, typed, number):
+    field = BY_KEY[SHORT_FORMS.get(key, key)]
+    assert field.from_human(typed) == field.from_human(number)
+    assert field.from_human(field.settled(typed)) == field.from_human(typed)
+    assert not re.search(r'[^-+.e0-9]', field.settled(typed))
+
+
+@given(number=st.floats(-0.5, 0.5, allow_subnormal=False))
+def test_given_an_angle_in_radians_then_it_is_stored_without_loss(number):
+    field = BY_KEY['heading_deg']
+    typed = f'{number!r} rad'
+    assert field.from_human(typed) == pytest.approx(number, rel=1e-15, abs=1e-300)
+    assert field.from_human(field.settled(typed)) == field.from_human(typed)
+
+
+@pytest.mark.parametrize(('key', 'typed', 'words'), [
+    ('time_of_day', '9:75', "needs hours, or a time as 9:30, got '9:75'"),
+    ('time_of_day', '25:10', 'is 25.1666666666667, outside 0..24'),
+    ('rain', '9:30', "needs a number, got '9:30'"),
+    ('rain', '30 m', "rain_percent needs a number in %, got '30 m'"),
+    ('heading', '10 degrees', 'heading_deg needs a number in rad, mrad, deg, °, got'),
+    ('fault_seed', '3 s', 'fault_seed needs a number without a unit'),
+    ('exposure_jump_ev', '1 dB', 'exposure_jump_ev needs a number in EV'),
+    ('distance', '1e400 km', 'is inf, outside'), ('distance', '1e999 m', 'is inf, outside'),
+    ('distance', '1e-999 km', ''), ('distance', '٣ m', 'needs a number'),
+    ('distance', 'm', 'needs a number'),
+])
+def test_given_another_unit_then_what_is_allowed_is_named(key, typed, words):
+    field = BY_KEY[SHORT_FORMS.get(key, key)]
+    if not words:
+        assert field.from_human(typed) == 0
+        return
+    with pytest.raises(UsageError) as told:
+        field.from_human(typed)
+    assert words in str(told.value)

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 
 
 class Listener(rclpy.node.Node):
@@ -42,7 +43,7 @@ def listening(*topics: interface.Topic, **renamed: interface.Topic):
         try:
             yield listener, executor, context
         finally:
-            listener.destroy_node()
+            leave_graph(listener)
             executor.shutdown()
             rclpy.try_shutdown(context=context)
 
@@ -69,4 +70,4 @@ def playing(context: Context, executor, bag: Path, **parameters):
     finally:
         player.close()
         executor.remove_node(player)
-        player.destroy_node()
+        player.destroy_node()  # the listener stays

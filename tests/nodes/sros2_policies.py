@@ -25,6 +25,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, SIMULATOR
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 
 FOLDER = Path(__file__).parents[2] / 'docs' / 'sros2' / 'policies'
 ENCLAVES = '/taxinet'
@@ -110,7 +111,7 @@ def _running(
             node._join()  # an onlooker subscribes when a run begins
         yield node
         node.close()
-        node.destroy_node()
+        leave_graph(node)
     finally:
         rclpy.try_shutdown(context=context)
 

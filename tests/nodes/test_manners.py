@@ -32,6 +32,7 @@ from taxinet_ros.nodes.live_monitor.node import LiveMonitor
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 from taxinet_ros.nodes.scene_markers import SceneMarkers
@@ -228,7 +229,7 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
                 found[name] = described_by(node)
             finally:
                 node.close()
-                node.destroy_node()
+                leave_graph(node)
                 rclpy.shutdown(context=context)
     # One executable with two faces.
     found['mtl_monitor'] = [*found.pop('graph_monitor'), *found['mtl_monitor']]
@@ -248,7 +249,7 @@ def described_by(node: Node) -> list[ParameterDescriptor]:
     answer = client.call_async(DescribeParameters.Request(names=names))
     executor.spin_until_future_complete(answer)
     executor.remove_node(node)
-    asker.destroy_node()
+    leave_graph(asker)
     executor.shutdown()
     return list(answer.result().descriptors)
 
@@ -270,7 +271,7 @@ def test_given_a_whole_number_for_a_double_then_every_executable_takes_it():
                 assert found == whole
                 assert all(type(value) is float for value in found.values())
                 taken += len(found)
-                node.destroy_node()
+                leave_graph(node)
         finally:
             rclpy.shutdown(context=context)
     assert taken > 20

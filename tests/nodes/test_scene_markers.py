@@ -29,6 +29,7 @@ from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.scene_markers import MovingMarkers, SceneMarkers, ground_markers
 
 STEPS = 21
@@ -167,7 +168,7 @@ def test_given_a_simulator_that_counts_its_listeners_then_an_onlooker_comes_afte
             onlooker.close()
             for node in (simulator, onlooker):
                 executor.remove_node(node)
-                node.destroy_node()
+                leave_graph(node)
             executor.shutdown()
             rclpy.try_shutdown(context=context)
 
@@ -199,7 +200,7 @@ def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
         finally:
             for node in nodes:
                 executor.remove_node(node)
-                node.destroy_node()
+                leave_graph(node)
             executor.shutdown()
             rclpy.try_shutdown(context=context)
     assert len(heard['scene/runway']) == 1

@@ -28,6 +28,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 
 pytestmark = pytest.mark.ros
@@ -46,7 +47,7 @@ def taken():
         try:
             yield number
         finally:
-            node.destroy_node()
+            leave_graph(node)
             rclpy.try_shutdown(context=context)
 
 
@@ -187,7 +188,7 @@ def standing(tmp_path):
         for node in nodes:
             node.close()
             executor.remove_node(node)
-            node.destroy_node()
+            leave_graph(node)
         executor.shutdown()
         rclpy.try_shutdown(context=context)
 

@@ -22,6 +22,7 @@ from taxinet_ros.nodes.graph.supervisor import (
     Supervisor,
 )
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.processes.child import end_all
 
@@ -84,7 +85,7 @@ def looked_after(start, name: str, program: str, care: SupervisionOptions) -> li
             said.append(f'{type(error).__name__}: {error}')
         finally:
             executor.remove_node(supervisor)
-            supervisor.destroy_node()
+            leave_graph(supervisor)
             executor.shutdown()
             rclpy.try_shutdown(context=context)
     return said

@@ -16,7 +16,7 @@ from __future__ import annotations
 import datetime
 import importlib.util
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -104,20 +104,33 @@ def _mitsuba() -> Any:
     return mitsuba
 
 
+def check_values(who: str, shows: Collection[str], scenario: Scenario) -> None:
+    """Check that a scenario has only what another renderer's scene shows.
+
+    Args:
+        who: name of the renderer.
+        shows: attributes that may differ from their defaults.
+        scenario: the scene.
+
+    Raises:
+        UsageError: another one does.
+    """
+    told, usual = scenario.to_human(), Scenario().to_human()
+    for field in SCENARIO_FIELDS:
+        value = told[field.key]
+        if field.attribute not in shows and value != usual[field.key]:
+            raise UsageError(
+                f'{who}: {field.key} is {value!s:.60}, which its scene does not show; leave it out'
+            )
+
+
 def check_shown(scenario: Scenario) -> None:
     """Check that a scenario has only what the scene shows.
 
     Raises:
         UsageError: a key with another effect on the picture, or a lens that is not a pinhole.
     """
-    told, usual = scenario.to_human(), Scenario().to_human()
-    for field in SCENARIO_FIELDS:
-        value = told[field.key]
-        if field.attribute not in SHOWS and value != usual[field.key]:
-            raise UsageError(
-                f'mitsuba: {field.key} is {value!s:.60}, which its scene does not show; leave it '
-                'out'
-            )
+    check_values('mitsuba', SHOWS, scenario)
     camera = scenario.camera_model
     if camera.distorts:
         raise UsageError(

@@ -87,14 +87,14 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edges:
-    """Edges found in one picture, and their shifts (ours minus Mitsuba's).
+    """Edges found in one picture, and their shifts (ours minus the other's).
 
     Attributes:
         at_px: pixel (u, v) of each measured edge, (n, 2).
         normal: unit vectors across the edges, (n, 2), towards what is marked.
         shift_px: shifts along these, (n,).
         distance_m: distance of the ground there from the camera, (n,).
-        found: number of edges found; those not measured are too faint in our picture.
+        found: number of edges found; those not measured are too faint in the other picture.
     """
 
     at_px: Floats
@@ -132,10 +132,11 @@ class SceneOpinion:
     Attributes:
         scenario: the scene.
         ours: our picture.
-        theirs: Mitsuba's, with the shadow, but not the aircraft; None if it was not wanted.
+        theirs: the other's, without the aircraft; None if it was not wanted.
         markings: edges of paint.
-        shadow: edges of the aircraft's shadow; None if there is none.
-        sun_apart_deg: angle between our sun and Mitsuba's.
+        shadow: edges of the aircraft's shadow; None if the other's picture has none.
+        sun_apart_deg: angle between our sun and the other's; of FlightGear's only the elevation is
+            known.
     """
 
     scenario: Scenario
@@ -149,7 +150,7 @@ class SceneOpinion:
     def meets_aim(self) -> bool | None:
         """Whether 95 % of the edges of paint beyond :data:`NEAR_M` are within :data:`AIM_PX`.
 
-        None if there are too few to tell. Where most edges that Mitsuba has are not in our picture,
+        None if there are too few to tell. Where most edges of one picture are not in the other,
         paint is more than that away.
         """
         edges = self.markings
@@ -178,18 +179,18 @@ class LightHour:
 
     Attributes:
         hour: local time [h].
-        sun_elevation_deg: by Mitsuba.
+        sun_elevation_deg: by the other renderer.
         ours, theirs: luminance by surface, of :data:`SURFACES`, before exposure; in each one's own
             unit. None where a surface is not in the picture.
         shade_ours, shade_theirs: luminance of shaded over that of sunlit pavement; None where no
-            pavement is in the picture.
+            pavement is in the picture, or the other has no shade.
     """
 
     hour: float
     sun_elevation_deg: float
     ours: Mapping[str, float | None]
     theirs: Mapping[str, float | None]
-    shade_ours: float
+    shade_ours: float | None
     shade_theirs: float | None
 
 
@@ -207,6 +208,16 @@ class LightCurves:
             values = np.array([getattr(hour, name)[surface] for hour in self.hours], np.float64)
             found.append(values / values[highest])
         return found[0], found[1]
+
+    def contrast(self) -> tuple[Floats, Floats]:
+        """Luminance of paint over that of pavement by hour: ours and theirs, (n,)."""
+        ours, theirs = (
+            np.divide(*(
+                np.array([getattr(hour, name)[surface] for hour in self.hours], np.float64)
+                for surface in ('paint', 'pavement')
+            )) for name in ('ours', 'theirs')
+        )
+        return ours, theirs
 
     def greatest_ev(self, surface: str, least_sun_deg: float = 10.0) -> float | None:
         """Greatest difference of the relative curves in stops; None without the surface or sun.
@@ -324,9 +335,16 @@ def compare_light(day: Iterable[Scenario]) -> LightCurves:
 
 
 def plot_opinion(
-    opinions: Sequence[SceneOpinion], curves: LightCurves | None, path: Path
+    opinions: Sequence[SceneOpinion], curves: LightCurves | None, path: Path, other: str
 ) -> None:
-    """Draw pictures of both, shifts by distance, and light by the hour, into a PNG file."""
+    """Draw pictures of both, shifts by distance, and light by the hour, into a PNG file.
+
+    Args:
+        opinions: scenes; those with their picture are shown.
+        curves: light over a day; None without.
+        path: PNG file.
+        other: name of the other renderer.
+    """
     shown = [one for one in opinions if one.theirs is not None]
     figure = Figure(figsize=(14.0, 9.0), dpi=100, layout='constrained')
     FigureCanvasAgg(figure)
@@ -335,7 +353,7 @@ def plot_opinion(
     for column, (one, axes) in enumerate(zip(
         shown, above.subplots(2, len(shown), squeeze=False).T, strict=True,
     )):
-        for picture, name, part in zip((one.ours, one.theirs), ('ours', 'Mitsuba'), axes,
+        for picture, name, part in zip((one.ours, one.theirs), ('ours', other), axes,
                                        strict=True):
             assert picture is not None
             part.imshow(picture, interpolation='nearest')
@@ -344,10 +362,12 @@ def plot_opinion(
             if not column:
                 part.set_ylabel(name)
         axes[0].set_title(_title(one.scenario), fontsize=9)
-    shifts, light, shade = below.subplots(1, 3)
-    _draw_shifts(shifts, opinions)
+    shifts, light, last = below.subplots(1, 3)
+    _draw_shifts(shifts, opinions, other)
     if curves is not None and curves.hours:
-        _draw_light(light, shade, curves)
+        _draw_light(light, curves, other)
+        shaded = any(hour.shade_theirs is not None for hour in curves.hours)
+        (_draw_shade if shaded else _draw_contrast)(last, curves, other)
     figure.savefig(path, format='png', metadata={'Software': None})
 
 
@@ -361,7 +381,7 @@ def _title(scenario: Scenario) -> str:
     )
 
 
-def _draw_shifts(axes: Axes, opinions: Sequence[SceneOpinion]) -> None:
+def _draw_shifts(axes: Axes, opinions: Sequence[SceneOpinion], other: str) -> None:
     for one in opinions:
         edges = one.markings
         axes.plot(
@@ -372,29 +392,50 @@ def _draw_shifts(axes: Axes, opinions: Sequence[SceneOpinion]) -> None:
         axes.axhline(side, color='k', linewidth=0.8, linestyle='--')
     axes.axvline(NEAR_M, color='k', linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
+    shown = axes.get_xlim()
+    ticks = [at for at in (2, 5, 10, 20, 50, 100, 200, 500) if shown[0] < at < shown[1]]
+    axes.set_xticks(ticks, [str(at) for at in ticks])
+    axes.minorticks_off()
     axes.set_ylim(-4, 4)
     axes.set_xlabel('distance from the camera [m]')
-    axes.set_ylabel('shift of edges of paint, ours minus Mitsuba [px]')
+    axes.set_ylabel(f'shift of edges of paint, ours minus {other} [px]')
     axes.legend(fontsize=7, markerscale=4)
 
 
-def _draw_light(light: Axes, shade: Axes, curves: LightCurves) -> None:
+def _draw_light(axes: Axes, curves: LightCurves, other: str) -> None:
     hours = [hour.hour for hour in curves.hours]
     colours = ('#555555', '#c8a000', '#2d8a2d', '#2060c0')
     for surface, colour in zip(SURFACES, colours, strict=True):
         ours, theirs = curves.relative(surface)
-        light.plot(hours, ours, color=colour, label=surface)
-        light.plot(hours, theirs, 'o', color=colour, markerfacecolor='none')
-    light.set_xlabel('hour (lines: ours; circles: Mitsuba)')
-    light.set_ylabel('luminance relative to that under the highest sun')
-    light.legend(fontsize=8)
-    shade.plot(hours, [hour.shade_ours for hour in curves.hours], color='k', label='ours')
+        axes.plot(hours, ours, color=colour, label=surface)
+        axes.plot(hours, theirs, 'o', color=colour, markerfacecolor='none')
+    axes.set_xlabel(f'hour (lines: ours; circles: {other})')
+    axes.set_ylabel('luminance relative to that under the highest sun')
+    axes.legend(fontsize=8)
+
+
+def _draw_shade(axes: Axes, curves: LightCurves, other: str) -> None:
+    ours = np.array([hour.shade_ours for hour in curves.hours], np.float64)
     theirs = np.array([hour.shade_theirs for hour in curves.hours], np.float64)
-    shade.plot(hours, theirs, 'o', color='k', markerfacecolor='none', label='Mitsuba')
-    shade.set_xlabel('hour')
-    shade.set_ylabel('luminance of pavement in the shade over that in the sun')
-    shade.set_ylim(0, 1)
-    shade.legend(fontsize=8)
+    _draw_both(axes, curves, ours, theirs, other)
+    axes.set_ylabel('luminance of pavement in the shade over that in the sun')
+    axes.set_ylim(0, 1)
+
+
+def _draw_contrast(axes: Axes, curves: LightCurves, other: str) -> None:
+    _draw_both(axes, curves, *curves.contrast(), other)
+    axes.set_ylabel('luminance of paint over that of pavement')
+    axes.set_ylim(bottom=0)
+
+
+def _draw_both(
+    axes: Axes, curves: LightCurves, ours: Floats, theirs: Floats, other: str
+) -> None:
+    hours = [hour.hour for hour in curves.hours]
+    axes.plot(hours, ours, color='k', label='ours')
+    axes.plot(hours, theirs, 'o', color='k', markerfacecolor='none', label=other)
+    axes.set_xlabel('hour')
+    axes.legend(fontsize=8)
 
 
 def find_edges(

@@ -132,28 +132,38 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
             pairs.pairs, worse=pairs.only_second, better=pairs.only_first,
             p=pairs.p_value if tested else math.nan,
         ),
-        differing=_differing(runs, baseline),
+        differing=differing_settings(runs, baseline),
         in_causes=tuple(baseline.rate(mask) for mask in masks),
         off_causes=baseline.rate(elsewhere),
     )
 
 
-def _pairs(runs: CampaignRuns, baseline: CampaignRuns) -> PairedRates:
-    """Failures in common scenes, the baseline's first; each scene once.
+def common_scenes(runs: CampaignRuns, baseline: CampaignRuns) -> pd.DataFrame:
+    """Scenes that both were run in, each once; of the runs that count, where both have rates.
 
     Scenes are the same if all keys are, numbers to the last stored digit.
+
+    Returns:
+        The scene by key, and ``row`` and ``failed`` of either, the baseline's as ``row_there`` and
+        ``failed_there``; rows are those of the campaigns' frames.
     """
     rated = runs.weighting.rated and baseline.weighting.rated
     keys = list(HUMAN_KEYS)
     one, other = (
-        some.scenes.assign(failed=some.failed)[(some.weight == 1) if rated else slice(None)]
-        .round(_DIGITS).drop_duplicates(keys) for some in (runs, baseline)
+        some.scenes.assign(failed=some.failed, row=np.arange(len(some.frame)))[
+            (some.weight == 1) if rated else slice(None)
+        ].round(_DIGITS).drop_duplicates(keys) for some in (runs, baseline)
     )
-    both = one.merge(other, on=keys, suffixes=('', '_there'))
+    return one.merge(other, on=keys, suffixes=('', '_there'))
+
+
+def _pairs(runs: CampaignRuns, baseline: CampaignRuns) -> PairedRates:
+    """Failures in common scenes, the baseline's first."""
+    both = common_scenes(runs, baseline)
     return paired_rates(both['failed_there'].tolist(), both['failed'].tolist())
 
 
-def _differing(runs: CampaignRuns, baseline: CampaignRuns) -> tuple[str, ...]:
+def differing_settings(runs: CampaignRuns, baseline: CampaignRuns) -> tuple[str, ...]:
     """Settings that a comparison depends on beside scenes and network."""
     if not (runs.facts and baseline.facts):
         return ('the settings, of which there is no record',)

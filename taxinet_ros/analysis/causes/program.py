@@ -59,10 +59,10 @@ def why_no_program(runs: CampaignRuns) -> str:
         return f'there is no {FACTS_NAME} beside the table, so the settings of its runs are unknown'
     if not runs.perception:
         return 'the graph of its runs was started before the campaign'
-    if _source(runs) is None:
+    if recorded_program(runs) is None:
         return 'the text of their program is not recorded, or has several files'
     try:
-        _settings(runs)
+        fresh_settings(runs)
     except UsageError as error:
         return str(error)
     return ''
@@ -75,11 +75,11 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
         runs: runs in which it was found.
         cause: the cause.
     """
-    source = _source(runs)
+    source = recorded_program(runs)
     if source is None or why_no_program(runs):
         return None
     required = [f'require {_condition(part)}' for part in cause.region.parts]
-    required = _adapted(required, source, _settings(runs).values)
+    required = _adapted(required, source, fresh_settings(runs).values)
     return '\n'.join([
         _whole(source, runs).rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
@@ -99,16 +99,16 @@ def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()
     seed = int(runs.facts.get('seed') or 0) + _ANOTHER_SEED
     words = ('--runs', str(RUNS), '--seed', str(seed))
     program = str(folder / program_name(cause))
-    return f'{_settings(runs).command(program, *words, folder=folder)} --images none'
+    return f'{fresh_settings(runs).command(program, *words, folder=folder)} --images none'
 
 
 def program_documents(runs: CampaignRuns) -> dict[str, str]:
     """Text by file name of the documents that confirmation commands read beside the programs."""
-    return {} if why_no_program(runs) else _settings(runs).documents()
+    return {} if why_no_program(runs) else fresh_settings(runs).documents()
 
 
-def _settings(runs: CampaignRuns) -> RunSettings:
-    """Settings of the runs, with the analysed requirement alone."""
+def fresh_settings(runs: CampaignRuns) -> RunSettings:
+    """Settings of fresh runs like the analysed ones, with the analysed requirement alone."""
     facts = dict(runs.facts)
     settings = RunSettings.from_facts(facts)
     told = runs.spec in facts.get('specs', {}) and _documents_known(settings)
@@ -149,8 +149,8 @@ def _documents_known(settings: RunSettings) -> bool:
     return True
 
 
-def _source(runs: CampaignRuns) -> str | None:
-    """Text of the program, from the campaign's record or as shipped."""
+def recorded_program(runs: CampaignRuns) -> str | None:
+    """Text of the program, from the campaign's record or as shipped; None if it is unknown."""
     record = str(runs.facts.get('program_text', ''))
     files = _FILE.split(record)[1:]
     texts = dict(zip(files[::2], files[1::2], strict=True))

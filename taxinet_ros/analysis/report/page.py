@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -68,12 +69,18 @@ def _html(report: Report, on_progress: Callable[[str], None]) -> str:
     style = _theme_style() + _joined(_STYLES)
     script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
     return _environment().get_template('page.html').render(
-        report=report, runs=runs, run_link=run_link, made_on=words(provenance()),
+        report=report, runs=runs, run_link=run_link, page_link=page_link,
+        made_on=words(provenance()),
         sections=[_section(section, runs, on_progress) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],
         ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
     )
+
+
+def page_link(path: str) -> str:
+    """Address of another file, from its path relative to the page; never of another host."""
+    return quote(f'./{clean(path)}', safe='/')
 
 
 def _environment() -> Environment:

@@ -91,6 +91,19 @@ class Table:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Link:
+    """A link to another page or file.
+
+    Attributes:
+        words: display text.
+        path: path relative to the page's folder, with forward slashes.
+    """
+
+    words: str
+    path: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Section:
     """A heading with its content.
 
@@ -98,12 +111,16 @@ class Section:
         name: unique name within the report, for links.
         heading: display text.
         sentences: paragraphs of plain text.
+        commands: shell commands, below the sentences.
+        links: other pages, below the commands.
         pictures, tables: in display order.
     """
 
     name: str
     heading: str
     sentences: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+    links: tuple[Link, ...] = ()
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
 

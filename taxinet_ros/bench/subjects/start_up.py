@@ -31,6 +31,7 @@ from taxinet_ros.bench.processes import (
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface, steering_controller
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.processes.child import ChildProcess, module_command, package_environment
 
 _NAME = 'start-up'
@@ -56,7 +57,7 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
     rclpy.init(context=context, domain_id=domain)
     stack.callback(rclpy.try_shutdown, context=context)
     onlooker = Node('bench_onlooker', context=context)
-    stack.callback(onlooker.destroy_node)
+    stack.callback(leave_graph, onlooker)
     return [
         Subject(
             name=_NAME, run=partial(_start_run, folder, peaks), warm_ups=0, most=3

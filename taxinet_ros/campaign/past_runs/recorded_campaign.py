@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
@@ -22,6 +22,9 @@ from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_Row = TypeVar('_Row')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +138,7 @@ def open_failed_campaign(folder: Path) -> RecordedCampaign:
     return found
 
 
-def spread_evenly(rows: Sequence[RunRow], most: int | None) -> tuple[RunRow, ...]:
+def spread_evenly(rows: Sequence[_Row], most: int | None) -> tuple[_Row, ...]:
     """At most ``most`` of the rows, evenly spread; all if None."""
     if most is None or most >= len(rows):
         return tuple(rows)

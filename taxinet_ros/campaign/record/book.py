@@ -27,6 +27,7 @@ from taxinet_ros.campaign.record.facts import (
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
+    UNTIL,
     WORLD,
     package_words,
     recorded_stacks,
@@ -42,6 +43,7 @@ from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.motion.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.types import NS_PER_S
@@ -91,7 +93,8 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
         perception = result.perception or perception
     result = dataclasses.replace(result, timing=result.timing or options.timing.words)
     return RunRow.of_run(
-        request, result, perception=perception, sim_s=sim_s, bag=bag, stack=this_stack()
+        request, result, perception=perception, sim_s=sim_s, bag=bag,
+        stack=result.stack or this_stack(),
     )
 
 
@@ -241,6 +244,19 @@ class CampaignBook:
         self.facts, self._facts_due = {**self.facts, **facts}, True
         self._write_due_facts()
 
+    def add_machine(self, record: Provenance) -> None:
+        """Record another machine, before the first of its runs.
+
+        Args:
+            record: its provenance, see :mod:`taxinet_ros.core.provenance`.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
+        stack = stack_id(record)
+        if stack not in self.facts[STACKS]:
+            self.add_facts({STACKS: {**self.facts[STACKS], stack: dict(record)}})
+
     def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
         """Record that a run is about to start; rename the files of an earlier attempt.
 
@@ -365,11 +381,11 @@ UNKNOWN_TO_SAMPLER = 'untold'
 """The fact that lists the runs whose results a search's sampler never receives."""
 _MAY_DIFFER = frozenset({
     'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
-    ENGINE, AUDIT_PERCENT,
+    ENGINE, AUDIT_PERCENT, UNTIL,
 })
 """Facts that may differ on a resume: more runs may be requested; the digest covers the text;
 warnings differ between versions; another machine or version only causes a warning; both engines
-give the same rows and bags."""
+give the same rows and bags; a stop rule chooses no scene."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
     'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,

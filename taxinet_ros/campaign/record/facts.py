@@ -47,6 +47,9 @@ ENGINE, AUDIT_PERCENT = 'engine', 'audit_percent'
 WORLD_SHA256 = 'world_sha256'
 """The fact that identifies a world with another camera than its own."""
 
+UNTIL = 'until'
+"""The fact that lists the stop rules of a search's sessions; absent without any."""
+
 STACKS = 'stacks'
 """The fact that describes every machine on which runs were made, with libraries and code."""
 
@@ -191,6 +194,12 @@ def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """All stack records of a campaign by name, the oldest first; empty for older versions."""
     told = facts.get(STACKS)
     return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
+
+
+def recorded_rules(facts: Mapping[str, Any]) -> tuple[str, ...]:
+    """Stop rules of all sessions of a search, as typed after ``--until``."""
+    told = facts.get(UNTIL)
+    return tuple(map(str, told)) if isinstance(told, list) else ()
 
 
 def stack_difference(facts: Mapping[str, Any], what: str) -> str:

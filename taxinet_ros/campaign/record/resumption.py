@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.record.book import UNKNOWN_TO_SAMPLER, read_same_campaign, short_json
-from taxinet_ros.campaign.record.facts import ARMS
+from taxinet_ros.campaign.record.facts import ARMS, UNTIL, recorded_rules
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import MERGED
@@ -111,8 +111,8 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
     """
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     content = read_same_campaign(out, facts, of_graph)
-    unknown = _unknown_to_sampler(content.campaign, content.rows)
-    lag = _lag(content.campaign)
+    lag = int(facts.get('sampler_lag', LAG))
+    unknown = _unknown_to_sampler(content.campaign, content.rows, lag)
     to_repeat = {row.index: row for row in _not_done(content.rows, unknown, lag)}
     rows = {row.index: row for row in content.rows if row.index not in to_repeat}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
@@ -121,14 +121,19 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
             f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
         )
     kept = _kept_facts(content.campaign, of_graph)
+    rules = [*recorded_rules(content.campaign), *recorded_rules(facts)]
+    if rules:
+        kept[UNTIL] = list(dict.fromkeys(rules))
     return EarlierRuns(
         rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun, content=content,
         facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
     )
 
 
-def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> frozenset[int]:
-    """See :class:`EarlierRuns`. A run is chosen with the results up to the lag before it."""
+def _unknown_to_sampler(
+    before: Mapping[str, Any], rows: Sequence[RunRow], lag: int
+) -> frozenset[int]:
+    """See :class:`EarlierRuns`. A run is chosen with the results up to ``lag`` runs before it."""
     known = before.get(UNKNOWN_TO_SAMPLER, [])
     if not isinstance(known, list) or not all(type(index) is int for index in known):
         raise UsageError(
@@ -136,13 +141,7 @@ def _unknown_to_sampler(before: Mapping[str, Any], rows: Sequence[RunRow]) -> fr
         )
     last = max((row.index for row in rows if row.outcome.judged), default=-1)
     broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
-    return frozenset([*known, *(index for index in broken if index + _lag(before) <= last)])
-
-
-def _lag(before: Mapping[str, Any]) -> int:
-    """How many runs after a run may have been chosen without its result, at most."""
-    lag = before.get('sampler_lag', LAG)
-    return lag if type(lag) is int and 1 <= lag <= LAG else LAG
+    return frozenset([*known, *(index for index in broken if index + lag <= last)])
 
 
 def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list[RunRow]:

@@ -1,8 +1,8 @@
 """The sampler interface, its options, and the two wrappers that campaigns put around it.
 
 :class:`Lagged` makes the sequence independent of the number of workers and the order of their
-results: each run is requested with exactly the results of the runs up to ``LAG`` before it. So up
-to ``LAG`` runs can be in flight at once, and one worker gets the same points as eight. An
+results: each run is requested with exactly the results of the runs up to a lag before it. So that
+many runs can be in flight at once, and one worker gets the same points as eight. An
 interrupted campaign resumes by repeating the requests and telling the results in its ledger.
 :class:`WithDrawn` mixes in a fixed share of draws from the prior, from which rates are estimated.
 """
@@ -152,7 +152,8 @@ def parse_options(
 
 
 LAG = 8
-"""Maximum number of runs in flight."""
+"""Maximum number of runs in flight, unless a search asks for another."""
+MOST_LAG = 10_000
 
 
 @runtime_checkable
@@ -177,6 +178,11 @@ class Lagged:
     def ignore_results(self) -> None:
         """Issue every run without waiting for results; for a sampler that ignores them."""
         self._lag = sys.maxsize
+
+    def set_lag(self, lag: int) -> None:
+        """Choose each run by the results of all but the last ``lag - 1``; before the first run."""
+        assert not self._asked
+        self._lag = lag
 
     @property
     def sampler(self) -> Sampler:

@@ -15,6 +15,7 @@ from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentence
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME
+from taxinet_ros.cli.progress import Heartbeat
 from taxinet_ros.errors import ExitCode, UsageError
 
 _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
@@ -107,10 +108,11 @@ def _beside(campaign: Path) -> Path:
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Show the current step on one transient line, on terminals only."""
+    """Show the current step on one transient line; without a terminal, a line now and then."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield lambda _: None
+        tell = Heartbeat()
+        yield lambda text: tell(text, 0, 0)
         return
     with console.status('reading') as status:
         yield lambda text: status.update(text)

@@ -106,6 +106,89 @@ def localize(
     raise typer.Exit(run_localize(options, as_json=as_json))
 
 
+def compare(
+    before: Annotated[
+        str, typer.Argument(metavar='A', help='campaign or table, or a network: word or file')
+    ],
+    after: Annotated[str, typer.Argument(metavar='B', help='the same, to be compared with A')],
+    scenes: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='[SCENES]',
+            help='of two networks: a program, or a campaign, table or run whose scenes both drive',
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='number of scenes (default: 100 of a program, else '
+        'all of them); fewer are spread evenly')
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help='seed of the scenes of a program (default 0)')
+    ] = None,
+    spec: Annotated[
+        list[str] | None,
+        typer.Option('--spec', metavar='FORMULA', help='requirement for the scenes of a program '
+        '(default phi_eventually)'),
+    ] = None,
+    workers: ProcessesCountOption = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='folder for page and tables; finished runs in it are kept'),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two networks on the same scenes: what got better, what got worse, and why.
+
+    Takes two campaigns or tables of the same scenes, or two networks and the scenes, which both
+    then drive in the closed loop without ROS. Gives the paired difference with its interval and
+    McNemar's exact test, the scenes that changed, and what they have in common. After an interrupt,
+    the same command continues.
+    """
+    from taxinet_ros.cli.analysis.compare import CompareOptions, run_compare
+
+    raise typer.Exit(run_compare(CompareOptions(
+        before=before, after=after, scenes=scenes, runs=runs, seed=seed, specs=spec or (),
+        workers=workers, out=out, as_json=as_json,
+    )))
+
+
+def bisect(
+    networks: Annotated[
+        list[str],
+        typer.Argument(
+            metavar='GOOD ... BAD', help='networks or checkpoints in order: words or files'
+        ),
+    ],
+    scene: Annotated[
+        Path, typer.Option(metavar='BAG|TABLE|CAMPAIGN', help='the scenes')
+    ],
+    every: Annotated[
+        bool, typer.Option('--every', help='run every network in every scene, so that a scene '
+        'that breaks more than once is seen')
+    ] = False,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='at most so many scenes, evenly spread')
+    ] = None,
+    workers: ProcessesCountOption = 2,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for the results; finished runs in it are kept')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find which of several networks in order broke which scenes.
+
+    For every scene that the first one satisfies and the last one violates, finds a network that
+    violates it right after one that satisfies it. Exit codes: 0 done, 3 some run could not be
+    judged, 130 interrupted; the same command continues.
+    """
+    from taxinet_ros.cli.analysis.compare import BisectOptions, run_bisect
+
+    raise typer.Exit(run_bisect(BisectOptions(
+        networks=tuple(networks), scene=scene, every=every, runs=runs, workers=workers, out=out,
+        as_json=as_json,
+    )))
+
+
 def explain(
     bag: Annotated[
         Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
@@ -224,13 +307,13 @@ def fork(
 
 def doctor(
     folder: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar='CAMPAIGN',
             help='folder of a campaign, experiment, dataset or study, or a folder that contains '
-            'some',
+            'some; without it, this machine is checked',
         ),
-    ],
+    ] = None,
     mend: Annotated[
         bool,
         typer.Option(
@@ -241,12 +324,24 @@ def doctor(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Verify every file in a results folder.
+    """Check this machine, or every file in a results folder.
 
-    Checks every ledger line, tables against the ledger, each bag against its row and each dataset
-    image against its label, and finds leftovers of killed processes. Exit codes: 0 no findings, 3
-    something is incomplete or damaged, 2 nothing to check.
+    Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
+    disk, browser, FlightGear and a short run, each with its mend; exit code 4 if something is
+    broken.
+
+    With a folder: checks every ledger line, tables against the ledger, each bag against its row and
+    each dataset image against its label, and finds leftovers of killed processes. Exit codes: 0 no
+    findings, 3 something is incomplete or damaged, 2 nothing to check.
     """
+    from taxinet_ros.errors import UsageError
+
+    if folder is None:
+        from taxinet_ros.cli.system import run_system_doctor
+
+        if mend:
+            raise UsageError('--mend: only with the folder of a CAMPAIGN')
+        raise typer.Exit(run_system_doctor(as_json=as_json))
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
     raise typer.Exit(run_results_doctor(folder, mended=mend, as_json=as_json))
@@ -266,6 +361,27 @@ def gate(
         int, typer.Option(help='maximum number of runs with an infrastructure error')
     ] = 0,
     confidence: Annotated[float, typer.Option(help='confidence of each one-sided bound')] = 0.95,
+    planned: Annotated[
+        bool,
+        typer.Option(
+            '--planned', help='judge once, at exactly the planned number of runs, with the whole '
+            'confidence (as taxinet plan counts)'
+        ),
+    ] = False,
+    sequential: Annotated[
+        bool,
+        typer.Option(
+            '--sequential', help='follow the runs in their order to the first decision of a '
+            'sequential test, at which falsify --until stops'
+        ),
+    ] = False,
+    design: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='with --sequential: the share that a good system has, better '
+            'than the threshold; the test then takes the fewest runs for it'
+        ),
+    ] = None,
     inconclusive: Annotated[
         str,
         typer.Option(
@@ -284,16 +400,77 @@ def gate(
     the whole interval of one violates it, else INCONCLUSIVE (3) with an estimate of the additional
     runs needed. Runs with an infrastructure error are excluded and counted separately.
     """
-    from taxinet_ros.analysis.gate import GateOptions
+    from taxinet_ros.analysis.gate import GateOptions, Look
     from taxinet_ros.cli.analysis.gate import run_gate
+    from taxinet_ros.errors import UsageError
 
+    if planned and sequential:
+        raise UsageError('gate: --planned and --sequential do not go together; leave one out')
+    look = Look.PLANNED if planned else Look.SEQUENTIAL if sequential else Look.ANY
     options = GateOptions(
         min_satisfaction=min_satisfaction, max_off_runway=max_off_runway, max_infra=max_infra,
-        confidence=confidence,
+        confidence=confidence, look=look, design=design,
     )
     raise typer.Exit(
         run_gate(campaign, options, inconclusive=inconclusive, junit=junit, as_json=as_json)
     )
+
+
+def plan(
+    campaign: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar='[CAMPAIGN]', help='runs there are already, drawn by the program itself',
+            show_default=False,
+        ),
+    ] = None,
+    min_satisfaction: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at least this share of runs satisfy'),
+    ] = None,
+    max_off_runway: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at most this share of runs leave the runway'),
+    ] = None,
+    so_far: Annotated[
+        str | None,
+        typer.Option(metavar='RUNS:FAILURES', help='runs there are already, instead of CAMPAIGN'),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help='confidence of the claim')] = 0.95,
+    failures: Annotated[
+        int | None, typer.Option(help='plan for up to so many failures (default: 0 to 3)')
+    ] = None,
+    if_true: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='assumed true share, in the words of the claim: gives the chance '
+            'of each plan, and a sequential one'
+        ),
+    ] = None,
+    power: Annotated[
+        float, typer.Option(metavar='CHANCE', help='with --if-true: wanted chance to pass')
+    ] = 0.9,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan how many runs a claim takes, from the start or after those there are.
+
+    Exact binomial numbers for each number of allowed failures, their chance to pass at a true
+    share, and the runs of a sequential test. Runs nothing.
+    """
+    from taxinet_ros.analysis.plan import Claim
+    from taxinet_ros.campaign.sequential import MAX_OFF_RUNWAY, MIN_SATISFACTION
+    from taxinet_ros.cli.analysis.plan import run_plan
+    from taxinet_ros.errors import UsageError
+
+    if (min_satisfaction is None) == (max_off_runway is None):
+        raise UsageError('plan: give one claim, --min-satisfaction or --max-off-runway')
+    threshold = max_off_runway if min_satisfaction is None else min_satisfaction
+    assert threshold is not None
+    claim = Claim(
+        criterion=MAX_OFF_RUNWAY if min_satisfaction is None else MIN_SATISFACTION,
+        threshold=threshold, confidence=confidence, failures=failures, if_true=if_true, power=power,
+    )
+    raise typer.Exit(run_plan(claim, campaign, so_far=so_far, as_json=as_json))
 
 
 def monitor(
@@ -366,3 +543,100 @@ def spec(
     from taxinet_ros.cli.analysis.monitor import show_specs
 
     show_specs(formulas, duration_s=duration, settings=settings or (), as_json=as_json)
+
+
+forecast_app = typer.Typer(
+    rich_markup_mode=None, help='Lower bounds on the final robustness of runs in progress.'
+)
+_ForecastArgument = Annotated[
+    Path, typer.Argument(metavar='FORECAST', help='file made by taxinet forecast calibrate')
+]
+
+
+@forecast_app.callback(invoke_without_command=True)
+def _forecast(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@forecast_app.command('calibrate')
+def calibrate_forecast(
+    campaign: CampaignArgument,
+    out: Annotated[Path, typer.Option(metavar='FILE.json', help='file to write; must be new')],
+    spec: Annotated[
+        str | None,
+        typer.Option(metavar='NAME', help='requirement to forecast (default: the headline)'),
+    ] = None,
+    every: Annotated[float, typer.Option(metavar='SECONDS', help='time between bounds')] = 1.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate a forecast on a campaign's runs.
+
+    Takes the runs that the program itself drew, with their bags; frames are not needed. Every other
+    run trains the forecast, the others calibrate it.
+    """
+    from taxinet_ros.cli.analysis.forecast import calibrate_forecast
+
+    raise typer.Exit(
+        calibrate_forecast(campaign, out, spec=spec, every_s=every, as_json=as_json)
+    )
+
+
+@forecast_app.command('check')
+def check_forecast(
+    forecast: _ForecastArgument,
+    campaign: CampaignArgument,
+    confidence: Annotated[
+        list[float] | None,
+        typer.Option(metavar='SHARE', help='confidence to check; repeatable (default: 0.9, 0.95)'),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure on a campaign with another seed how often the bounds hold.
+
+    Exit codes: 0 measured; 3 the campaign differs from the one calibrated on, so that there is no
+    guarantee to be checked.
+    """
+    from taxinet_ros.cli.analysis.forecast import check_forecast
+
+    raise typer.Exit(check_forecast(
+        forecast, campaign, confidences=confidence or (0.9, 0.95), as_json=as_json
+    ))
+
+
+@forecast_app.command('show')
+def show_forecast(
+    forecast: _ForecastArgument,
+    bags: Annotated[
+        list[Path],
+        typer.Argument(metavar='BAG...', help='folders or .mcap files of runs, also unfinished'),
+    ],
+    at: Annotated[
+        float | None,
+        typer.Option(metavar='SECONDS', help='only the run up to here (default: all there is)'),
+    ] = None,
+    confidence: Annotated[float, typer.Option(metavar='SHARE', help='of the bounds')] = 0.9,
+    guarantee: Annotated[
+        str,
+        typer.Option(
+            metavar='WORD', help='run: the bounds of all moments hold together; step: the bound of '
+            'one moment, chosen beforehand'
+        ),
+    ] = 'run',
+    run_id: RunOption = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar='FILE.png', help='picture of the bounds over time')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print and draw the bound on the final robustness of runs, as far as they have come.
+
+    Exit codes: 0; 3 a run is of another program, network or sampler than those calibrated on, so
+    that its bound has no guarantee, or that is unknown.
+    """
+    from taxinet_ros.cli.analysis.forecast import ShowOptions, show_forecast
+
+    raise typer.Exit(show_forecast(forecast, bags, ShowOptions(
+        at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id, plot=plot,
+        as_json=as_json,
+    )))

@@ -26,7 +26,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.scenario_fields import BY_KEY, by_key
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
@@ -104,7 +104,10 @@ def _change(recording: Recording, options: ForkOptions) -> dict[str, Any]:
     settings: dict[str, Any] = dict(read_settings(options.settings))
     for name, value in settings.items():
         if name.startswith(_GAIN):
-            settings[name] = _number(f'--set {name}', value)
+            try:
+                settings[name] = typed_gain(name.removeprefix(_GAIN), value)
+            except UsageError as error:
+                raise UsageError(f'--set {error}') from None
     moved: dict[str, float] = {}
     for one in options.moved:
         name, _, value = one.partition('=')

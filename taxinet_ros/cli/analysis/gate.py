@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.gate import (
+    Criterion,
     GateOptions,
     GateResult,
+    Look,
     Verdict,
     gate_result,
     junit_xml,
@@ -19,7 +21,7 @@ from taxinet_ros.analysis.gate import (
 )
 from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import recorded_stacks
+from taxinet_ros.campaign.record.facts import recorded_rules, recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.shard import recorded_shard
 from taxinet_ros.campaign.record.table import check_tables
@@ -51,7 +53,10 @@ def run_gate(
         raise UsageError(f'--inconclusive {inconclusive}: unknown; known: {known}')
     campaign = open_campaign(folder)
     check_tables(folder)
-    answer = gate_result(campaign.rows, options, planned=campaign.planned_runs or 0)
+    answer = gate_result(
+        campaign.rows, options, planned=campaign.planned_runs or 0,
+        rules=recorded_rules(campaign.facts),
+    )
     answer = replace(answer, notes=(*answer.notes, *_record_notes(campaign.content)))
     if junit is not None:
         document = junit_xml(
@@ -96,7 +101,8 @@ def _json(answer: GateResult, options: GateOptions) -> dict[str, Any]:
     return {
         'verdict': answer.verdict.value,
         'confidence': options.confidence,
-        'bounds': 'one-sided; each holds at this confidence, however often the campaign is checked',
+        'look': options.look.value,
+        'bounds': _BOUNDS[options.look],
         'judged': answer.judged,
         'effective': answer.effective,
         'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},
@@ -108,8 +114,33 @@ def _json(answer: GateResult, options: GateOptions) -> dict[str, Any]:
                     'low': one.bounds.low, 'high': one.bounds.high,
                     'more_runs': one.more_runs,
                 }),
+                **_sequential_json(one),
             }
             for one in answer.criteria
         ],
         'notes': list(answer.notes),
     }
+
+
+_BOUNDS = {
+    Look.ANY: 'one-sided; each holds at this confidence, however often the campaign is checked',
+    Look.PLANNED: 'one-sided; each holds at this confidence, for one look at the planned runs',
+    Look.SEQUENTIAL: 'none: each decision holds at this confidence, whenever the campaign stops',
+}
+
+
+def _sequential_json(one: Criterion) -> dict[str, Any]:
+    if one.course is None or one.test is None:
+        return {}
+    found, test = one.course, one.test
+    return {'sequential': {
+        'test': str(test), 'decision': found.decision and found.decision.value,
+        'decided_by_run': found.index, 'runs': found.runs, 'bad': found.bad,
+        'later_runs': found.later, 'log_evidence_needed': test.enough,
+        'log_evidence_pass': _finite(test.log_pass(found.bad, found.runs - found.bad)),
+        'log_evidence_fail': _finite(test.log_fail(found.bad, found.runs - found.bad)),
+    }}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

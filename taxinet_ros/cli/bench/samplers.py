@@ -1,4 +1,4 @@
-"""``taxinet bench intervals`` and ``searches``: evaluate samplers and intervals."""
+"""``taxinet bench intervals``, ``sequential`` and ``searches``: samplers, intervals, tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from rich.table import Table
 
 from taxinet_ros.bench.intervals import measure_intervals
 from taxinet_ros.bench.searches import APART, LANDSCAPES, measure_searches
+from taxinet_ros.bench.sequential import measure_sequential
 from taxinet_ros.cli.progress import run_with_progress
+from taxinet_ros.errors import UsageError
 
 
 def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> int:
@@ -58,6 +60,53 @@ def _print_intervals(found: dict[str, Any], console: Console) -> None:
         'covers: share of 95 % intervals that contain the rate, and their median width. gate: '
         'wrong passes at exactly the true rate, at most 5 %. watched: the same with a look every '
         f'{found["look"]} runs and stopping at will', style='dim', soft_wrap=True,
+    )
+
+
+def run_sequential(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+    """Simulate sequential tests and print.
+
+    Args:
+        words: none.
+        repeats: campaigns for each test and true rate.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: words are given, or ``repeats`` is below 1.
+    """
+    if words:
+        raise UsageError(f'bench sequential: {words[0]}: it takes no further words')
+    return run_with_progress(
+        partial(measure_sequential, repeats), _print_sequential, as_json=as_json
+    )
+
+
+def _print_sequential(found: dict[str, Any], console: Console) -> None:
+    console.print(f'{found["repeats"]} campaigns for each line')
+    table = Table(box=None, pad_edge=False)
+    table.add_column('test', no_wrap=True)
+    for heading in ('satisfied', 'PASS', 'exact', 'FAIL', 'not design', 'open', 'runs', 'exact',
+                    'fixed'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    last = ''
+    for one in found['sequential']:
+        table.add_row(
+            '' if one['test'] == last else one['test'].removeprefix('min-satisfaction='),
+            f'{100 * one["satisfied"]:.5g} %',
+            *(f'{100 * one[name]:.1f} %' for name in (
+                'passes', 'exact_passes', 'fails', 'below_design', 'open')),
+            *(f'{one[name]:,.0f}' for name in ('mean_runs', 'exact_mean_runs', 'fixed_runs')),
+        )
+        last = one['test']
+    console.print(table)
+    console.print(
+        'test: --until min-satisfaction=…; satisfied: the true share; not design: ended as not as '
+        'good as the design; open: no decision within six times the fixed number; runs: on '
+        'average; fixed: runs of a campaign judged once that errs as seldom', style='dim',
+        soft_wrap=True,
     )
 
 

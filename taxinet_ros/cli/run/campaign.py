@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from taxinet_ros.campaign.audit import Auditor
 from taxinet_ros.campaign.campaign import Campaign, exit_code
@@ -20,6 +28,7 @@ from taxinet_ros.campaign.summary import (
     campaign_summary,
     requirement_lines,
     row_line,
+    summary_json,
 )
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.camera import camera
@@ -36,12 +45,17 @@ if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
 
 
-def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
+def run_campaign(
+    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
+    as_json: bool = False,
+) -> int:
     """Run the campaign and print the results.
 
     Args:
         options: what to run.
         foxglove: port on 127.0.0.1 for the Foxglove app.
+        quiet: print warnings and the summary only.
+        as_json: print the summary as JSON; all else goes to standard error.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 infrastructure
@@ -51,34 +65,40 @@ def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
         from taxinet_ros.nodes.graph.foxglove_view import check_port
 
         check_port(foxglove)
-    return exit_code(campaign_rows(options, foxglove))
+    rows = campaign_rows(options, foxglove, quiet=quiet, as_json=as_json)
+    return exit_code(rows)
 
 
-def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list[RunRow]:
+def campaign_rows(
+    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
+    as_json: bool = False,
+) -> list[RunRow]:
     """Run and print a campaign; return the rows of its table.
 
     Raises:
         KeyboardInterrupt: interrupted with runs left.
     """
-    console = Console(highlight=False)
+    console = Console(highlight=False, stderr=as_json)
     with _progress(console) as progress:
         bar = progress.add_task('', total=options.runs)
 
         def show(row: RunRow) -> None:
-            progress.console.print(row_line(row), soft_wrap=True)
+            if not quiet:
+                progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
         at_hand = _Interruption()
         graphs = _Graphs(options)
         campaign = Campaign(options, PARTICIPANTS, show, graphs.make_ahead)
         with (
-            print_rows_if_lost(progress.console, campaign.rows, shown=True),
+            print_rows_if_lost(progress.console, campaign.rows, shown=not quiet),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.abort),
         ):
             graphs.check(campaign.book.facts)
-            lines = [campaign_heading(options), *campaign.notes]
-            progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
-            for line in requirement_lines(campaign.check):
+            if not quiet:
+                lines = [campaign_heading(options), *campaign.notes]
+                progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
+            for line in requirement_lines(campaign.check, quiet=quiet):
                 progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
@@ -88,6 +108,8 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
                     graph.run(campaign.requests(), campaign.take)
                     at_hand.graph = None
     console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
+    if as_json:
+        print(json.dumps(summary_json(campaign.rows, options, options.runs), allow_nan=False))
     if at_hand.interrupted and len(campaign.rows) < options.runs:
         raise ToldInterrupt if campaign.rows else KeyboardInterrupt
     return campaign.rows
@@ -107,6 +129,8 @@ def _progress(console: Console) -> Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn('left'),
+        TimeRemainingColumn(),
         console=console,
         transient=True,
         disable=not console.is_terminal,

@@ -16,9 +16,11 @@ from taxinet_ros.cli.options import (
     BoundOption,
     BudgetOption,
     CameraOption,
+    ClusterOption,
     ControllerCommandOption,
     ControllerOption,
     EngineOption,
+    ExitZeroOption,
     FactorOption,
     FailedRunArgument,
     FoxgloveOption,
@@ -26,6 +28,8 @@ from taxinet_ros.cli.options import (
     FromOption,
     ImagesOption,
     JsonOption,
+    JsonSummaryOption,
+    LagOption,
     LatencyOption,
     MostRunsOption,
     NeededRunsOption,
@@ -60,6 +64,7 @@ from taxinet_ros.cli.options import (
     WorkersOption,
     WorldOption,
     airport_place,
+    ended,
     given_options,
     refuse_given,
     renderer_of,
@@ -99,6 +104,9 @@ def run(
     foxglove: FoxgloveOption = None,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonSummaryOption = False,
+    exit_zero: ExitZeroOption = False,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
@@ -132,7 +140,9 @@ def run(
         world=world_word(world, renderer_of(camera)),
         engine=engine, audit=audit,
     )
-    raise typer.Exit(run_campaign(options, foxglove))
+    raise ended(
+        run_campaign(options, foxglove, quiet=quiet, as_json=as_json), exit_zero,
+    )
 
 
 def _run_from(context: typer.Context, bag: Path) -> int:
@@ -160,6 +170,8 @@ def falsify(
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
     workers: WorkersOption = 1,
+    cluster: ClusterOption = None,
+    lag: LagOption = 8,
     out: OutOption = None,
     resume: ResumeOption = False,
     seed: SeedOption = 0,
@@ -188,6 +200,8 @@ def falsify(
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
     quiet: QuietOption = False,
+    as_json: JsonSummaryOption = False,
+    exit_zero: ExitZeroOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
 
@@ -223,9 +237,11 @@ def falsify(
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, shard=part,
+            resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
         )
-    raise typer.Exit(run_falsify(options, quiet=quiet, store=store))
+    raise ended(
+        run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,
+    )
 
 
 def estimate(
@@ -646,6 +662,7 @@ def experiment(
         str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
     ] = None,
     workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
+    cluster: ClusterOption = None,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue an interrupted command in --out')
     ] = False,
@@ -675,6 +692,7 @@ def experiment(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
             workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
+            cluster=cluster,
         )
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import json
 import math
@@ -27,6 +28,9 @@ from rich.text import Text
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.bag.store import check_store
 from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.cluster.connection import Cluster
+from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.campaign.cluster.task import OUT
 from taxinet_ros.campaign.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -55,11 +59,16 @@ from taxinet_ros.campaign.shrink.shrinking import (
     shrink_heading,
 )
 from taxinet_ros.campaign.stored_bags import BagUploads
-from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_words
+from taxinet_ros.campaign.summary import (
+    requirement_lines,
+    row_line,
+    scene_words,
+    summary_json,
+)
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.worker import campaign_worker_command
@@ -119,13 +128,16 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None) -> int:
+def run_falsify(
+    options: SearchOptions, *, quiet: bool, store: str | None = None, as_json: bool = False,
+) -> int:
     """Run the search and print the results.
 
     Args:
         options: options of the search.
         quiet: print warnings and the summary only.
         store: address to which bags are uploaded, or None.
+        as_json: print the summary as JSON; all else goes to standard error.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
@@ -135,9 +147,11 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
         RecordError: a bag could not be stored.
     """
     check_workers(options.workers)
-    console = Console(highlight=False)
-    uploads = None if store is None else BagUploads(options.campaign.out, check_store(store))
+    console = Console(highlight=False, stderr=as_json)
+    url = '' if store is None else check_store(store)
+    uploads = BagUploads(options.campaign.out, url) if url else None
     with (
+        _open_cluster(options, console, store=url) as cluster,
         uploads or contextlib.nullcontext(),
         open_search(options, console, quiet=quiet, uploads=uploads) as search,
     ):
@@ -149,12 +163,15 @@ def run_falsify(options: SearchOptions, *, quiet: bool, store: str | None = None
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
-            run_on_workers(search)
-        learned = write_learned(search)
+            run_on_workers(search, cluster)
+        learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if uploads is not None:
         console.print(uploads.finish(), soft_wrap=True, markup=False)
+    if as_json:
+        values = summary_json(search.rows, options.campaign, planned)
+        print(json.dumps({**values, 'sampler': search.options.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
@@ -182,18 +199,42 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
         console.print(row_line(row), soft_wrap=True)
 
 
-def run_on_workers(search: Search | Shrinking) -> None:
-    """Execute the runs of an open search on worker processes; Ctrl-C ends it in order."""
-    options = search.options
-    command = campaign_worker_command(options.campaign, search.book.facts)
-    logs = options.campaign.out / 'logs'
-    with interrupts(search.interrupt), WorkerPool(command, options.workers, logs) as pool:
+def _open_cluster(
+    options: SearchOptions, console: Console, store: str = ''
+) -> contextlib.AbstractContextManager[Cluster | None]:
+    """Context of the connected cluster of a search, or of None."""
+    if not options.cluster:
+        return contextlib.nullcontext()
+
+    def tell(line: str) -> None:
+        console.print(plain_line(line), soft_wrap=True, markup=False)
+
+    return campaign_cluster(options.campaign, options.cluster, store=store, tell=tell)
+
+
+def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
+    """Execute the runs of an open search on its workers; Ctrl-C ends it in order."""
+    with interrupts(search.interrupt), _pool(search, cluster) as pool:
         run_search(search, pool)
+
+
+def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | ClusterPool:
+    options, facts = search.options, search.book.facts
+    campaign = options.campaign
+    if cluster is None or isinstance(options, ShrinkOptions):
+        command = campaign_worker_command(campaign, facts)
+        return WorkerPool(command, options.workers, campaign.out / 'logs')
+    elsewhere = dataclasses.replace(campaign, out=Path(OUT))
+    return ClusterPool(
+        cluster, campaign_worker_command(elsewhere, facts), campaign.out, runs=options.runs,
+        in_flight=options.in_flight, fingerprint=facts['perception_sha256'],
+        on_machine=search.book.add_machine,
+    )
 
 
 def run_experiment(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool,
-    engine: str = GRAPH, audit: str | None = None,
+    engine: str = GRAPH, audit: str | None = None, cluster: str | None = None,
 ) -> int:
     """Run every arm, compare them, and print the result.
 
@@ -207,7 +248,8 @@ def run_experiment(
     console = Console(highlight=False, stderr=as_json)
     check_workers(workers)
     searches = arm_searches(
-        experiment, out, workers=workers, resume=resume, engine=engine, audit=audit
+        experiment, out, workers=workers, resume=resume, engine=engine, audit=audit,
+        cluster=cluster,
     )
     for number, (name, options) in enumerate(searches.items(), 1):
         console.print(
@@ -235,13 +277,16 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
-    with open_search(options, console, quiet=False) as search:
+    with (
+        _open_cluster(options, console) as cluster,
+        open_search(options, console, quiet=False) as search,
+    ):
         for line in requirement_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
         for note in (*search.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
-            run_on_workers(search)
+            run_on_workers(search, cluster)
     return search
 
 

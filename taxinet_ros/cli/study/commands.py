@@ -1,4 +1,4 @@
-"""Commands that run other commands: ``taxinet case-study`` and ``taxinet improve``."""
+"""Commands that run other commands: ``taxinet why``, ``case-study`` and ``improve``."""
 
 from __future__ import annotations
 
@@ -10,10 +10,51 @@ import typer
 from taxinet_ros.cli.options import (
     AuditOption,
     EngineOption,
+    JsonOption,
     VariedOption,
     given_options,
     refuse_given,
 )
+
+
+def why(
+    path: Annotated[
+        Path, typer.Argument(
+            metavar='CAMPAIGN|RUN', help="a campaign's folder or table, or the bag of a run"
+        )
+    ],
+    budget: Annotated[
+        int, typer.Option(metavar='RUNS', help='about how many runs to make: a third to drive '
+        'failed runs again, a fifth to shrink the worst one, the others in experiments')
+    ] = 400,
+    perception: Annotated[
+        str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, max=8, help='worker processes; same results')
+    ] = 2,
+    engine: EngineOption = 'loop',
+    audit: AuditOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for page and evidence (default: bags/NAME-why); '
+        'what is done in it is kept')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out why a campaign or a run failed, and what to do.
+
+    Analyzes the failures, drives some again with perfect estimates, explains the worst run of each
+    cause, shrinks one, and tests what is suspected on fresh scenes. Says in three sentences whether
+    network, controller or requirement is at fault, and how sure that is; writes one page with links
+    to all evidence, and the command that mends it. After an interrupt, the same command continues.
+    Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
+    """
+    from taxinet_ros.cli.study.why import WhyOptions, run_why
+
+    raise typer.Exit(run_why(WhyOptions(
+        path=path, perception=perception, budget=budget, workers=workers, engine=engine,
+        audit=audit, out=out, as_json=as_json,
+    )))
 
 
 def case_study(

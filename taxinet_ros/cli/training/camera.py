@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from PIL import Image
@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from taxinet_ros.analysis.camera import second_opinion
 from taxinet_ros.analysis.camera.compare import (
     Comparison,
     QuantityErrors,
@@ -27,11 +28,7 @@ from taxinet_ros.analysis.camera.second_opinion import (
     SURFACES,
     LightCurves,
     SceneOpinion,
-    compare_light,
-    compare_scene,
-    light_scenes,
     plot_opinion,
-    scenes,
 )
 from taxinet_ros.analysis.camera.shadow import shadow_appearances
 from taxinet_ros.analysis.camera.sheets import (
@@ -47,13 +44,13 @@ from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
-from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import ExitCode, UsageError
 
 SUFFIX = '.png'
-OTHERS = ('mitsuba',)
-"""Renderers that ours can be compared with."""
+OTHERS = {'mitsuba': 'Mitsuba', 'flightgear': 'FlightGear'}
+"""Renderers that ours can be compared with, and their names in figures."""
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
@@ -226,6 +223,7 @@ def run_second_opinion(
 
     Raises:
         UsageError: an unknown renderer, one that is not installed, bad settings or output file.
+        InfraError: FlightGear does not run, or failed.
     """
     if against not in OTHERS:
         raise UsageError(f'--against {against}: unknown; known: {", ".join(OTHERS)}')
@@ -233,18 +231,15 @@ def run_second_opinion(
     for key in ('time_of_day_h', 'shadows'):
         if key in values:
             raise UsageError(f'--set {key}: varies over the comparison; leave it out')
-    chosen, day = scenes(values), light_scenes(values)
-    check_installed()
-    for scenario in (*chosen, *day):
-        check_shown(scenario)
-    path = new_picture(out, f'camera-compare-{against}')
     notes = Console(stderr=True, highlight=False, soft_wrap=True)
-    bar = track(chosen, 'scenes', console=notes, disable=not notes.is_terminal, transient=True)
-    opinions = [
-        compare_scene(scenario, shown=number % 2 == 0) for number, scenario in enumerate(bar)
-    ]
-    curves = compare_light(day)
-    write_picture(path, lambda: plot_opinion(opinions, curves, path))
+
+    def watched(chosen: Iterable[Scenario]) -> Iterable[Scenario]:
+        off = not notes.is_terminal
+        return track(list(chosen), 'scenes', console=notes, disable=off, transient=True)
+
+    compare = _with_mitsuba if against == 'mitsuba' else _with_flightgear
+    path, opinions, curves = compare(values, out, watched)
+    write_picture(path, lambda: plot_opinion(opinions, curves, path, OTHERS[against]))
     missed, unclear = (
         sum(one.meets_aim is word for one in opinions) for word in (False, None)
     )
@@ -266,6 +261,37 @@ def run_second_opinion(
     )
     console.print(f'figure: {path}')
     return code
+
+
+_Compared = tuple[Path, list[SceneOpinion], LightCurves]
+_Watch = Callable[[Iterable[Scenario]], Iterable[Scenario]]
+
+
+def _with_mitsuba(values: Mapping[str, object], out: Path | None, watched: _Watch) -> _Compared:
+    chosen, day = second_opinion.scenes(values), second_opinion.light_scenes(values)
+    check_installed()
+    for scenario in (*chosen, *day):
+        check_shown(scenario)
+    path = new_picture(out, 'camera-compare-mitsuba')
+    opinions = [
+        second_opinion.compare_scene(scenario, shown=number % 2 == 0)
+        for number, scenario in enumerate(watched(chosen))
+    ]
+    return path, opinions, second_opinion.compare_light(day)
+
+
+def _with_flightgear(values: Mapping[str, object], out: Path | None, watched: _Watch) -> _Compared:
+    from taxinet_ros.analysis.camera import flightgear_opinion
+
+    chosen, day = flightgear_opinion.scenes(values), flightgear_opinion.light_scenes(values)
+    path = new_picture(out, 'camera-compare-flightgear')
+    for scenario in (*chosen, *day):
+        flightgear_opinion.check_running(scenario)
+    opinions = [
+        flightgear_opinion.compare_scene(scenario, shown=number % 2 == 0)
+        for number, scenario in enumerate(watched(chosen))
+    ]
+    return path, opinions, flightgear_opinion.compare_light(day)
 
 
 def _opinion_table(opinions: Iterable[SceneOpinion]) -> Table:

@@ -287,8 +287,9 @@ def compare(
         str | None,
         typer.Option(
             metavar='RENDERER',
-            help='instead of labelled frames: our camera against another renderer, mitsuba, in '
-            'scenes of several places, cameras and poses; --set sets a value in all of them',
+            help='instead of labelled frames: our camera against another renderer, mitsuba or '
+            'flightgear (which has to run), in scenes of several cameras and poses; --set sets a '
+            'value in all of them',
         ),
     ] = None,
     perception: Annotated[
@@ -326,7 +327,7 @@ def compare(
             against, settings=settings or (), out=out, json_wanted=json
         ))
     if folder is None:
-        raise UsageError('give a folder DIR of labelled frames, or --against mitsuba')
+        raise UsageError('give a folder DIR of labelled frames, or --against mitsuba or flightgear')
     run_compare(
         folder, perception=perception, distance_offset_m=distance_offset,
         settings=settings or (), out=out, json_wanted=json,

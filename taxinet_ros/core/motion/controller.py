@@ -12,6 +12,7 @@ package (:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -20,6 +21,7 @@ from typing import Any, Final, Protocol
 from taxinet_ros.arguments import a, check_fields, takes
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.units import typed_number
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
     RunCode,
@@ -80,6 +82,27 @@ GAIN_RANGES: dict[str, GainRange] = {
     ),
 }
 """Range of every field of :class:`SteeringGains`; the ROS parameters are derived from it."""
+
+
+def typed_gain(name: str, text: str) -> float:
+    """Read the text of a gain: a number, with a unit or in that of the gain.
+
+    Raises:
+        UsageError: unknown gain, no number, or a unit of something else.
+    """
+    if name not in GAIN_RANGES:
+        raise UsageError(f'steering.{name}: unknown gain; known: {", ".join(GAIN_RANGES)}')
+    wanted = 'a number'
+    try:
+        number = typed_number(text, GAIN_RANGES[name].unit)
+    except ValueError as error:
+        wanted, number = str(error), math.nan
+    else:
+        with contextlib.suppress(ValueError):
+            number = float(text) if number is None else number
+    if number is None or not math.isfinite(number):
+        raise UsageError(f'steering.{name}={text}: expected {wanted}')
+    return number
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,7 +16,8 @@ from taxinet_ros.core.mtl.assumptions import ANYTHING, Range, enclose, margin_ra
 from taxinet_ros.core.mtl.offline import robustness_range
 from taxinet_ros.core.mtl.sliding import INF
 from taxinet_ros.core.mtl.specs import Spec
-from taxinet_ros.core.mtl.units import (
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.units import (
     ANGLE,
     PURE,
     Dimension,
@@ -28,8 +29,9 @@ from taxinet_ros.core.mtl.units import (
     si_unit,
     value_words,
 )
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
+
+UNSATISFIABLE = 'no run can satisfy it'
 
 Units = Mapping[str, str]
 """Unit of each signal; missing or '' means unknown."""
@@ -258,7 +260,7 @@ def warnings(spec: Spec, setting: Setting) -> list[str]:
         low, high = robustness_range(spec.formula, setting.stamps_ns, margins)
         infinite = low == high and math.isinf(low)
         if (low > 0 or high <= 0) and not infinite:
-            what = 'no run can violate it' if low > 0 else 'no run can satisfy it'
+            what = 'no run can violate it' if low > 0 else UNSATISFIABLE
             why = f': {"; ".join(vacuous)}' if vacuous else ''
             return [*(f'{spec.name}: {text}' for text in found), f'{spec.name}: {what}{why}']
     return [f'{spec.name}: {text}' for text in (*found, *vacuous)]

@@ -21,7 +21,7 @@ from taxinet_ros.core.mtl.lexer import (
     tokens,
 )
 from taxinet_ros.core.mtl.margin import compile_margin
-from taxinet_ros.core.mtl.units import (
+from taxinet_ros.core.units import (
     MEANT,
     PURE,
     UNITS,

@@ -14,8 +14,8 @@ from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.mtl.units import dimension_of
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.units import dimension_of
 from taxinet_ros.errors import UsageError
 
 SIGNALS: Mapping[str, str] = MappingProxyType(

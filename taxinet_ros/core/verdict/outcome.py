@@ -104,6 +104,8 @@ class RunResult:
         timing: when answers took effect, in the notation of :mod:`.timing`.
         free: statistics of a free run, see :meth:`.free_run.FreeRunAccount.figures`.
         wall_s: wall-clock time from request to result [s].
+        stack: identifier of the record (:func:`.provenance.stack_id`) of the machine that made the
+            run; '' for this one.
     """
 
     outcome: Outcome
@@ -119,6 +121,7 @@ class RunResult:
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
+    stack: str = ''
 
     @property
     def rho(self) -> Mapping[str, float]:

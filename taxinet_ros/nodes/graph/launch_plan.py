@@ -46,7 +46,7 @@ ARGUMENTS = {
     'runs': ('10', 'number of runs'),
     'seed': ('0', 'seed of the scenes'),
     'sampler': ('', 'ce, random, …: search for failures; empty: scenes drawn by the program'),
-    'until': ('', 'stop a search early: failures=K or half-width=W'),
+    'until': ('', 'stop a search early: a rule of taxinet falsify --until'),
     'budget': ('0.0', 'time budget: a search starts no new run after this [min]; 0: unlimited'),
     'resume': ('false', 'continue an interrupted search in out'),
     'out': ('', 'new folder for table and bags; empty: one below bags/'),

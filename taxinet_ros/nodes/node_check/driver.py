@@ -62,6 +62,7 @@ from taxinet_ros.nodes.node_check.record import (
 )
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_for
 
 START_S: Final = 30.0
@@ -153,7 +154,7 @@ def _standing(domain: int) -> Role:
                     return role
             time.sleep(_LOOK_S)
     finally:
-        probe.destroy_node()
+        leave_graph(probe)
         rclpy.try_shutdown(context=context)
     names = ' or '.join(role.node for role in ROLES.values())
     raise UsageError(f'no node called {names} on ROS domain {domain} within {_AWAITED_S:g} s')

@@ -19,6 +19,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.running.leave import leave_graph
 
 _BASE, _PER_DOMAIN = 7400, 250
 """PB and DG of DDSI-RTPS 2.2, section 9.6.1.1: first port of domain 0, and number of ports per
@@ -195,7 +196,7 @@ def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> lis
         deadline = time.monotonic() + look_s
         while not (found := set(look(probe)) - {probe.get_name()}) and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
-        probe.destroy_node()
+        leave_graph(probe)
     finally:
         rclpy.try_shutdown(context=context)
     return sorted(found)

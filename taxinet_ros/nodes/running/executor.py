@@ -9,6 +9,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.processes.interrupts import interrupts_delayed
 
 
@@ -45,7 +46,7 @@ class NodeExecutor:
                     if hasattr(node, 'close'):  # other nodes have nothing to finish
                         node.close()
                     self.executor.remove_node(node)
-                    node.destroy_node()
+                    leave_graph(node)
                 self.executor.shutdown()
             finally:
                 rclpy.try_shutdown(context=self.context)

@@ -23,6 +23,7 @@ from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
 from taxinet_ros.nodes.running.domain import domain_number
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
 from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
@@ -218,7 +219,7 @@ def _leave(node: Any, executor: Any) -> None:
     """
     node.close()
     executor.remove_node(node)
-    node.destroy_node()
+    leave_graph(node)
     executor.shutdown()
 
 

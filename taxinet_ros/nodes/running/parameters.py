@@ -21,6 +21,7 @@ from rclpy.utilities import remove_ros_args
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.running.leave import leave_graph
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 _QOS = 'qos_overrides.'
@@ -143,7 +144,7 @@ def any_given(name: str, besides: Collection[str] = ()) -> bool:
         given = {name for name in _given(probe) if not name.startswith(_QOS)}
         return not given <= set(besides)
     finally:
-        probe.destroy_node()
+        leave_graph(probe)
 
 
 def _given(node: Node) -> list[str]:

@@ -10,6 +10,7 @@ simulation is paused, so nothing else moves.
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera.camera import SensorNoise
 from taxinet_ros.core.camera.light import display_code, linear_exposure
 from taxinet_ros.core.place.catalogue import find_place
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraKind
@@ -77,7 +79,7 @@ _NEAR_M, _NEAR_TURN, _NEAR_DEG = 0.005, 1e-4, 0.002
 _NEAR_SUN_RAD = 0.05
 """Tolerance of the sun's angle: FlightGear's sun is where it should be about 14 minutes later."""
 _POLLS, _PICTURES = 200, 12
-"""How often its view is asked for, and how many pictures are compared, for one frame."""
+"""How often its view is asked for, and how many pictures are compared, for one of ours."""
 _EQUAL_CODES, _ALIKE_CODES, _ALIKE_IN_RAIN = 2, 0.02, 4.0
 """Largest difference of pixels that are equal, mean difference of equal pictures, and in rain."""
 _numbers = itertools.count()
@@ -107,14 +109,18 @@ class FlightGearCamera:
         'clouds', 'rain_percent', 'time_of_day_h', 'date', 'camera', 'place', 'aircraft',
     })
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, *, model: CameraModel | None = None) -> None:
         """Connect, and find the scenario's runway in FlightGear's terrain.
+
+        Args:
+            scenario: place, date, hour and weather.
+            model: replaces the scenario's camera.
 
         Raises:
             UsageError: FlightGear cannot show the scenario.
             InfraError: it is not there, or not as ``taxinet flightgear start`` starts it.
         """
-        self._model = model = scenario.camera_model
+        self._model = model = model or scenario.camera_model
         self._noise = SensorNoise(scenario, model)
         # FlightGear has no exposure: the camera's is applied to its codes as light.
         light = linear_exposure(np.minimum(np.arange(256.0), 254.5)) * 2.0**model.exposure_ev
@@ -150,6 +156,15 @@ class FlightGearCamera:
             picture = cv2.add(picture, self._noise.at(stamp_ns), dtype=cv2.CV_8U)
         return np.asarray(picture, np.uint8)
 
+    @property
+    def sun_elevation_deg(self) -> float:
+        """Elevation of FlightGear's sun as its frame loop tells it [deg].
+
+        Raises:
+            InfraError: there is no answer.
+        """
+        return 90.0 - math.degrees(_told(self._flightgear.value(_TOLD)).sun_angle_rad)
+
     def close(self) -> None:
         """Nothing: the connection serves the next run of this process."""
 
@@ -157,51 +172,39 @@ class FlightGearCamera:
         """The whole window's picture from an eye, when it shows it."""
         request = f'{os.getpid()}-{next(_numbers)}'
         self._flightgear.run(_script(request, eye, self._weather, self.lens))
-        shown = self._await_view(request, eye)
-        before = self._flightgear.picture()
+        told, before = self._look()
+        shown = self._await_view(told, request, eye)
         for _ in range(_PICTURES):
-            now = self._flightgear.picture()
-            if now.shape == before.shape and self._alike(before, now):
-                break
-            before = now
-        else:
-            raise failed(
-                InfraKind.SIM, f'its picture goes on changing, {_PICTURES} times, where it is put'
-            )
-        for _ in range(_POLLS):
-            after = self._told()
+            # Asked for since the view is confirmed, beside the view's confirmation once more.
+            after, now = self._look()
             if after.request != request or self._unlike(after, eye):
                 raise failed(InfraKind.INTRUDER, 'somebody has set it while a picture was taken')
-            if after.frame > shown.frame:
+            moved_on = after.frame > shown.frame
+            if moved_on and now.shape == before.shape and self._alike(before, now):
                 return now
-        raise failed(InfraKind.SIM, f'it draws no frames: still frame {shown.frame}')
+            before = now
+        if not moved_on:
+            raise failed(InfraKind.SIM, f'it draws no frames: still frame {shown.frame}')
+        raise failed(
+            InfraKind.SIM, f'its picture goes on changing, {_PICTURES} times, where it is put'
+        )
 
-    def _await_view(self, request: str, eye: Eye) -> Told:
+    def _await_view(self, told: Told, request: str, eye: Eye) -> Told:
         """Wait until FlightGear's view is where it was put."""
         why = ''
         for _ in range(_POLLS):
-            told = self._told()
             why = 'it does not take up what was set' if told.request != request else (
                 self._unlike(told, eye)
             )
             if not why:
                 return told
+            told = _told(self._flightgear.value(_TOLD))
         raise failed(InfraKind.SIM, f'not the requested view after {_POLLS} looks: {why}')
 
-    def _told(self) -> Told:
-        words = str(self._flightgear.value(_TOLD)).split()
-        try:
-            request, frame, *numbers = words[:10]
-            x, y, z, *turn, view = map(float, numbers)
-            moment, sun, visibility, coverage, rain = words[10:]
-            return Told(
-                request, int(frame), np.array([x, y, z]), np.array(turn), view, moment,
-                float(sun), float(visibility), coverage, float(rain),
-            )
-        except ValueError:
-            raise failed(
-                InfraKind.PROTOCOL, f'its frame loop told {" ".join(words)[:60]!r}'
-            ) from None
+    def _look(self) -> tuple[Told, NDArray[np.uint8]]:
+        """What its frame loop tells and its picture, asked for in one frame."""
+        value, picture = self._flightgear.value_and_picture(_TOLD)
+        return _told(value), picture
 
     def _unlike(self, told: Told, eye: Eye) -> str:
         """What FlightGear shows other than requested; '' for nothing."""
@@ -230,6 +233,22 @@ class FlightGearCamera:
         if self._weather.rain:
             return float(away.mean()) <= _ALIKE_IN_RAIN
         return int(away.max()) <= _EQUAL_CODES and float(away.mean()) <= _ALIKE_CODES
+
+
+def _told(value: object) -> Told:
+    words = str(value).split()
+    try:
+        request, frame, *numbers = words[:10]
+        x, y, z, *turn, view = map(float, numbers)
+        moment, sun, visibility, coverage, rain = words[10:]
+        return Told(
+            request, int(frame), np.array([x, y, z]), np.array(turn), view, moment,
+            float(sun), float(visibility), coverage, float(rain),
+        )
+    except ValueError:
+        raise failed(
+            InfraKind.PROTOCOL, f'its frame loop told {" ".join(words)[:60]!r}'
+        ) from None
 
 
 def _script(request: str, eye: Eye, weather: Weather, lens: Lens) -> str:

@@ -2,8 +2,9 @@
 
 FlightGear 2020.3 serves its property tree as JSON (``/json/PATH``), runs commands
 (``/run.cgi?value=COMMAND``; the command ``nasal`` runs a script within a frame) and takes
-screenshots (``/screenshot?type=ppm``; a PNG costs five times as long). It answers one request per
-rendered frame. Its JSON has six decimals, so exact values come as text, from a script.
+screenshots (``/screenshot?type=ppm``; a PNG costs five times as long). A request takes two rendered
+frames, to be read and to be answered; requests of two connections share them. Its JSON has six
+decimals, so exact values come as text, from a script.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import json
 import os
 import re
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,11 @@ _ANSWER_S = 60.0
 """A frame takes a fraction of a second; on a busy machine, seconds."""
 _PPM = re.compile(rb'P6\s(\d+)\s(\d+)\s255\s')
 _MOST_BYTES = 1 << 26
+_RUN, _PICTURE = '/run.cgi?value=nasal', '/screenshot?type=ppm'
+
+
+def _of(path: str) -> str:
+    return f'/json{quote(path)}'
 
 
 def flightgear_address() -> tuple[str, int]:
@@ -70,7 +77,12 @@ class FlightGear:
             UsageError: the environment names no address.
         """
         self.host, self.port = address or flightgear_address()
-        self._connection = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        # It answers in the frame after that of a request, each connection for itself.
+        self._connection, self._second = (
+            http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
+        )
+        for connection in (self._connection, self._second):
+            weakref.finalize(self, connection.close)
         self._answered = False
         self.ready = False
         """Whether it has been prepared; False again when the connection was lost."""
@@ -86,6 +98,7 @@ class FlightGear:
         """Close the connection; FlightGear goes on."""
         self.ready = False
         self._connection.close()
+        self._second.close()
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
@@ -108,13 +121,8 @@ class FlightGear:
         Raises:
             InfraError: there is no answer, or none of FlightGear.
         """
-        answer = self._ask('GET', f'/json{quote(path)}')
-        try:
-            return json.loads(answer).get('value')
-        except (ValueError, AttributeError):
-            raise failed(
-                InfraKind.PROTOCOL, f'{self.where} does not answer like FlightGear: {answer[:40]!r}'
-            ) from None
+        self._ask(self._connection, 'GET', _of(path))
+        return self._parsed(self._answer(self._connection, _of(path)))
 
     def run(self, script: str) -> None:
         """Run a Nasal script within one frame.
@@ -123,7 +131,8 @@ class FlightGear:
             InfraError: as for :meth:`value`.
         """
         body = {'name': '', 'children': [{'name': 'script', 'value': script}]}
-        answer = self._ask('POST', '/run.cgi?value=nasal', json.dumps(body))
+        self._ask(self._connection, 'POST', _RUN, json.dumps(body))
+        answer = self._answer(self._connection, _RUN)
         if answer.strip() != b'ok.':
             raise failed(InfraKind.PROTOCOL, f'{self.where} refused a script: {answer[:60]!r}')
 
@@ -133,7 +142,30 @@ class FlightGear:
         Raises:
             InfraError: there is none.
         """
-        answer = self._ask('GET', '/screenshot?type=ppm')
+        self._ask(self._connection, 'GET', _PICTURE)
+        return self._unpacked(self._answer(self._connection, _PICTURE))
+
+    def value_and_picture(self, path: str) -> tuple[Any, NDArray[np.uint8]]:
+        """Value of a property and the newest picture, in the time of one of them.
+
+        Raises:
+            InfraError: as for :meth:`value` and :meth:`picture`.
+        """
+        self._ask(self._connection, 'GET', _of(path))
+        self._ask(self._second, 'GET', _PICTURE)
+        value = self._answer(self._connection, _of(path))
+        picture = self._answer(self._second, _PICTURE)
+        return self._parsed(value), self._unpacked(picture)
+
+    def _parsed(self, answer: bytes) -> Any:
+        try:
+            return json.loads(answer).get('value')
+        except (ValueError, AttributeError):
+            raise failed(
+                InfraKind.PROTOCOL, f'{self.where} does not answer like FlightGear: {answer[:40]!r}'
+            ) from None
+
+    def _unpacked(self, answer: bytes) -> NDArray[np.uint8]:
         found = _PPM.match(answer)
         width, height = map(int, found.groups()) if found else (0, 0)
         data = answer[found.end():] if found else b''
@@ -144,20 +176,18 @@ class FlightGear:
             )
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)
 
-    def _ask(self, method: str, path: str, body: str | None = None) -> bytes:
+    def _ask(
+        self, connection: http.client.HTTPConnection, method: str, path: str,
+        body: str | None = None,
+    ) -> None:
         headers = {} if body is None else {'Content-Type': 'application/json'}
-        try:
-            self._connection.request(method, path, body, headers)
-            response = self._connection.getresponse()
+        with self._reported():
+            connection.request(method, path, body, headers)
+
+    def _answer(self, connection: http.client.HTTPConnection, path: str) -> bytes:
+        with self._reported():
+            response = connection.getresponse()
             answer = response.read(_MOST_BYTES)
-        except TimeoutError as error:
-            self.close()
-            raise failed(
-                InfraKind.TIMEOUT, f'{self.where} has not answered for {_ANSWER_S:g} s'
-            ) from error
-        except (OSError, http.client.HTTPException) as error:
-            self.close()
-            raise self._unreachable(error) from error
         if response.status != 200:
             self.close()
             raise failed(
@@ -166,6 +196,20 @@ class FlightGear:
             )
         self._answered = True
         return answer
+
+    @contextlib.contextmanager
+    def _reported(self) -> Iterator[None]:
+        """Context in which failures of a connection become infrastructure errors."""
+        try:
+            yield
+        except TimeoutError as error:
+            self.close()
+            raise failed(
+                InfraKind.TIMEOUT, f'{self.where} has not answered for {_ANSWER_S:g} s'
+            ) from error
+        except (OSError, http.client.HTTPException) as error:
+            self.close()
+            raise self._unreachable(error) from error
 
     def _unreachable(self, error: OSError | http.client.HTTPException) -> InfraError:
         why = (error.strerror if isinstance(error, OSError) else '') or type(error).__name__

@@ -24,11 +24,15 @@ from taxinet_ros.study.stages.progress import (
 )
 from taxinet_ros.study.stages.stage import Resume, Stage
 
+_ERROR = 'taxinet: error: '
+_REFUSED = (ExitCode.USAGE, ExitCode.INCOMPLETE, ExitCode.INFRA)
 _GRACE_S = 20.0
 """Time [s] from a second request to end until a command is killed."""
 
 
-def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
+def run_command(
+    command: Sequence[str], folder: Path, log: Path | None = None
+) -> tuple[int, bool, str]:
     """Run a command to its end.
 
     It runs in its own process group, so that it receives Ctrl-C only through us, and only once: the
@@ -37,13 +41,16 @@ def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
     Args:
         command: the program with its arguments.
         folder: working directory.
+        log: file to which its output is appended; None: it is shown.
 
     Returns:
-        Its exit code, negative for the signal that killed it; and whether we were interrupted.
+        Its exit code, negative for the signal that killed it; whether we were interrupted; and the
+        last line of its log, '' without one.
     """
     asked: list[bool] = []
     with ChildProcess(
         'stage', command, folder=folder, environment=package_environment(), new_session=False,
+        log=log,
     ) as child:
 
         def pass_on() -> None:
@@ -58,26 +65,38 @@ def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
             child.process.send_signal(signal.SIGINT)
             child.wait(_GRACE_S)
     assert child.code is not None
-    return child.code, bool(asked)
+    return child.code, bool(asked), child.last_line()
 
 
 class StudyRun:
-    """One sitting of a study."""
+    """One sitting of a study.
+
+    Attributes:
+        refused: reason for each optional stage that was refused.
+    """
 
     def __init__(
         self, out: Path, found: Sequence[Stage], *, log: StageLog, command: Sequence[str],
-        workers: int, show: Callable[[str], None],
+        workers: int, show: Callable[[str], None], folder: Path | None = None,
+        logs: Path | None = None, again: str = '--resume',
     ) -> None:
         """Prepare the sitting; nothing is started yet.
 
         Args:
-            out: folder of the study, the working directory of the commands.
+            out: folder of the study.
             found: the requested stages.
             log: log of the stages.
             command: program that accepts a stage's words.
             workers: processes per stage, to estimate the remaining time.
             show: prints a line.
+            folder: working directory of the commands; None: the study's folder.
+            logs: existing folder for what the commands print; None: it is shown.
+            again: what continues the study, for messages.
         """
+        self.refused: dict[str, str] = {}
+        self._folder = folder or out
+        self._logs = logs
+        self._again = again
         self._out = out
         self._stages = tuple(found)
         self._log = log
@@ -139,17 +158,23 @@ class StudyRun:
             return ExitCode.OK
         words = stage.command(resume=resume)
         begun = time.monotonic()
-        code, interrupted = run_command([*self._command, *words], self._out)
+        output = self._logs and self._logs / f'{stage.name}.log'
+        code, interrupted, said = run_command([*self._command, *words], self._folder, output)
         wall_s = time.monotonic() - begun
         self._log.check_in_place()  # first, so that no missing file is reported instead
         trouble = self._trouble(stage, code)
         if trouble:
             self._log.write('stopped', stage.name, wall_s=wall_s, code=code)
+            if stage.optional and not interrupted and code in _REFUSED:
+                self.refused[stage.name] = said.removeprefix(_ERROR) or trouble
+                self._show(f'{stage.name}: not done: {self.refused[stage.name]}')
+                return ExitCode.OK
+            trouble = f'{trouble}: {said}' if said else trouble
             return self._stopped(stage, code, trouble, interrupted=interrupted)
         self._log.write('end', stage.name, key=key, outputs=stage.results(self._out),
                         wall_s=wall_s, code=code, command=list(words), workers=self._workers)
         if interrupted:
-            self._show(f'interrupted after {stage.name}; --resume goes on')
+            self._show(f'interrupted after {stage.name}; {self._again} goes on')
             return ExitCode.INTERRUPTED
         return ExitCode.OK
 
@@ -197,9 +222,9 @@ class StudyRun:
 
     def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:
         if interrupted or code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            self._show(f'interrupted in {stage.name}; --resume goes on')
+            self._show(f'interrupted in {stage.name}; {self._again} goes on')
             return ExitCode.INTERRUPTED
-        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, --resume goes on')
+        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, {self._again} goes on')
         return code if code > 0 and code not in stage.accepts else ExitCode.INFRA
 
 

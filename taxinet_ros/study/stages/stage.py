@@ -72,6 +72,8 @@ class Stage:
         needs_failures: campaign without whose failed runs there is nothing to do, or ''.
         needs: the input without which there is nothing to do, or ''; its stage writes none if it
             found nothing.
+        optional: whether the study goes on without it if it is refused; it is tried again by the
+            next sitting.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Stage:
     accepts: tuple[int, ...] = (0,)
     needs_failures: str = ''
     needs: str = ''
+    optional: bool = False
 
     def command(self, *, resume: bool = False) -> tuple[str, ...]:
         """Arguments of ``taxinet``."""

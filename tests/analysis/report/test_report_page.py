@@ -79,8 +79,11 @@ def test_given_a_report_when_written_then_the_contents_lead_to_every_section(pla
     page = Reader(plain)
     places = {attributes.get('id') for _, attributes in page.elements}
     links = [one['href'] for one in page.all('a') if not str(one['href']).startswith('#run=')]
-    assert links == ['#content', '#summary', '#section-rates', '#runs']
-    assert {link[1:] for link in links if link} <= places
+    *inner, other = links
+    assert inner == ['#content', '#summary', '#section-rates', '#runs']
+    assert {link[1:] for link in inner} <= places
+    assert other == './analyze/a%20report.html'
+    assert 'taxinet train x --out y' in page.words['code']
 
 
 def test_given_a_report_when_written_then_no_name_stands_twice(plain: str) -> None:
@@ -167,13 +170,17 @@ def test_given_hostile_words_when_written_then_they_are_words(plain: str, hostil
     assert '{{ 7 * 7 }}' in hostile
 
 
-def test_given_hostile_links_when_written_then_every_address_stays_within_the_page(
+def test_given_hostile_links_when_written_then_every_address_stays_within_the_folder(
     hostile: str,
 ) -> None:
     page = Reader(hostile)
     addresses = [str(one['href']) for one in page.all('a')]
     assert len(addresses) > 4
-    assert all(address.startswith('#') for address in addresses)
+    others = [address for address in addresses if not address.startswith('#')]
+    assert len(others) == 2
+    # Relative paths of plain characters: no scheme, and no other host.
+    assert all(re.fullmatch(r'\./[\w%./~-]+', address) for address in others)
+    assert others[0] == f'./{LINK.replace(":", "%3A").replace("=", "%3D")}'
     assert {str(one['src']).partition(',')[0] for one in page.all('img')} == {
         'data:image/webp;base64'}
     assert f'#run={LINK.replace(":", "%3A").replace("=", "%3D")}' in addresses

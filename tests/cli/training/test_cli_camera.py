@@ -173,7 +173,7 @@ BAD = {
     'rain from a clear sky': (['sheet', '--clouds', 'clear', '--rain', '9'], 'rain needs clouds'),
     'unknown command': (['film'], 'film'),
     'no folder, no renderer': (['compare'], 'give a folder DIR of labelled frames, or --against'),
-    'unknown renderer': (['compare', '--against', 'blender'], 'blender: unknown; known: mitsuba'),
+    'unknown renderer': (['compare', '--against', 'blender'], 'blender: unknown; known: mitsuba,'),
     'frames and renderer': (['compare', 'DRIVE', '--against', 'mitsuba'], 'DIR: --against renders'),
     'perception and renderer': (
         ['compare', '--against', 'mitsuba', '--perception', 'taxinet'], '--perception: --against',
@@ -184,6 +184,9 @@ BAD = {
     'sky of a renderer': (['compare', '--against', 'mitsuba', '--set', 'clouds=broken'], 'clouds'),
     'hour of a renderer': (['compare', '--against', 'mitsuba', '--set', 'time_of_day=9'], 'varies'),
     'picture of a renderer': (['compare', '--against', 'mitsuba', '--out', 'f.jpg'], 'use f.png'),
+    'rain of FlightGear': (
+        ['compare', '--against', 'flightgear', '--set', 'crossing=off'], 'flightgear: crossing is',
+    ),
 }
 
 

@@ -13,7 +13,7 @@ from mtl_strategies import Trace, formulas, fuzz, traces
 from taxinet_ros.core.mtl import Spec, ast, parse_formula, robustness
 from taxinet_ros.core.mtl.lint import Setting, warnings
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.mtl.units import UNITS
+from taxinet_ros.core.units import UNITS
 from taxinet_ros.errors import UsageError
 
 NEAR = {'near': 'abs(cte) <= 1.5'}
@@ -208,7 +208,7 @@ def test_people2_given_a_unit_when_parsed_then_the_formula_is_in_si(
         ('always(5 % >= speed)', 8, 'a speed (m/s, km/h, kt) to go with speed, got 5 %'),
         ('cte - 3 s < 1', 7, 'a length (m, km, cm, mm, ft, nmi) to go with cte, got 3 s'),
         ('max(he, 1, 1 m) < 1', 12, 'an angle (rad, mrad, deg, °) to go with he, got 1 m'),
-        ('cte / speed < 3 m', 15, 'a time (s, ms, us, ns, min) to go with cte / speed, got 3 m'),
+        ('cte / speed < 3 m', 15, 'a time (s, ms, us, ns, min, h) to go with cte / speed, got 3 m'),
         ('cte < 5 degrees', 9, "got 'degrees'; did you mean 'deg'?"),
         ('cte < 5 furlongs', 9, "got 'furlongs'; units are m, km, cm,"),
         ('eventually[0:10 m] cte < 1', 17, "']' or a unit (s, ms, us, ns, min), got 'm'"),

@@ -31,18 +31,20 @@ Ask = Callable[[list[str], str], Answer]
 DOES_NOTHING = {
     'aircraft': ['show', 'nowhere'], 'analyze': ['nowhere'],
     'bag': ['info', 'nowhere'], 'bench': ['nothing'],
+    'bisect': ['nothing', 'nowhere', '--scene', 'nowhere'],
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
-    'check-node': ['no_such_program'],
+    'check-node': ['no_such_program'], 'compare': ['nothing', 'nowhere', 'nowhere'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
     'estimate': ['nothing'], 'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
-    'flightgear': ['nothing'], 'fork': ['nowhere', '--at', '1'],
+    'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
+    'fork': ['nowhere', '--at', '1'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
     'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'], 'node': ['nothing'],
-    'place': ['show', 'nowhere'],
+    'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],
     'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
-    'xplane': ['nothing'],
+    'why': ['nowhere'], 'xplane': ['nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')
 WRONG = re.compile('Traceback|a defect of taxinet|\x1b')

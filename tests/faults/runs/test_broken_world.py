@@ -115,6 +115,21 @@ def test_given_a_perception_that_takes_its_time_then_not_a_byte_changes(tmp_path
     assert quick == slow_one
 
 
+def test_given_a_picture_that_takes_longer_than_answers_may_then_nobody_is_blamed(
+    tmp_path, monkeypatch
+):
+    """FlightGear may have to load terrain before it shows where it is put."""
+    def slow(camera: Camera, *args):
+        time.sleep(1.5)
+        return RENDER(camera, *args)
+
+    monkeypatch.setattr(Camera, 'render', at_call(STEP, RENDER, slow))
+    options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 1.0})
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request(duration=1.0))
+    assert result.outcome.judged, result
+
+
 def files(bag: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in bag.iterdir()}
 

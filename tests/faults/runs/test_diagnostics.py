@@ -33,6 +33,7 @@ from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.messages.convert import death_notice
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
+from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
@@ -89,7 +90,7 @@ def gathering(domain: int) -> Iterator[Gatherer]:
     finally:
         executor.shutdown()
         thread.join()
-        node.destroy_node()
+        leave_graph(node)
         rclpy.try_shutdown(context=context)
 
 
@@ -275,7 +276,7 @@ def test_ros21_given_the_parameter_then_0_is_silence_and_less_is_refused():
                 node = Simulator(context=context, parameter_overrides=values)
                 names = {publisher.topic_name for publisher in node.publishers}
                 assert ('/diagnostics' in names) is speaks
-                node.destroy_node()
+                leave_graph(node)
             with pytest.raises(UsageError, match=r'parameter diagnostics: .*allowed: 0\.0\.\.3600'):
                 Simulator(
                     context=context, parameter_overrides=[Parameter('diagnostics', value=-1.0)])

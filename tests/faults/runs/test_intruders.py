@@ -33,6 +33,7 @@ from taxinet_ros.nodes.lockstep import endpoints as speakers
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import death_notice, scenario_message, time_of
 from taxinet_ros.nodes.recorder import Recorder
+from taxinet_ros.nodes.running.leave import leave_graph
 
 pytestmark = pytest.mark.ros
 
@@ -49,7 +50,7 @@ def peer(graph: Any, name: str = PEER) -> Iterator[Node]:
     try:
         yield node
     finally:
-        node.destroy_node()
+        leave_graph(node)
         rclpy.try_shutdown(context=context)
 
 

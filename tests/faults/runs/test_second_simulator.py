@@ -26,6 +26,7 @@ from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph, composed_
 from taxinet_ros.nodes.interface import CLOCK, RECORDER
 from taxinet_ros.nodes.lockstep.sampler import result_of
 from taxinet_ros.nodes.messages.convert import scenario_message, time_of
+from taxinet_ros.nodes.running.leave import leave_graph
 
 pytestmark = pytest.mark.ros
 
@@ -47,7 +48,7 @@ def other(graph) -> Iterator[Node]:
     try:
         yield node
     finally:
-        node.destroy_node()
+        leave_graph(node)
         rclpy.try_shutdown(context=context)
 
 

@@ -14,6 +14,7 @@ from taxinet_ros.core import topics
 from taxinet_ros.nodes.interface import LOCKSTEP, Topic
 from taxinet_ros.nodes.lockstep.endpoints import HeardSpeakers, heard_by
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.leave import leave_graph
 
 TALK = Topic(
     name='t', type_name='std_msgs/msg/String', quality=topics.LOCKSTEP, publishers=('one',),
@@ -72,5 +73,5 @@ def test_given_real_nodes_then_both_ends_know_when_they_have_found_each_other():
         hears.close()
         executor.shutdown()
         for node in (one, other, echo):
-            node.destroy_node()
+            leave_graph(node)
         rclpy.shutdown(context=context)

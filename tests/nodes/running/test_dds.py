@@ -22,6 +22,7 @@ import taxinet_ros.nodes
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running import domain as dds_ports
 from taxinet_ros.nodes.running.domain import anybody_here, own_domain, refuse_neighbours
+from taxinet_ros.nodes.running.leave import leave_graph
 
 
 def test_given_a_domain_then_its_ports_tell_whether_a_node_is_there():
@@ -33,7 +34,7 @@ def test_given_a_domain_then_its_ports_tell_whether_a_node_is_there():
         try:
             assert anybody_here(number)
         finally:
-            node.destroy_node()
+            leave_graph(node)
             rclpy.try_shutdown(context=context)
 
 
@@ -62,7 +63,8 @@ PROFILE = Path(taxinet_ros.nodes.__file__).with_name('dds.xml')
 NODE = """
 import os, rclpy
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-rclpy.init(); node = GroundTruthPerception(); node.destroy_node(); rclpy.shutdown()
+from taxinet_ros.nodes.running.leave import leave_graph
+rclpy.init(); node = GroundTruthPerception(); leave_graph(node); rclpy.shutdown()
 print(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'])
 """
 

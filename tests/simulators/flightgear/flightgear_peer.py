@@ -56,7 +56,7 @@ class FlightGearPeer:
 
     def __init__(self, size_px: tuple[int, int] = (480, 288)) -> None:
         self.size_px = size_px
-        self.frame, self.frozen = 0, False
+        self.frame, self.drawn, self.frozen = 0, 0, False
         self.flicker, self.lag, self.silent_s = False, 1, 0.0
         self.answers: dict[str, Callable[[], tuple[int, bytes]]] = {}
         """Answers in place of its own, by the beginning of a path."""
@@ -146,11 +146,15 @@ class FlightGearPeer:
         aside = -(ground @ self.north)
         picture = np.full((height, width, 3), (60, 90, 40), np.uint8)
         picture[np.abs(aside) < 30.0] = 70
+        # Edges are mixed by area, else lines along the columns would be off by half a pixel.
+        wide = np.maximum(np.hypot(*np.gradient(aside)), 1e-9)
         for line in LINES_M:
-            picture[np.abs(aside + line) < 0.8] = 240
+            share = np.clip((0.8 - np.abs(aside + line)) / wide + 0.5, 0, 1)[..., None]
+            picture = (picture + share * (240.0 - picture)).astype(np.uint8)
         picture[rays @ slope > -1e-3] = (120, 150, 220)
         if self.flicker:
-            picture = picture + np.uint8(9 * (self.frame % 2))
+            self.drawn += 1
+            picture = picture + np.uint8(9 * (self.drawn % 2))
         return picture
 
     def run(self, script: str) -> None:

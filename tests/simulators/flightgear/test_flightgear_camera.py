@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import math
 import threading
 from collections.abc import Callable, Iterator
@@ -314,3 +315,14 @@ def test_given_level_ground_when_seen_from_above_then_the_eye_looks_down_and_nor
     eye = eye_of(dataclasses.replace(Aircraft(SCENE).state, roll_rad=0.0, pitch_rad=0.0,
                                      yaw_rad=0.0), model, camera.ground)
     assert eye.pitch_deg == pytest.approx(-90.0, abs=0.6)  # the ground rises by 0.8 %
+
+
+def test_given_a_connection_that_is_forgotten_then_it_is_closed():
+    with serving(FlightGearPeer()) as address:
+        flightgear = client.FlightGear(address)
+        assert flightgear.value('/sim/version/flightgear')
+        sockets = [flightgear._connection.sock]
+        assert sockets[0].fileno() >= 0
+        del flightgear
+        gc.collect()
+        assert sockets[0].fileno() == -1

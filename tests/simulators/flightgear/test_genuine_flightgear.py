@@ -11,6 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxinet_ros.analysis.camera.flightgear_opinion import (
+    compare_light,
+    compare_scene,
+    light_scenes,
+    scenes,
+)
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
@@ -77,6 +83,27 @@ def test_given_a_pose_when_photographed_then_the_side_stripe_is_where_our_camera
             away.append(float((np.arange(row - 6, row + 7) * paint).sum() / paint.sum() - v))
     assert len(away) > 20
     assert abs(np.median(away)) < 1.0
+
+
+@pytest.mark.parametrize('number', [0, 2, 4], ids=['wing', 'rolled', 'tail'])
+def test_given_a_pose_then_its_paint_is_where_our_camera_projects_what_is_seen_from_above(
+    number: int, running: None
+) -> None:
+    found = compare_scene(scenes({})[number])
+    figures = found.markings.summary()
+    assert (figures['measured'] or 0) > 200
+    assert (figures['median_px'] or 9) < 0.3
+    assert found.meets_aim
+
+
+def test_given_noon_and_morning_then_its_light_is_measured(running: None) -> None:
+    curves = compare_light(light_scenes({})[1:6:4])
+    for surface in ('pavement', 'paint', 'ground', 'sky'):
+        ours, theirs = curves.relative(surface)
+        assert ours[0] < ours[1]
+        assert theirs[0] < theirs[1]
+    ours, theirs = curves.contrast()
+    assert theirs.min() > 3 * ours.max(), 'its asphalt is nearly black beside its paint'
 
 
 def test_given_a_moving_eye_when_it_is_back_then_the_picture_is_the_first(running: None) -> None:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from studies import asked, run_study, sittings_of, smoke_config
+from studies import STAND_IN, asked, run_study, sittings_of, smoke_config
 
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.cli.study import case_study
@@ -22,6 +22,8 @@ from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.study.stages.log import LOG_NAME, StageLog, read_records
 from taxinet_ros.study.stages.plan import stages
 from taxinet_ros.study.stages.progress import State, seconds_left, state_of
+from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.stage import Kind, Stage
 
 RUN = 'import sys, pathlib, studies; code, lines = studies.run_study(pathlib.Path(sys.argv[1])); ' \
     "print('\\n'.join(lines)); sys.exit(code)"
@@ -312,3 +314,39 @@ def test_doctor_given_what_a_stage_has_made_then_it_is_looked_for(tmp_path: Path
     with StageLog(tmp_path) as log:  # one that is begun anew makes it anew
         log.write('begin', 'one', identity='b', runs=1, resumed=False)
     assert examine(tmp_path).findings == []
+
+
+def test_given_an_optional_stage_that_is_refused_then_the_others_go_on_and_it_is_tried_again(
+    tmp_path
+):
+    logs = tmp_path / 'logs'
+    logs.mkdir()
+    (tmp_path / 'runs.parquet').write_text('')
+    (tmp_path / 'fail.txt').write_text('look')
+    first = Stage(
+        name='look', words=('analyze', 'x', '--out', 'look'), outputs=('look/report.html',),
+        kind=Kind.REPORT, amount=1, optional=True,
+    )
+    second = dataclasses.replace(
+        first, name='after', words=('analyze', 'x', '--out', 'after'),
+        outputs=('after/report.html',), optional=False,
+    )
+
+    def sitting() -> tuple[int, dict[str, str], list[str]]:
+        lines: list[str] = []
+        with StageLog(tmp_path) as log:
+            run = StudyRun(
+                tmp_path, (first, second), log=log, command=STAND_IN, workers=1,
+                show=lines.append, logs=logs,
+            )
+            return run.run(), run.refused, lines
+
+    code, refused, lines = sitting()
+    assert (code, refused) == (0, {'look': 'look: out of luck'})
+    assert 'look: not done: look: out of luck' in lines
+    assert (tmp_path / 'after' / 'report.html').is_file()
+    assert 'out of luck' in (logs / 'look.log').read_text()
+    (tmp_path / 'fail.txt').unlink()
+    asked(tmp_path)
+    assert sitting()[:2] == (0, {})
+    assert [line.split()[-1] for line in asked(tmp_path)] == ['look']

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from taxinet_ros.core.mtl.lexer import RESERVED
-from taxinet_ros.core.mtl.units import DIMENSIONS, dimension_of, si_unit
+from taxinet_ros.core.units import DIMENSIONS, dimension_of, si_unit
 from taxinet_ros.errors import UsageError
 
 FieldsOf = Callable[[str], Mapping[str, str]]

@@ -1,14 +1,18 @@
-"""Units of numbers in formulas, and dimension checks against the signals.
+"""Units of numbers that people type: values of a scenario, and numbers in formulas.
 
-Numbers are compared in SI units: metres, seconds, radians. A number with a unit is converted by the
-parser, so formulas, their texts and their robustness are in SI only. A number without a unit takes
-the unit of the quantity that it is compared with.
+In formulas numbers are compared in SI units: metres, seconds, radians. A number with a unit is
+converted by the parser, so formulas, their texts and their robustness are in SI only. A number
+without a unit takes the unit of the quantity that it is compared with. The dimensions of an
+expression are checked against those of the signals.
+
+A value of a scenario without a unit is in that of its key (:func:`typed_number`).
 """
 
 from __future__ import annotations
 
 import decimal
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -32,6 +36,7 @@ DIMENSIONS = tuple(_NAMES)
 """The named dimensions."""
 
 _EXACT = decimal.Context(prec=60)
+_LONGEST_NUMBER = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +51,8 @@ def _units() -> dict[str, Unit]:
     listed: dict[Dimension, dict[str, str]] = {
         LENGTH: {'m': '1', 'km': '1000', 'cm': '0.01', 'mm': '0.001', 'ft': '0.3048',
                  'nmi': '1852'},
-        TIME: {'s': '1', 'ms': '0.001', 'us': '0.000001', 'ns': '0.000000001', 'min': '60'},
+        TIME: {'s': '1', 'ms': '0.001', 'us': '0.000001', 'ns': '0.000000001', 'min': '60',
+               'h': '3600'},
         ANGLE: {'rad': '1', 'mrad': '0.001', 'deg': '', '°': ''},
         SPEED: {'m/s': '1'},
         TURN_RATE: {'rad/s': '1', 'deg/s': '', '°/s': ''},
@@ -62,15 +68,61 @@ def _units() -> dict[str, Unit]:
 
 
 UNITS: Mapping[str, Unit] = MappingProxyType(_units())
-"""Every unit allowed for a number in a formula, the SI unit of each dimension first."""
+"""Every unit allowed behind a number, the SI unit of each dimension first."""
 
 MEANT = {
     'degree': 'deg', 'degrees': 'deg', 'radian': 'rad', 'radians': 'rad', 'meter': 'm',
     'meters': 'm', 'metre': 'm', 'metres': 'm', 'feet': 'ft', 'sec': 's', 'second': 's',
-    'seconds': 's', 'minutes': 'min', 'kn': 'kt', 'kts': 'kt', 'knots': 'kt', 'kmh': 'km/h',
-    'kph': 'km/h', 'mps': 'm/s', 'percent': '%', 'M': 'm', 'Deg': 'deg', 'DEG': 'deg',
+    'seconds': 's', 'minutes': 'min', 'hour': 'h', 'hours': 'h', 'kn': 'kt', 'kts': 'kt',
+    'knots': 'kt', 'kmh': 'km/h', 'kph': 'km/h', 'mps': 'm/s', 'percent': '%', 'M': 'm',
+    'Deg': 'deg', 'DEG': 'deg',
 }  # fmt: skip
 """Unsupported spellings, and the unit that was probably meant."""
+
+
+_WITH_UNIT = re.compile(
+    r'\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*([a-zA-Z°%/]{1,20})\s*'
+)
+
+
+def typed_number(text: str, unit: str) -> float | None:
+    """Read the text of a number with a unit.
+
+    Args:
+        text: such as ``1.2 km`` or ``30%``.
+        unit: the unit to convert it to.
+
+    Returns:
+        The number, the very one of the text if that has this unit; None if the text is no number
+        with a unit.
+
+    Raises:
+        ValueError: unknown unit, or one of another dimension; its text says what is allowed.
+    """
+    found = _WITH_UNIT.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
+    if found is None:
+        return None
+    number, given = found.groups()
+    if given == unit:
+        return float(number)
+    here, wanted = UNITS.get(given), UNITS.get(unit)
+    if wanted is None:
+        raise ValueError(f'a number in {unit}' if unit else 'a number without a unit')
+    if here is None or here.dimension != wanted.dimension:
+        raise ValueError(f'a number in {_units_of(wanted.dimension)}')
+    if here.factor is None or wanted.factor is None:
+        if here.factor is wanted.factor:
+            return float(number)
+        return in_si(number, given) if here.factor is None else math.degrees(in_si(number, given))
+    try:
+        product = _EXACT.multiply(_EXACT.create_decimal(number), here.factor)
+        return float(_EXACT.divide(product, wanted.factor))
+    except decimal.Overflow:
+        return math.inf
+
+
+def _units_of(dimension: Dimension) -> str:
+    return ', '.join(name for name, unit in UNITS.items() if unit.dimension == dimension)
 
 
 def in_si(number: str, unit: str) -> float:
@@ -99,7 +151,7 @@ def si_unit(dimension: Dimension | None) -> str:
 
 def kind_words(dimension: Dimension) -> str:
     """A dimension in words, with its units: ``a length (m, km, …)``."""
-    units = ', '.join(name for name, unit in UNITS.items() if unit.dimension == dimension)
+    units = _units_of(dimension)
     return f'{_NAMES.get(dimension, "another kind of number")}{f" ({units})" if units else ""}'
 
 

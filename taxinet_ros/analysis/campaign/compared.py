@@ -1,0 +1,342 @@
+"""Two networks on the same scenes: what got better, what got worse, and in what kind of scene.
+
+The causes of a change are those of its scenes: a scene that only the second network fails is taken
+as a failure, and the search for causes looks for where these lie, with p values that account for
+all regions compared. So no region is chosen by the failures of one network alone, of which the
+other would then have fewer by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from taxinet_ros.analysis.campaign.findings import common_scenes, differing_settings
+from taxinet_ros.analysis.causes.causes import LEAST_FAILURES, Causes, find_causes
+from taxinet_ros.analysis.experiment.pairs import (
+    PairedRates,
+    PairedShift,
+    paired_rates,
+    paired_shift,
+)
+from taxinet_ros.analysis.report.parts import (
+    Cell,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    Theme,
+    style_axes,
+)
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.analysis.runs.campaign import CampaignRuns
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.errors import UsageError
+
+_SIGNIFICANT = 0.05
+_SHOWN = ('time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
+_MOST_SHOWN = 15.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """Comparison of two networks on the same scenes.
+
+    Attributes:
+        before, after: runs of the first and of the second network.
+        scenes: one row per common scene: features, ``run_id`` of the second, ``rho_before``,
+            ``rho_after``, ``failed_before``, ``failed_after``.
+        satisfied: whether runs satisfy the formula, the first network's result first.
+        rho: change of robustness.
+        better, worse: causes of the scenes that only the second, only the first satisfies.
+        tested: whether a test is valid: the scenes were chosen without regard to results, in a
+            number fixed beforehand.
+        differing: settings that differ beside the network, or are not recorded.
+    """
+
+    before: CampaignRuns
+    after: CampaignRuns
+    scenes: pd.DataFrame
+    satisfied: PairedRates
+    rho: PairedShift
+    better: Causes
+    worse: Causes
+    tested: bool
+    differing: tuple[str, ...]
+
+    @property
+    def unpaired(self) -> int:
+        """Number of runs of either network without a counterpart."""
+        return len(self.before.frame) + len(self.after.frame) - 2 * len(self.scenes)
+
+    @property
+    def clear(self) -> bool:
+        """Whether the satisfied shares differ significantly."""
+        return self.tested and self.satisfied.p_value < _SIGNIFICANT
+
+
+def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) -> Compared:
+    """Compare the runs of two networks in their common scenes.
+
+    Args:
+        before: runs of the first network.
+        after: runs of the second one.
+        alpha: probability of naming a cause of a change if there is none.
+
+    Raises:
+        UsageError: they have no scene in common, or are judged by different formulas.
+    """
+    if before.spec != after.spec:
+        raise UsageError(
+            f'{before.path} is judged by {before.spec}, {after.path} by {after.spec}; compare '
+            'runs of one requirement'
+        )
+    both = common_scenes(after, before)
+    if both.empty:
+        raise UsageError(
+            f'{before.path} and {after.path}: no scene in common; run both with the same program, '
+            'seed and sampler, or name two networks and the scenes'
+        )
+    rows, there = both['row'].to_numpy(), both['row_there'].to_numpy()
+    frame = after.frame.iloc[rows].reset_index(drop=True)
+    was = before.frame.iloc[there].reset_index(drop=True)
+    frame = frame.assign(
+        failed_before=was['failed'], failed_after=frame['failed'], rho_before=was['rho'],
+        rho_after=frame['rho'], run_before=was['run_id'],
+    )
+    fixed = not (before.anytime or after.anytime)
+    rated = before.weighting.rated and after.weighting.rated
+    better, worse = (
+        _causes(after, frame, rows, (first & ~second).to_numpy(dtype=bool), alpha)
+        for first, second in (
+            (frame['failed_before'], frame['failed_after']),
+            (frame['failed_after'], frame['failed_before']),
+        )
+    )
+    exact = (was['rho_exact'] & frame['rho_exact']).to_numpy(dtype=bool)
+    return Compared(
+        before=before, after=after, scenes=frame, tested=rated and fixed,
+        satisfied=paired_rates(
+            (~frame['failed_before']).tolist(), (~frame['failed_after']).tolist()),
+        rho=paired_shift(
+            np.where(exact, frame['rho_before'], math.nan).tolist(),
+            np.where(exact, frame['rho_after'], math.nan).tolist(),
+        ),
+        better=better, worse=worse, differing=differing_settings(after, before),
+    )
+
+
+def _causes(
+    runs: CampaignRuns, frame: pd.DataFrame, rows: np.ndarray, changed: np.ndarray, alpha: float
+) -> Causes:
+    """Causes of the scenes that changed in one direction."""
+    return find_causes(replace(
+        runs, frame=frame.assign(failed=changed),
+        scenes=runs.scenes.iloc[rows].reset_index(drop=True),
+    ), alpha)
+
+
+def compared_sentences(found: Compared) -> Iterator[str]:
+    """The findings, the most important first."""
+    one, other = found.before.label, found.after.label
+    rates = found.satisfied
+    count = f'{rates.pairs:,} {"scene" if rates.pairs == 1 else "scenes"}'
+    yield (
+        f'{_verdict(found)} Of {count} that both were run in, {one} satisfies '
+        f'{found.after.spec} in {rates.first:,}, {other} in {rates.second:,}'
+        f'{_difference(found)}.'
+    )
+    yield (
+        f'{rates.only_second:,} got better (only {other} satisfies), {rates.only_first:,} got '
+        f'worse (only {one} satisfies), {rates.both:,} are satisfied by both and '
+        f'{rates.neither:,} by neither.'
+    )
+    if found.rho.more + found.rho.less:
+        value, low, high = found.rho.change
+        known = '' if math.isnan(low) else f' ({low:+.2f} to {high:+.2f})'
+        yield (
+            f'Robustness typically changes by {value:+.2f}{known}: it grows in '
+            f'{found.rho.more:,} and shrinks in {found.rho.less:,} scenes.'
+        )
+    for word, causes, number in (
+        ('worse', found.worse, rates.only_first), ('better', found.better, rates.only_second),
+    ):
+        yield from _cause_sentences(word, causes, number)
+    yield from _reservations(found)
+
+
+def _verdict(found: Compared) -> str:
+    one, other = found.before.label, found.after.label
+    if not found.tested:
+        return f'No test says whether {other} is better than {one}: {_why_untested(found)}.'
+    if not found.clear:
+        return f'No difference between {one} and {other} is proven.'
+    word = 'better' if found.satisfied.difference.value > 0 else 'worse'
+    return f'{other} is {word} than {one}.'
+
+
+def _why_untested(found: Compared) -> str:
+    if found.before.anytime or found.after.anytime:
+        return 'the number of runs was not fixed before the first one'
+    samplers = {runs.sampler for runs in (found.before, found.after) if runs.sampler}
+    return (
+        f'the scenes were chosen by {" and ".join(sorted(samplers)) or "a sampler"}, and the '
+        'figures are those of these scenes only'
+    )
+
+
+def _difference(found: Compared) -> str:
+    gap = found.satisfied.difference
+    value, low, high = (f'{100 * part:+.1f}'.replace('-', '−') for part in gap)
+    if not found.tested:
+        return f': {value} points of these scenes'
+    p = found.satisfied.p_value
+    return f': {value} points ({low} to {high}, p {"< 0.001" if p < 0.001 else f"= {p:.3f}"})'
+
+
+def _cause_sentences(word: str, causes: Causes, number: int) -> Iterator[str]:
+    if not number:
+        return
+    if not causes.found:
+        why = ', as they are too few' if number < LEAST_FAILURES else ''
+        scenes = 'scene' if number == 1 else 'scenes'
+        yield f'What the {number:,} {scenes} that got {word} have in common was not found{why}.'
+    for cause in causes.found:
+        inside = cause.inside
+        yield (
+            f'Got {word}: {cause.region.words()}, {inside.failures:,} of {inside.runs:,} scenes '
+            f'({100 * inside.rate:.0f} %), elsewhere {100 * cause.outside.rate:.1f} % '
+            f'({cause.p_words()}).'
+        )
+
+
+def _reservations(found: Compared) -> Iterator[str]:
+    if found.unpaired:
+        yield f'{found.unpaired:,} runs have no counterpart and are not compared.'
+    if found.differing:
+        yield f'Not known to be the same: {", ".join(found.differing)}.'
+
+
+def changed_table(found: Compared) -> Table:
+    """Scenes with different verdicts, those that got worse first, the greatest change first."""
+    frame = found.scenes
+    changed = frame[frame['failed_before'] != frame['failed_after']]
+    changed = changed.assign(
+        change=changed['rho_after'] - changed['rho_before'],
+        got=np.where(changed['failed_after'], 'worse', 'better'),
+    ).sort_values(['failed_after', 'change'], ascending=[False, True], kind='stable')
+    causes = {
+        'worse': [cause.region for cause in found.worse.found],
+        'better': [cause.region for cause in found.better.found],
+    }
+    rows: list[tuple[Cell, ...]] = []
+    for place in range(len(changed)):
+        line = changed.iloc[[place]]
+        got = str(line['got'].iloc[0])
+        words = next(
+            (region.words() for region in causes[got] if region.mask(line).any()), '')
+        rows.append((
+            got, str(line['run_id'].iloc[0]), words,
+            float(line['rho_before'].iloc[0]), float(line['rho_after'].iloc[0]),
+            *(line[name].iloc[0] for name in _SHOWN),
+        ))
+    return Table(
+        name='changed', title='Scenes that changed',
+        caption='Scenes that got worse first, the greatest change of ρ first.',
+        columns=(
+            Column(name='got', title='got'), Column(name='run_id', title='scene'),
+            Column(name='cause', title='cause of the change'),
+            Column(name='rho_before', title=f'ρ, {found.before.label}', decimals=2),
+            Column(name='rho_after', title=f'ρ, {found.after.label}', decimals=2),
+            Column(name='time_of_day_h', title='hour', decimals=2),
+            Column(name='clouds', title='clouds'),
+            Column(name='rain_percent', title='rain [%]', decimals=0),
+            Column(name='cross_track_m', title='cross track [m]', decimals=1),
+            Column(name='distance_m', title='distance [m]', decimals=0),
+            Column(name='heading_deg', title='heading [°]', decimals=1),
+        ), rows=tuple(rows),
+    )
+
+
+def compared_report(found: Compared) -> Report:
+    """The page."""
+    return Report(
+        title=f'{found.before.label} and {found.after.label} on the same scenes',
+        facts={
+            'before': f'{found.before.label}, {len(found.before.frame):,} runs',
+            'after': f'{found.after.label}, {len(found.after.frame):,} runs',
+            'scenes': f'{len(found.scenes):,}', 'program': found.after.program,
+            'requirement': found.after.spec,
+        },
+        summary=tuple(compared_sentences(found)),
+        sections=(Section(
+            name='scenes', heading='Scene by scene', pictures=(_picture(found),),
+            tables=(changed_table(found),),
+        ),),
+    )
+
+
+def _picture(found: Compared) -> Picture:
+    return Picture(
+        name='compared', title='Robustness of each scene with both networks',
+        caption='A dot is a scene. Right of the vertical and above the horizontal line it is '
+        f'satisfied; beyond ±{_MOST_SHOWN:g} dots are drawn at the edge.',
+        draw=partial(_draw, found), size_in=(5.6, 5.2),
+    )
+
+
+def _draw(found: Compared, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    frame = found.scenes
+    first, second = (
+        frame[name].clip(-_MOST_SHOWN, _MOST_SHOWN) for name in ('rho_before', 'rho_after'))
+    worse = (frame['failed_after'] & ~frame['failed_before']).to_numpy(dtype=bool)
+    better = (frame['failed_before'] & ~frame['failed_after']).to_numpy(dtype=bool)
+    same = ~(worse | better)
+    for mask, colour, words, marker in (
+        (same, theme.ink, 'same verdict', '.'), (better, theme.passed, 'got better', 'o'),
+        (worse, theme.failed, 'got worse', 'X'),
+    ):
+        axes.plot(first[mask], second[mask], marker, color=colour, markersize=5, alpha=0.7,
+                  markeredgewidth=0, label=f'{words}: {int(mask.sum()):,}', clip_on=False)
+    axes.axhline(0, color=theme.ink, linewidth=0.8)
+    axes.axvline(0, color=theme.ink, linewidth=0.8)
+    axes.set(xlabel=f'ρ, {found.before.label}', ylabel=f'ρ, {found.after.label}')
+    figure.legend(loc='outside lower center', ncols=3, frameon=False, fontsize=9)
+    style_axes(axes)
+
+
+def compared_json(found: Compared) -> dict[str, Any]:
+    """Everything as plain values."""
+    rates, gap = found.satisfied, found.satisfied.difference
+    table = changed_table(found)
+    names = [column.name for column in table.columns]
+    return plain_values({
+        'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
+        'scenes': rates.pairs, 'unpaired': found.unpaired, 'tested': found.tested,
+        'satisfied': {
+            'before': rates.first, 'after': rates.second, 'better': rates.only_second,
+            'worse': rates.only_first, 'both': rates.both, 'neither': rates.neither,
+            'difference': gap.value, 'low': gap.low if found.tested else math.nan,
+            'high': gap.high if found.tested else math.nan,
+            'mcnemar_p': rates.p_value if found.tested else math.nan,
+        },
+        'rho': {'change': found.rho.change.value, 'more': found.rho.more, 'less': found.rho.less},
+        'causes': {
+            word: [
+                {'words': one.region.words(), 'scenes': one.inside.runs,
+                 'changed': one.inside.failures, 'p': one.p} for one in causes.found
+            ] for word, causes in (('better', found.better), ('worse', found.worse))
+        },
+        'changed': [dict(zip(names, row, strict=True)) for row in table.rows],
+        'differing': list(found.differing), 'sentences': list(compared_sentences(found)),
+        'made_on': dict(provenance()),
+    })

@@ -1,0 +1,1 @@
+"""Lower bounds on the final robustness of runs in progress, calibrated on a campaign."""

@@ -1,0 +1,387 @@
+"""Drive several networks through the same scenes, in the closed loop without ROS.
+
+The scenes are those of a recorded campaign, of a table, of a bag, or fresh draws of a program. Only
+the network differs between the runs of a scene, so runs are compared in pairs. Finished runs are
+kept in ``trials.jsonl``: the same command continues after an interrupt, also with more networks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.bag.layout import holds_bag
+from taxinet_ros.campaign.past_runs.judged_run import find_run
+from taxinet_ros.campaign.past_runs.localisation import (
+    TRIALS_NAME,
+    Task,
+    Trial,
+    TrialSetup,
+    run_trials,
+)
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
+from taxinet_ros.campaign.rates import sample_size_was_fixed
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import read_any_table
+from taxinet_ros.campaign.record.table import table as table_of
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
+from taxinet_ros.core.motion.controller import STEERING, check_controller
+from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.substituted import AS_RECORDED
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import sync_folder
+from taxinet_ros.files.journal import Journal, damaged_line, open_journal
+from taxinet_ros.registry import KMWH
+from taxinet_ros.version import __version__
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """One scene.
+
+    Attributes:
+        row: the run that it comes from: name, seed, index, and how it was chosen.
+        scenario: the scenario.
+        exact: whether it is bit-exact.
+    """
+
+    row: RunRow
+    scenario: Scenario
+    exact: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSet:
+    """Scenes, and the settings that their runs have in common.
+
+    Attributes:
+        source: where they come from, as text.
+        scenes: the scenes, by index.
+        judging: the headline requirement, which alone is judged.
+        fixed: whether their number did not depend on any result.
+        gains, controller, timing, world, world_sha256: as in the recorded runs.
+    """
+
+    source: str
+    scenes: tuple[Scene, ...]
+    judging: Judging
+    fixed: bool = True
+    gains: Mapping[str, float] = field(default_factory=dict)
+    controller: str = STEERING
+    timing: str = ''
+    world: str = KMWH
+    world_sha256: str = ''
+
+    @property
+    def digest(self) -> str:
+        """Digest of everything but the network that decides the results."""
+        values = [
+            __version__, self.judging.facts(), dict(self.gains), self.controller, self.timing,
+            self.world, self.world_sha256,
+            [[scene.row.run_id, repr(scene.scenario)] for scene in self.scenes],
+        ]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
+    """The scenes of a campaign, of a table, or of one run.
+
+    Args:
+        path: folder of a campaign, a ``.parquet`` table, or the bag of a run.
+        runs: at most so many, evenly spread over all; None for all.
+
+    Raises:
+        UsageError: it is none of these, or its runs cannot be repeated.
+    """
+    if (path / LEDGER_NAME).is_file():
+        return _of_campaign(path, runs)
+    if path.suffix == '.parquet' and path.is_file():
+        return _of_table(path, runs)
+    if (path.parent / LEDGER_NAME).is_file() or (path.is_dir() and holds_bag(path)):
+        return _of_run(path)
+    raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
+
+
+def _of_campaign(path: Path, runs: int | None) -> SceneSet:
+    campaign = open_campaign(path)
+    if is_free(campaign.timing):
+        raise UsageError(f'{path}: free runs: {NOT_REPRODUCIBLE}')
+    world, package = recorded_world(campaign.facts)
+    if again := find_world(world, package).again_words:
+        raise UsageError(f'{path}: {again}, so its scenes cannot be compared')
+    if not campaign.judged:
+        raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
+    judging = campaign.judging
+    if not judging.specs:
+        raise UsageError(f'{path}: its ledger does not record the formulas')
+    scenes = []
+    for row in spread_evenly(campaign.judged, runs):
+        scenario, exact = campaign.scenario(row)
+        scenes.append(Scene(row=row, scenario=scenario, exact=exact))
+    return SceneSet(
+        source=str(path), scenes=tuple(scenes), gains=dict(campaign.gains), world=world,
+        judging=_headline(judging), controller=str(campaign.facts.get('controller', STEERING)),
+        timing=campaign.timing, world_sha256=package,
+        fixed=_fixed(campaign.rows, campaign.planned_runs),
+    )
+
+
+def _fixed(rows: Sequence[RunRow], planned: range | None) -> bool:
+    return sample_size_was_fixed({row.index: row.outcome for row in rows}, planned)
+
+
+def _headline(judging: Judging) -> Judging:
+    return dataclasses.replace(judging, specs=judging.specs[:1])
+
+
+def _of_table(path: Path, runs: int | None) -> SceneSet:
+    frame = read_any_table(path)
+    names = [str(name).removeprefix('rho_') for name in frame.columns
+             if str(name).startswith('rho_') and '.' not in str(name)]
+    if not names or names[0] not in SHIPPED:
+        raise UsageError(
+            f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
+            "campaign's folder"
+        )
+    outcomes = dict(zip(frame['index'].tolist(), frame['outcome'].tolist(), strict=True))
+    judged = frame[frame['outcome'].isin([Outcome.PASS, Outcome.FAIL])].sort_values('index')
+    scenes = [
+        Scene(row=row, scenario=scenario_from_human(row.scene), exact=False)
+        for row in (_row(values, names[0]) for values in judged.to_dict('records'))
+    ]
+    return SceneSet(
+        source=str(path), scenes=spread_evenly(scenes, runs),
+        judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
+        fixed=sample_size_was_fixed(outcomes, None),
+    )
+
+
+def _row(values: Mapping[Any, Any], spec: str) -> RunRow:
+    """A row with what a table says of the scene; keys that it lacks have no effect."""
+    scene: dict[str, Any] = {}
+    usual = Scenario().to_human()
+    for known in SCENARIO_FIELDS:
+        value = values.get(known.key)
+        missing = value is None or value != value or value is pd.NA
+        scene[known.key] = usual[known.key] if missing else value
+    return RunRow(
+        run_id=str(values['run_id']), index=int(values['index']), program=str(values['program']),
+        seed=int(values.get('seed', 0)), perception=str(values['perception']),
+        outcome=Outcome(values['outcome']), sampler=str(values.get('sampler', '') or ''),
+        robustness=exact_intervals({spec: float(values[f'rho_{spec}'])}), **scene,
+    )
+
+
+def _of_run(path: Path) -> SceneSet:
+    run = find_run(path)
+    if run.timing.free:
+        raise UsageError(f'{path}: a free run: {NOT_REPRODUCIBLE}')
+    if again := find_world(run.world, run.world_fingerprint).again_words:
+        raise UsageError(f'{path}: {again}, so it cannot be repeated')
+    row = RunRow(
+        run_id=run.run_id, index=0, program='', seed=run.seed, perception=run.perception,
+        outcome=run.outcome if run.outcome.judged else Outcome.INTERRUPTED,
+        robustness=run.robustness if run.outcome.judged else {}, **run.scenario.to_human(),
+    ) if run.robustness or not run.outcome.judged else None
+    if row is None:
+        raise UsageError(f'{path}: its verdict is not recorded')
+    return SceneSet(
+        source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
+        judging=Judging(specs=run.specs[:1]), gains=dict(run.gains), controller=run.controller,
+        timing=run.timing.words, world=run.world, world_sha256=run.world_fingerprint,
+    )
+
+
+def scenes_of_program(program: str, *, runs: int, seed: int, judging: Judging) -> SceneSet:
+    """Fresh scenes, drawn by the program itself.
+
+    Args:
+        program: word or path of a Scenic program.
+        runs: number of scenes.
+        seed: seed of the scenes.
+        judging: the requirement.
+
+    Raises:
+        UsageError: the program is invalid, or rejects most of its scenes.
+    """
+    scenes: list[Scene] = []
+    rejected, name = 0, Path(program).stem
+    with SceneSource(program, seed=seed) as source:
+        while len(scenes) < runs:
+            index = len(scenes) + rejected
+            try:
+                scenario = source.scene(index)
+            except Rejected as error:
+                rejected += 1
+                if rejected > runs:
+                    raise UsageError(f'{error}; most scenes are rejected') from None
+                continue
+            row = RunRow(
+                run_id=f'{name}-s{seed}-{index:05d}', index=index, program=name, seed=seed,
+                perception='', outcome=Outcome.INTERRUPTED, sampler='random',
+                **scenario.to_human(),
+            )
+            scenes.append(Scene(row=row, scenario=scenario, exact=True))
+    return SceneSet(source=program, scenes=tuple(scenes), judging=_headline(judging))
+
+
+Results = dict[str, dict[str, Trial]]
+"""Results by fingerprint of the network and run."""
+
+
+class SharedTrials:
+    """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
+
+    def __init__(self, scenes: SceneSet, out: Path) -> None:
+        """Open or create the record in ``out``.
+
+        Raises:
+            UsageError: it contains something else, or another process uses it.
+        """
+        self.scenes = scenes
+        self.results: Results = {}
+        check_controller(scenes.controller, scenes.gains)
+        path = out / TRIALS_NAME
+        try:
+            if out.is_dir() and not path.exists() and any(out.iterdir()):
+                raise UsageError(f'--out {out}: contains something else; choose another folder')
+            out.mkdir(parents=True, exist_ok=True)
+            self._journal: Journal = open_journal(path, 'taxinet compare or bisect')
+            sync_folder(out)
+        except OSError as error:
+            raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
+        self._read(out, path)
+
+    def _read(self, out: Path, path: Path) -> None:
+        digest = self.scenes.digest
+        if not self._journal.events:
+            self._journal.append({'event': 'scenes', 'digest': digest})
+            self._journal.sync()
+            return
+        for number, event in enumerate(self._journal.events, start=1):
+            try:
+                if event['event'] == 'scenes':
+                    same = event['digest'] == digest
+                    if not same:
+                        self._journal.close()
+                        raise UsageError(
+                            f'--out {out}: has runs of other scenes or settings; choose another '
+                            'folder'
+                        )
+                    continue
+                trial = Trial.from_json(event['trial'])
+                if trial.passed is not None:
+                    self.results.setdefault(event['network'], {})[trial.run_id] = trial
+            except (KeyError, TypeError, ValueError) as error:
+                raise damaged_line(path, number, str(error)) from error
+
+    def __enter__(self) -> SharedTrials:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._journal.close()
+
+    def drive(
+        self, network: str, wanted: Sequence[str] | None = None, *, workers: int,
+        on_trial: Callable[[], None] = lambda: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> dict[str, Trial]:
+        """Drive a network through the scenes that it has not been driven through.
+
+        Args:
+            network: word or file.
+            wanted: names of the scenes; None for all.
+            workers: number of processes.
+            on_trial: called after each run.
+            interrupted: whether to start no more runs.
+
+        Returns:
+            Its results so far by name of the scene.
+
+        Raises:
+            UsageError: there is no such network.
+            InfraError: a worker died.
+        """
+        fingerprint = check_perception(network)
+        done = self.results.setdefault(fingerprint, {})
+        setup = TrialSetup(
+            perception=network, judging=self.scenes.judging, gains=self.scenes.gains,
+            controller=self.scenes.controller, timing=self.scenes.timing, world=self.scenes.world,
+            world_sha256=self.scenes.world_sha256,
+        )
+
+        def tasks() -> Iterator[Task]:
+            for scene in self.scenes.scenes:
+                name = scene.row.run_id
+                if name in done or (wanted is not None and name not in wanted):
+                    continue
+                if interrupted():
+                    return
+                yield Task(
+                    run_id=name, scenario=scene.scenario, word=AS_RECORDED,
+                    seed=(scene.row.seed, scene.row.index), exact=scene.exact,
+                )
+
+        waiting = list(tasks())
+        if waiting:
+            for trial in run_trials(_until(waiting, interrupted), setup, workers):
+                event = {'event': 'trial', 'network': fingerprint, 'trial': trial.to_json()}
+                self._journal.append(event)
+                self._journal.sync()
+                done[trial.run_id] = trial
+                on_trial()
+        return dict(done)
+
+    def table(self, network: str) -> pd.DataFrame:
+        """Results of a network as a campaign's table; runs that were not judged are in it too."""
+        fingerprint = check_perception(network)
+        spec = self.scenes.judging.headline
+        rows = []
+        for place, scene in enumerate(self.scenes.scenes):
+            trial = self.results.get(fingerprint, {}).get(scene.row.run_id)
+            if trial is not None:
+                row = _result_row(scene.row, trial, network, fingerprint, spec)
+                # Gaps would say that runs are missing; these scenes are all that were asked for.
+                row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
+                rows.append(row)
+        return table_of(rows, (spec,))
+
+
+def _until(tasks: Sequence[Task], interrupted: Callable[[], bool]) -> Iterator[Task]:
+    for task in tasks:
+        if interrupted():
+            return
+        yield task
+
+
+def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec: str) -> RunRow:
+    known = trial.robustness
+    judged = trial.passed is not None and known is not None
+    outcome = Outcome.PASS if trial.passed else Outcome.FAIL
+    return dataclasses.replace(
+        row, perception=network, fingerprint=fingerprint,
+        outcome=outcome if judged else Outcome.INFRA_ERROR,
+        kind='' if judged else 'broken', detail='' if judged else trial.detail,
+        robustness={spec: known} if judged and known is not None else {},
+        stopped_early=known is not None and not known.exact, stopped_s=None,
+        left_runway=trial.left_runway, max_cross_track_m=trial.max_cross_track_m,
+        settle_time_s=trial.settle_time_s, bag='', cte_error_mean_m=None,
+        cte_error_mean_abs_m=None, cte_error_max_abs_m=None, he_error_mean_deg=None,
+        he_error_mean_abs_deg=None, he_error_max_abs_deg=None, unusable_estimates=None,
+    )

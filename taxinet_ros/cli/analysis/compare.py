@@ -1,0 +1,287 @@
+"""``taxinet compare`` and ``taxinet bisect``: networks on the same scenes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.analysis.campaign.bisection import (
+    Bisection,
+    bisect_scenes,
+    bisection_json,
+    bisection_lines,
+)
+from taxinet_ros.analysis.campaign.compared import (
+    Compared,
+    compared,
+    compared_json,
+    compared_report,
+    compared_sentences,
+)
+from taxinet_ros.analysis.campaign.folder import csv_text
+from taxinet_ros.analysis.runs.campaign import (
+    CampaignRuns,
+    distinct_labels,
+    read_runs,
+    runs_of,
+)
+from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, make_out, read_specs
+from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
+from taxinet_ros.campaign.past_runs.shared_scenes import (
+    SceneSet,
+    SharedTrials,
+    scenes_of,
+    scenes_of_program,
+)
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.processes.interrupts import interrupts
+
+JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
+BISECT_NAME = 'bisect.json'
+BEFORE, AFTER = 'before.parquet', 'after.parquet'
+_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, TRIALS_NAME, 'compared.png', BISECT_NAME}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions:
+    """Options of ``taxinet compare``.
+
+    Attributes:
+        before, after: two campaigns or tables, or words or files of two networks.
+        scenes: of two networks: program, campaign, table or run with the scenes; else None.
+        runs: number of scenes; None: 100 of a program, else all.
+        seed: seed of a program's scenes.
+        specs: requirements of a program's scenes; the first counts.
+        workers: processes.
+        out: folder; None: one below ``bags/``.
+        as_json: print ``compare.json``.
+    """
+
+    before: str
+    after: str
+    scenes: str | None
+    runs: int | None
+    seed: int | None
+    specs: Sequence[str]
+    workers: int
+    out: Path | None
+    as_json: bool
+
+
+def run_compare(options: CompareOptions) -> int:
+    """Compare, write the page and print the findings.
+
+    Returns:
+        Exit code: 0 done, 130 interrupted; the same command continues.
+
+    Raises:
+        UsageError: bad input.
+    """
+    console = Console(highlight=False, stderr=options.as_json)
+    named = [_is_campaign(word) for word in (options.before, options.after)]
+    if all(named) and options.scenes is None:
+        for option, given in (('--runs', options.runs is not None),
+                              ('--seed', options.seed is not None),
+                              ('--spec', bool(options.specs))):
+            if given:
+                raise UsageError(f'{option}: the scenes are those of the campaigns; leave it out')
+        out = _folder(options, options.before, options.after)
+        first = read_runs(Path(options.before))
+        runs = first, read_runs(Path(options.after), first.spec)
+        found = compared(*distinct_labels(runs))
+    else:
+        if any(named):
+            raise UsageError(
+                'compare: name two campaigns, or two networks and the scenes: a program, a '
+                'campaign, a table or a run'
+            )
+        if options.scenes is None:
+            raise UsageError(
+                f'compare {options.before} {options.after}: two networks need scenes: a program, '
+                'a campaign, a table or a run'
+            )
+        for network in (options.before, options.after):
+            check_perception(network)
+        out = _folder(options, options.before, options.after)
+        scenes = _scenes(options, options.scenes)
+        done = _driven(scenes, (options.before, options.after), out, options.workers, console)
+        if done is None:
+            console.print('interrupted; the same command goes on', soft_wrap=True)
+            return ExitCode.INTERRUPTED
+        # Nothing but the network differs between these runs.
+        found = replace(compared(*distinct_labels(done)), differing=())
+    _write(found, out)
+    if options.as_json:
+        print(json.dumps(compared_json(found), indent=2, allow_nan=False))
+    for sentence in compared_sentences(found):
+        console.print(sentence, soft_wrap=True, markup=False)
+    console.print(f'page: {out / PAGE_NAME}', soft_wrap=True, markup=False)
+    return ExitCode.OK
+
+
+def _is_campaign(word: str) -> bool:
+    path = Path(word)
+    return (path / LEDGER_NAME).is_file() or word.endswith('.parquet')
+
+
+def _folder(options: CompareOptions, *words: str) -> Path:
+    names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
+    out = options.out or DEFAULT_ROOT / f'compare-{names}'
+    if out.is_dir() and {path.name for path in out.iterdir()} - _OURS:
+        raise UsageError(f'--out {out}: contains something else; choose another folder')
+    make_out(out)
+    return out
+
+
+def _scenes(options: CompareOptions, word: str) -> SceneSet:
+    """The scenes of a campaign, table or run, or else of a program."""
+    path = Path(word)
+    if path.is_dir() or word.endswith('.parquet'):
+        if options.specs or options.seed is not None:
+            which = '--spec' if options.specs else '--seed'
+            raise UsageError(f'{which}: the scenes are those of {word}; leave it out')
+        return scenes_of(path, options.runs)
+    judging = Judging(specs=read_specs(options.specs)) if options.specs else DEFAULT_JUDGING
+    return scenes_of_program(
+        word, runs=100 if options.runs is None else options.runs, seed=options.seed or 0,
+        judging=judging,
+    )
+
+
+def _driven(
+    scenes: SceneSet, networks: Sequence[str], out: Path, workers: int, console: Console
+) -> list[CampaignRuns] | None:
+    """Drive the networks through the scenes, and write their tables; None if interrupted."""
+    asked: list[bool] = []
+    tables: list[CampaignRuns] = []
+    total = len(networks) * len(scenes.scenes)
+    with (
+        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
+        interrupts(lambda: asked.append(True)),
+    ):
+        number = 0
+
+        def count() -> None:
+            nonlocal number
+            number += 1
+            show('runs', number, max(total, number))
+
+        for network, name in zip(networks, (BEFORE, AFTER), strict=True):
+            found = trials.drive(
+                network, workers=workers, on_trial=count, interrupted=lambda: bool(asked))
+            if len(found) < len(scenes.scenes):
+                return None
+            frame = trials.table(network)
+            make_atomically(out / name, partial(frame.to_parquet, index=False))
+            tables.append(runs_of(frame, out / name))
+    return tables
+
+
+def _write(found: Compared, out: Path) -> None:
+    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+
+    report = compared_report(found)
+    for section in report.sections:
+        for picture in section.pictures:
+            write_png(picture, out, LIGHT)
+        for table in section.tables:
+            write_atomically(out / CSV_NAME, csv_text(table))
+    text = json.dumps(compared_json(found), indent=2, allow_nan=False)
+    write_atomically(out / JSON_NAME, text + '\n')
+    write_report_page(report, out / PAGE_NAME)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BisectOptions:
+    """Options of ``taxinet bisect``.
+
+    Attributes:
+        networks: words or files in order, the good one first.
+        scene: campaign, table or run.
+        every: whether all networks are run in all scenes.
+        runs: at most so many scenes; None: all.
+        workers: processes.
+        out: folder; None: one below ``bags/``.
+        as_json: print ``bisect.json``.
+    """
+
+    networks: tuple[str, ...]
+    scene: Path
+    every: bool
+    runs: int | None
+    workers: int
+    out: Path | None
+    as_json: bool
+
+
+def run_bisect(options: BisectOptions) -> int:
+    """Find which network broke which scenes, and print it.
+
+    Returns:
+        Exit code: 0 done, 3 some run could not be judged, 130 interrupted.
+
+    Raises:
+        UsageError: bad input.
+    """
+    console = Console(highlight=False, stderr=options.as_json)
+    if len(options.networks) < 2:
+        raise UsageError('bisect: name two networks or more, in order, the good one first')
+    prints = [check_perception(network) for network in options.networks]
+    for place, fingerprint in enumerate(prints):
+        if fingerprint in prints[:place]:
+            raise UsageError(
+                f'bisect: {options.networks[place]} has the weights of '
+                f'{options.networks[prints.index(fingerprint)]}; leave one out'
+            )
+    scenes = scenes_of(options.scene, options.runs)
+    out = options.out or DEFAULT_ROOT / f'bisect-{options.scene.resolve().stem}'
+    asked: list[bool] = []
+    with (
+        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
+        interrupts(lambda: asked.append(True)),
+    ):
+        number, most = 0, len(options.networks) * len(scenes.scenes)
+
+        def count() -> None:
+            nonlocal number
+            number += 1
+            show('runs', number, most)
+
+        def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
+            done = trials.drive(
+                options.networks[place], names, workers=options.workers, on_trial=count,
+                interrupted=lambda: bool(asked),
+            )
+            if asked:
+                raise KeyboardInterrupt
+            return {name: done[name].passed for name in names}
+
+        names = [scene.row.run_id for scene in scenes.scenes]
+        try:
+            found = bisect_scenes(options.networks, names, drive, every=options.every)
+        except KeyboardInterrupt:
+            console.print('interrupted; the same command goes on', soft_wrap=True)
+            return ExitCode.INTERRUPTED
+    values = bisection_json(found)
+    write_atomically(out / BISECT_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+    if options.as_json:
+        print(json.dumps(values, indent=2, allow_nan=False))
+    for line in bisection_lines(found):
+        console.print(line, soft_wrap=True, markup=False)
+    console.print(f'written: {out / BISECT_NAME}', soft_wrap=True, markup=False)
+    return ExitCode.INCOMPLETE if _unclear(found) else ExitCode.OK
+
+
+def _unclear(found: Bisection) -> bool:
+    return any(scene.unclear for scene in found.scenes)

@@ -1,0 +1,204 @@
+"""``taxinet plan``: how many runs a claim takes, from the start or after those there are."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.analysis.plan import (
+    Claim,
+    Further,
+    Planned,
+    hopeless,
+    parse_so_far,
+    plan_claim,
+    two_sided,
+)
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.facts import recorded_rules
+from taxinet_ros.campaign.record.table import check_tables
+from taxinet_ros.errors import ExitCode, UsageError
+
+_PAGE_WIDTH = 100
+
+
+def run_plan(
+    claim: Claim, folder: Path | None, *, so_far: str | None, as_json: bool
+) -> int:
+    """Plan and print.
+
+    Args:
+        claim: the claim.
+        folder: of a campaign with runs there are already, or None.
+        so_far: ``RUNS:FAILURES`` instead, or None.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: the claim cannot be planned, or ``folder`` is no campaign that tells a rate.
+    """
+    if folder is not None and so_far is not None:
+        raise UsageError('plan: a campaign or --so-far, which stands for one; leave one out')
+    campaign = None if folder is None else open_campaign(folder)
+    if folder is not None:
+        check_tables(folder)
+    planned = plan_claim(claim, campaign, None if so_far is None else parse_so_far(so_far))
+    if as_json:
+        print(json.dumps(_json(planned), indent=2, allow_nan=False))
+        return ExitCode.OK
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = _PAGE_WIDTH
+    _print(console, planned)
+    if planned.found is not None:
+        rules = () if campaign is None else recorded_rules(campaign.facts)
+        _print_further(console, planned, rules)
+    return ExitCode.OK
+
+
+def _print(console: Console, planned: Planned) -> None:
+    claim = planned.claim
+    what = 'leave the runway in at most' if claim.off else 'satisfy in at least'
+    console.print(
+        f'claim: runs {what} {_percent(claim.threshold)}, with {100 * claim.confidence:g} % '
+        'confidence', soft_wrap=True,
+    )
+    bad = 'off the runway' if claim.off else 'failures'
+    table = Table(box=None, pad_edge=False)
+    for heading in (bad, 'runs'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    if claim.if_true is not None:
+        table.add_column('chance', justify='right', no_wrap=True)
+    plans = {(plan.runs, plan.failures): plan for plan in planned.fixed}
+    if planned.powered is not None:
+        plans[planned.powered.runs, planned.powered.failures] = planned.powered
+    for _, plan in sorted(plans.items()):
+        chance = () if plan.chance is None else (_chance(plan.chance),)
+        table.add_row(f'{plan.failures:,}', f'{plan.runs:,}', *chance)
+    console.print(table)
+    if claim.if_true is not None:
+        assert planned.powered is not None
+        console.print(
+            f'chance: that no more fail, if the true share is {_percent(claim.if_true)}; '
+            f'{100 * claim.power:g} % takes {planned.powered.runs:,} runs, of which '
+            f'{planned.powered.failures:,} may fail', soft_wrap=True,
+        )
+    console.print(
+        'runs: drawn by the program itself (--sampler random), their number fixed beforehand and '
+        'judged once: taxinet gate --planned', soft_wrap=True,
+    )
+    console.print(
+        f'taxinet gate without it also covers every other look, with half of its error: '
+        f'{planned.any_look:,} runs without any', soft_wrap=True,
+    )
+    if planned.sequential is not None:
+        one = planned.sequential
+        console.print(
+            f'sequential: taxinet falsify --sampler random --until {one.test} takes '
+            f'{one.at_truth.mean_runs:,.0f} runs on average (passes {_chance(one.at_truth.passes)} '
+            f'within {one.most:,}); {one.at_limit.mean_runs:,.0f} at the limit, where it passes '
+            f'{_chance(one.at_limit.passes)}', soft_wrap=True,
+        )
+
+
+def _print_further(
+    console: Console, planned: Planned, rules: tuple[str, ...]
+) -> None:
+    found, claim = planned.found, planned.claim
+    assert found is not None
+    low, high = two_sided(found)
+    what = 'left the runway' if claim.off else 'failed'
+    console.print()
+    of = '' if found.drawn == found.runs else (
+        f' drawn by the program itself, of {found.runs:,} runs by {found.sampler}'
+    )
+    console.print(
+        f'so far {found.drawn_hits:,} of {found.drawn:,} runs{of} {what}, '
+        f'{100 * found.drawn_hits / found.drawn:.3g} % (95 %: {100 * low:.3g} to '
+        f'{100 * high:.3g} %)',
+        soft_wrap=True,
+    )
+    if rules:
+        console.print(
+            f'it may have ended by --until {" and ".join(rules)}, so this share is biased; the '
+            'numbers below hold at any number of runs', soft_wrap=True,
+        )
+    if hopeless(planned):
+        console.print('these runs show that the claim is false', soft_wrap=True)
+    elif found.drawn_hits / found.drawn >= claim.limit:
+        console.print(
+            'at this share the claim is false: it takes fewer failures from now on than so far',
+            soft_wrap=True,
+        )
+    if planned.further[0].drawn == 0:
+        console.print('the claim holds already, whenever the campaign was stopped')
+        return
+    for one in planned.further:
+        console.print(_further_words(one), soft_wrap=True)
+    if planned.likely is not None:
+        share = claim.if_true if claim.if_true is not None else (
+            claim.bad(found.drawn_hits / found.drawn)
+        )
+        console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}',
+                      soft_wrap=True)
+    console.print(
+        'by bounds that hold at any number of runs, since who plans by the first runs chooses it: '
+        f'taxinet gate --sequential {"--max-off-runway" if claim.off else "--min-satisfaction"} '
+        f'{claim.threshold:.12g}. A new campaign takes the numbers above, by itself',
+        soft_wrap=True,
+    )
+
+
+def _further_words(one: Further) -> str:
+    allowed = 'without a failure' if one.failures == 0 else (
+        f'with at most {one.failures:,} failure{"" if one.failures == 1 else "s"}'
+    )
+    if one.drawn is None or one.runs is None:
+        return f'{allowed}: no realistic number of runs'
+    more = f'{one.runs:,} more runs'
+    if one.runs != one.drawn:
+        more += f', {one.drawn:,} of them drawn by the program itself'
+    chance = '' if one.chance is None else f' (chance {_chance(one.chance)})'
+    return f'{more}, {allowed}{chance}'
+
+
+def _json(planned: Planned) -> dict[str, Any]:
+    claim, found = planned.claim, planned.found
+    told: dict[str, Any] = {
+        'claim': dataclasses.asdict(claim),
+        'fixed': [dataclasses.asdict(one) for one in planned.fixed],
+        'with_power': planned.powered and dataclasses.asdict(planned.powered),
+        'gate_at_any_look_without_failure': planned.any_look,
+        'sequential': None,
+    }
+    if planned.sequential is not None:
+        one = planned.sequential
+        told['sequential'] = {
+            'test': str(one.test), 'most_runs': one.most,
+            'if_true': dataclasses.asdict(one.at_truth),
+            'at_limit': dataclasses.asdict(one.at_limit),
+        }
+    if found is not None:
+        low, high = two_sided(found)
+        told['campaign'] = {
+            'runs': found.runs, 'drawn': found.drawn, 'bad': found.drawn_hits, 'low': low,
+            'high': high, 'number_fixed': not found.anytime, 'claim_is_false': hopeless(planned),
+            'further': [dataclasses.asdict(one) for one in planned.further],
+            'likely': planned.likely and dataclasses.asdict(planned.likely),
+        }
+    return told
+
+
+def _percent(share: float) -> str:
+    return f'{100 * share:.6g} %'
+
+
+def _chance(share: float) -> str:
+    return f'{100 * share:.1f} %'

@@ -1,0 +1,187 @@
+"""What ``taxinet --help`` shows beyond each command's own text: the workflow, and examples.
+
+:data:`SECTIONS` gives the commands the order of a working day, :data:`EXAMPLES` has a line or more
+that people can copy for each. Both are checked against the commands when the help is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from taxinet_ros.registry import PERCEPTIONS, SAMPLERS, names
+
+SECTIONS = {
+    'Run scenes': ('demo', 'run', 'up', 'node', 'check-node'),
+    'Search for failures': ('falsify', 'estimate', 'merge', 'learned'),
+    'Find the causes': (
+        'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
+    ),
+    'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
+    'Train': ('dataset', 'train', 'improve', 'case-study'),
+    'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
+    'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
+}
+"""Sections of the commands, in the order of the workflow."""
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    'demo': ('taxinet demo',),
+    'run': (
+        'taxinet run s_falsif --perception original --set clouds=overcast --set time_of_day=9:30',
+        'taxinet run s_falsif --runs 20 --perception my_net.onnx --controller my_file.py:steer',
+        'taxinet run --from bags/found/RUN --perception truth',
+    ),
+    'up': ('taxinet up --perception taxinet',),
+    'node': ('taxinet node scenario_sampler --ros-args -p program:=s_falsif',),
+    'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),
+    'falsify': (
+        'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
+        'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10',
+    ),
+    'estimate': (
+        'taxinet estimate s_falsif --perception taxinet --runs 4000 --workers 2 --engine loop',
+    ),
+    'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
+    'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),
+    'why': ('taxinet why bags/found', 'taxinet why bags/found/RUN'),
+    'analyze': ('taxinet analyze bags/found',),
+    'localize': ('taxinet localize bags/found --workers 2',),
+    'explain': ('taxinet explain bags/found/RUN',),
+    'shrink': ('taxinet shrink bags/found/RUN --nominal time_of_day=12',),
+    'fork': (
+        'taxinet fork bags/found/RUN --at 7.3 --set rain=0',
+        'taxinet fork bags/found/RUN --find --perception truth',
+    ),
+    'experiment': ('taxinet experiment shadows_afternoon --runs 120 --perception original',),
+    'gate': ('taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',),
+    'plan': (
+        'taxinet plan --min-satisfaction 0.999',
+        'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
+    ),
+    'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
+    'forecast check': ('taxinet forecast check bound.json bags/other',),
+    'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),
+    'compare': ('taxinet compare original taxinet s_falsif', 'taxinet compare bags/old bags/new'),
+    'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
+    'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
+    'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
+    'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
+    'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
+    'train': (
+        'taxinet train training_full --images 20000 --out mine.safetensors',
+        'taxinet train s_falsif --start original --add-runs bags/found=4000 --out next.safetensors',
+    ),
+    'improve': ('taxinet improve s_falsif --start original --rounds 2 --out bags/improved',),
+    'case-study': ('taxinet case-study --scale 0.02 --out bags/smoke',),
+    'camera list': ('taxinet camera list',),
+    'camera show': ('taxinet camera show wing',),
+    'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
+    'camera sheet': ('taxinet camera sheet',),
+    'camera shadow': ('taxinet camera shadow',),
+    'camera compare': ('taxinet camera compare --against mitsuba',),
+    'place list': ('taxinet place list',),
+    'place show': ('taxinet place show kmwh_04',),
+    'aircraft list': ('taxinet aircraft list',),
+    'aircraft show': ('taxinet aircraft show caravan',),
+    'flightgear start': ('taxinet flightgear start --at BIKF',),
+    'flightgear doctor': ('taxinet flightgear doctor',),
+    'xplane doctor': ('taxinet xplane doctor',),
+    'bag info': ('taxinet bag info bags/found/RUN',),
+    'bag doctor': ('taxinet bag doctor bags/found/RUN --images',),
+    'bag recover': ('taxinet bag recover broken.mcap --out whole',),
+    'bag export': ('taxinet bag export bags/found/RUN --out run.mp4',),
+    'bag split': ('taxinet bag split recorded --out runs',),
+    'bag store': ('taxinet bag store bags/found s3://recordings/found',),
+    'bag fetch': ('taxinet bag fetch bags/found/RUN',),
+    'bag render': ('taxinet bag render bags/found/RUN',),
+    'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
+    'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
+    'bag golden': ('taxinet bag golden',),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
+    'bench': ('taxinet bench', 'taxinet bench processors --json'),
+}
+"""Lines to copy, by command; the tests parse each."""
+
+_VERBATIM = '\b'
+_LONGEST = 300
+"""Characters of a command's line in a list: all of them, on two lines where needed."""
+
+
+class CommandSections(TyperGroup):
+    """Lists its commands in :data:`SECTIONS`; those of no section come last."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections to the help."""
+        commands = {
+            name: found for name in self.list_commands(ctx)
+            if (found := self.get_command(ctx, name)) is not None and not found.hidden
+        }
+        width = max(map(len, commands))
+        for title, words in _sections(commands):
+            with formatter.section(title):
+                formatter.write_dl(
+                    [(f'{name:<{width}}', commands[name].get_short_help_str(_LONGEST))
+                     for name in words]
+                )
+
+
+def _sections(commands: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    told = {name for words in SECTIONS.values() for name in words}
+    for title, words in (*SECTIONS.items(), ('Others', [*commands.keys() - told])):
+        known = [name for name in words if name in commands]
+        if known:
+            yield title, known
+
+
+def complete_program(incomplete: str) -> list[str]:
+    """Shipped programs that begin so; the shell itself completes names of files."""
+    from taxinet_ros.campaign.scenes.programs import known_programs
+
+    return _begin(known_programs(), incomplete)
+
+
+def complete_perception(incomplete: str) -> list[str]:
+    """Perceptions by name that begin so."""
+    return _begin(names(PERCEPTIONS), incomplete)
+
+
+def complete_sampler(incomplete: str) -> list[str]:
+    """Samplers by name that begin so."""
+    return _begin(names(SAMPLERS), incomplete)
+
+
+def complete_setting(incomplete: str) -> list[str]:
+    """Keys of a scenario that begin so, with ``=``; behind it, the values that are words."""
+    from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, Kind
+
+    key, equals, value = incomplete.partition('=')
+    if not equals:
+        return [f'{name}=' for name in _begin((*HUMAN_KEYS, *SHORT_FORMS), key)]
+    field = BY_KEY.get(SHORT_FORMS.get(key, key))
+    if field is None:
+        return []
+    words = ('on', 'off') if field.kind is Kind.SWITCH else field.words
+    if field.catalogue is not None:
+        words = tuple(field.catalogue.shipped)
+    return [f'{key}={word}' for word in _begin(words, value)]
+
+
+def _begin(words: Iterable[str], incomplete: str) -> list[str]:
+    return [word for word in words if word.startswith(incomplete)]
+
+
+def add_examples(app: typer.Typer, above: str = '') -> None:
+    """Give every command of an app, and of the apps in it, its lines of :data:`EXAMPLES`."""
+    for info in app.registered_commands:
+        name = info.name or getattr(info.callback, '__name__', '').replace('_', '-')
+        lines = EXAMPLES.get(f'{above}{name}')
+        if lines:
+            title = 'Examples' if len(lines) > 1 else 'Example'
+            info.epilog = '\n'.join([_VERBATIM, f'{title}:', *(f'  {line}' for line in lines)])
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            add_examples(group.typer_instance, f'{above}{group.name} ')

@@ -1,0 +1,195 @@
+"""``taxinet why``: find out why a campaign or a run failed, and what to do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.study.stages.log import LOG_NAME, StageLog
+from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.stage import Stage, with_engine
+from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
+from taxinet_ros.study.why.plan import Budget, explain_name
+from taxinet_ros.study.why.report import (
+    JSON_NAME,
+    PAGE_NAME,
+    WorstRun,
+    why_json,
+    why_report,
+    worst_run,
+)
+from taxinet_ros.study.why.verdict import Action, Evidence, Fault, Verdict, actions, judge
+
+_SUBJECT = 'subject.json'
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhyOptions:
+    """Options of ``taxinet why``.
+
+    Attributes:
+        path: campaign, table or run.
+        perception: network, if its file has moved.
+        budget: about how many runs to make.
+        workers: processes.
+        engine, audit: what makes the runs, and share of them to audit as text or None.
+        out: folder; None: one below ``bags/`` named after the campaign or run.
+        as_json: print ``why.json`` in place of the verdict.
+    """
+
+    path: Path
+    perception: str | None
+    budget: int
+    workers: int
+    engine: str
+    audit: str | None
+    out: Path | None
+    as_json: bool
+
+
+def run_why(options: WhyOptions) -> int:
+    """Run the stages that are not done, write the page and print the verdict.
+
+    Returns:
+        Exit code: 0 there is a verdict, 3 it is unclear or no run was judged, 130 interrupted;
+        else that of the stage that broke.
+
+    Raises:
+        UsageError: bad input.
+    """
+    console = Console(highlight=False, stderr=options.as_json)
+    budget = Budget(runs=options.budget)
+    with_engine((), options.engine, options.audit)  # checks them before anything is made
+    path = options.path.absolute()
+    kind = kind_of(path)
+    out = (options.out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
+    _claim(out, path)
+
+    warned: set[str] = set()
+
+    def show(line: str) -> None:
+        # Every sitting of the stages would say again that others were made elsewhere.
+        if line.startswith('begun ') and line in warned:
+            return
+        warned.add(line)
+        console.print(line, soft_wrap=True, markup=False)
+
+    show(f'why {kind} {options.path}: at most about {budget.runs} runs -> {_near(out)}')
+    with StageLog(out) as log:
+        (out / 'logs').mkdir(exist_ok=True)
+
+        def run_stages(stages: Sequence[Stage]) -> tuple[int, Mapping[str, str]]:
+            sitting = StudyRun(
+                out, with_engine(stages, options.engine, options.audit), log=log,
+                command=stage_command(), workers=options.workers, show=show, folder=Path.cwd(),
+                logs=out / 'logs', again='the same command',
+            )
+            return sitting.run(), sitting.refused
+
+        work = Investigation(
+            path=path, out=out, perception=options.perception, budget=budget,
+            workers=options.workers, run_stages=run_stages,
+        )
+        try:
+            evidence = work.evidence()
+        except StoppedError as stopped:
+            return stopped.code
+        verdict = judge(evidence)
+        todo = tuple(_actions(evidence, verdict, path, kind))
+        worst = _worst(work, evidence)
+        write_report_page(why_report(evidence, verdict, todo, worst, out), out / PAGE_NAME)
+        values = why_json(evidence, verdict, todo)
+        write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+    if options.as_json:
+        print(json.dumps(values, indent=2, allow_nan=False))
+    else:
+        _print(show, verdict, todo, out)
+    unclear = verdict.fault in (Fault.UNCLEAR, Fault.BENCH)
+    return ExitCode.INCOMPLETE if unclear else ExitCode.OK
+
+
+def _print(
+    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Action], out: Path
+) -> None:
+    show('')
+    for sentence in verdict.sentences:
+        show(sentence)
+    for action in todo:
+        show('')
+        show(action.words)
+        for command in action.commands:
+            show(f'  {command}')
+    show('')
+    show(f'page: {_near(out / PAGE_NAME)}')
+
+
+def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
+    campaign, program, kept = None, '', False
+    folder = path if kind == 'campaign' else path.parent
+    if kind != 'table' and (folder / LEDGER_NAME).is_file():
+        campaign = Path(_near(folder))
+        recorded = open_campaign(folder)
+        program = str(recorded.facts.get('program', '')).removesuffix('.scenic')
+        kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)
+    shown = _with_near_paths(evidence)
+    return tuple(actions(
+        shown, verdict.fault, campaign=campaign, program=program, kept_bags=kept,
+    ))
+
+
+def _with_near_paths(evidence: Evidence) -> Evidence:
+    """The evidence with paths as one would type them."""
+    causes = tuple(
+        replace(
+            cause, program=cause.program and Path(_near(cause.program)),
+            bag=cause.bag and Path(_near(cause.bag)),
+        ) for cause in evidence.causes
+    )
+    return replace(evidence, causes=causes, subject=_near(Path(evidence.subject)))
+
+
+def _worst(work: Investigation, evidence: Evidence) -> dict[int, WorstRun]:
+    found = {}
+    for cause in evidence.causes:
+        if cause.bag is None:
+            continue
+        run = worst_run(cause, work.change(cause), work.out / explain_name(cause.rank))
+        if run is not None:
+            found[cause.rank] = run
+    return found
+
+
+def _claim(out: Path, path: Path) -> None:
+    """Make the folder for this subject, or check that it is its own.
+
+    Raises:
+        UsageError: it has something else.
+    """
+    claim, text = out / _SUBJECT, json.dumps({'why': str(path)}) + '\n'
+    if claim.is_file():
+        if claim.read_text(encoding='utf-8') != text:
+            raise UsageError(f'--out {out}: is about something else; choose another folder')
+        return
+    if out.is_dir() and any(out.iterdir()) and not (out / LOG_NAME).is_file():
+        raise UsageError(f'--out {out}: contains something else; choose another folder')
+    make_out(out)
+    write_atomically(claim, text)
+
+
+def _near(path: Path) -> str:
+    """A path relative to the current folder if it lies in it."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,634 @@
+"""Find out why a campaign or a run failed: run the stages, read their results, collect evidence."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.analysis.causes.program import (
+    fresh_settings,
+    program_documents,
+    recorded_program,
+    why_no_program,
+)
+from taxinet_ros.analysis.causes.region import Region, part_of
+from taxinet_ros.analysis.fault_localisation import Blame
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
+from taxinet_ros.bag.layout import holds_bag
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
+from taxinet_ros.campaign.past_runs.localisation import (
+    Task,
+    Trial,
+    TrialSetup,
+    make_localize_options,
+    make_trial,
+)
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.table import PARQUET_NAME
+from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.campaign.shrink.algorithm import End
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.motion.controller import SteeringGains, check_controller
+from taxinet_ros.core.mtl import Reading
+from taxinet_ros.core.mtl.lint import UNSATISFIABLE
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception, make_perception
+from taxinet_ros.core.perception.substituted import AS_RECORDED
+from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.verdict.judge import describe_specs
+from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_json import read_sealed
+from taxinet_ros.registry import KMWH
+from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.study.why.plan import (
+    ANALYZE,
+    LOCALIZE,
+    MOST_CAUSES,
+    RECORDED,
+    SHRINK,
+    TRUTH,
+    Budget,
+    Change,
+    analyze_stage,
+    arms_of,
+    blamed_change,
+    confirm_name,
+    confirm_stage,
+    experiment_text,
+    explain_name,
+    explain_stage,
+    localize_stage,
+    near_program,
+    region_change,
+    shrink_stage,
+    why_no_experiment,
+)
+from taxinet_ros.study.why.verdict import Blames, CauseEvidence, Evidence, Paired
+
+CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
+_ANOTHER_SEED = 1_000_003
+_PROGRAM = 'scenes.scenic'
+_ONLY_TABLE = (
+    'a table has neither bags nor settings of its runs, so no run can be driven again; name the '
+    "campaign's folder"
+)
+_NO_TRUTH = 'the runs were driven by the truth, so there is no network to examine'
+
+RunStages = Callable[[Sequence[Stage]], tuple[int, Mapping[str, str]]]
+"""Runs the unfinished ones of some stages; their exit code, and why some were refused."""
+
+
+class StoppedError(Exception):
+    """A stage did not end; ``code`` is its exit code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Investigation:
+    """What is asked, and how.
+
+    Attributes:
+        path: folder of a campaign, a table of one, or the bag of a run; absolute.
+        out: existing folder of the results; absolute.
+        perception: word or file of the network, if it has moved; None for the recorded one.
+        budget: runs to be made.
+        workers: processes.
+        run_stages: runs the commands.
+    """
+
+    path: Path
+    out: Path
+    perception: str | None
+    budget: Budget
+    workers: int
+    run_stages: RunStages
+
+    def evidence(self) -> Evidence:
+        """Run what is not done, and collect the evidence.
+
+        Raises:
+            UsageError: there is nothing of which to say why it failed.
+            StoppedError: a stage was interrupted or broke.
+        """
+        kind = kind_of(self.path)
+        if kind == 'run':
+            return self._run(find_run(self.path))
+        if kind == 'table':
+            return self._table()
+        return self._campaign(open_campaign(self.path))
+
+    # A table -------------------------------------------------------------------------------------
+
+    def _table(self) -> Evidence:
+        runs = read_runs(self.path)
+        found = _of_runs(runs, subject=str(self.path))
+        if not found.failed:
+            return found
+        self._stages([analyze_stage(self.path, self.out)])
+        return replace(found, causes=self._causes(None), troubles={
+            LOCALIZE: _ONLY_TABLE, CONFIRM: _ONLY_TABLE, **self._why_no_causes(),
+        })
+
+    # A campaign ----------------------------------------------------------------------------------
+
+    def _campaign(self, campaign: RecordedCampaign) -> Evidence:
+        facts = campaign.facts
+        if not campaign.judged:
+            return Evidence(
+                subject=str(self.path), network=str(facts.get('perception', '')),
+                controller=str(facts.get('controller', '')), spec='', judged=0, failed=0,
+                others=_outcomes(campaign),
+            )
+        if not (self.path / PARQUET_NAME).is_file():
+            raise UsageError(
+                f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or rebuild it by '
+                f'taxinet doctor --mend {self.path}'
+            )
+        runs = read_runs(self.path)
+        network = self.perception or str(facts.get('perception', ''))
+        found = replace(
+            _of_runs(runs, subject=str(self.path)), others=_outcomes(campaign), network=network,
+            formula=str(facts.get('specs', {}).get(runs.spec, '')),
+        )
+        if not campaign.counterexamples:
+            return found
+        stages = [analyze_stage(self.path, self.out)]
+        troubles: dict[str, str] = {}
+        try:
+            make_localize_options(
+                self.path, runs=self.budget.localized, words=(), workers=self.workers, out=None,
+                perception=self.perception,
+            )
+            stages.append(localize_stage(
+                self.path, self.out, runs=min(self.budget.localized, len(campaign.counterexamples)),
+                workers=self.workers, perception=self.perception,
+            ))
+        except UsageError as error:
+            troubles[LOCALIZE] = str(error)
+        troubles |= self._stages(stages)
+        troubles |= self._why_no_causes()
+        blames = None if LOCALIZE in troubles else self._blames(campaign)
+        causes = self._causes(campaign)
+        if LOCALIZE in troubles:
+            troubles[EXPLAIN] = troubles[CONFIRM] = troubles[LOCALIZE]
+        else:
+            causes = self._looked_into(campaign, causes, network, blames, troubles)
+            causes = self._tested(runs, causes, network, troubles)
+        return replace(
+            found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
+            unsatisfiable=unsatisfiable(*_scene_and_judging(campaign), dict(campaign.gains)),
+        )
+
+    def _causes(self, campaign: RecordedCampaign | None) -> tuple[CauseEvidence, ...]:
+        """The causes that the analysis found; all failures as one if it found none."""
+        values = read_sealed(self.out / ANALYZE / 'analysis.json').values
+        frame = pd.read_parquet(self.out / ANALYZE / PARQUET_NAME)
+        failures = frame[frame['failed']].sort_values(['rho', 'index'], kind='stable')
+        found = []
+        for cause in values['causes']:
+            program = self.out / ANALYZE / f'cause-{cause["rank"]}.scenic'
+            found.append(self._worst(campaign, failures[failures['cause'] == cause['rank']],
+                CauseEvidence(
+                    rank=cause['rank'], words=cause['words'], inside=_inside_words(cause),
+                    program=program if program.is_file() else None,
+                )))
+        if not found:
+            found.append(self._worst(campaign, failures, CauseEvidence(
+                rank=0, words='all failures',
+            )))
+        return tuple(found)
+
+    def _worst(
+        self, campaign: RecordedCampaign | None, failures: pd.DataFrame, cause: CauseEvidence
+    ) -> CauseEvidence:
+        """The cause with its worst run, the worst with a bag if there is one."""
+        for run_id, bag in zip(failures['run_id'], failures['bag'], strict=True):
+            folder = self.path / bag
+            if campaign is not None and bag and holds_bag(folder):
+                return replace(cause, run_id=str(run_id), bag=folder)
+        first = '' if failures.empty else str(failures['run_id'].iloc[0])
+        return replace(cause, run_id=first)
+
+    def _why_no_causes(self) -> dict[str, str]:
+        path = self.out / ANALYZE / 'analysis.json'
+        values = read_sealed(path).values
+        return {CAUSES: str(values['causes_why_not'])} if values['causes_why_not'] else {}
+
+    def _blames(self, campaign: RecordedCampaign) -> Blames:
+        """The trials by what is at fault; those of the controller by their first sample."""
+        cases = pd.read_parquet(self.out / LOCALIZE / 'localize.parquet')
+        number = Counter(cases['blame'].tolist())
+        rows = {row.run_id: row for row in campaign.counterexamples}
+        world = find_world(*recorded_world(campaign.facts)).make
+        doomed = sum(
+            violated_at_start(campaign.scenario(rows[run_id])[0], campaign.judging, world)
+            for run_id in cases.loc[cases['blame'] == Blame.CONTROLLER.value, 'run_id']
+        )
+        return Blames(
+            network=number[Blame.PERCEPTION.value],
+            controller=number[Blame.CONTROLLER.value] - doomed, requirement=doomed,
+            unknown=number[Blame.NOT_REPRODUCED.value] + number[Blame.UNKNOWN.value],
+        )
+
+    def _looked_into(
+        self, campaign: RecordedCampaign, causes: Sequence[CauseEvidence], network: str,
+        blames: Blames | None, troubles: dict[str, str],
+    ) -> tuple[CauseEvidence, ...]:
+        """Explain the worst run of the first causes, and shrink the worst of the first."""
+        stages = []
+        first = causes[:MOST_CAUSES]
+        if network == TRUTH:
+            troubles[EXPLAIN] = _NO_TRUTH
+        elif not any(cause.bag for cause in first):
+            troubles[EXPLAIN] = f'no bag of a failed run is left in {campaign.folder}'
+        else:
+            stages += [
+                explain_stage(cause.bag, self.out, cause.rank, network) for cause in first
+                if cause.bag is not None
+            ]
+        if first[0].run_id:
+            # What the truth cannot master is shrunk with the truth.
+            alone = blames is not None and not blames.network and blames.counted
+            stages.append(shrink_stage(
+                self.path / first[0].run_id, self.out, runs=self.budget.shrunk,
+                workers=self.workers, perception=TRUTH if alone else network,
+            ))
+        troubles |= self._stages(stages)
+        return (*(self._explained(cause) for cause in first), *causes[MOST_CAUSES:])
+
+    def _explained(self, cause: CauseEvidence) -> CauseEvidence:
+        path = self.out / explain_name(cause.rank) / 'explain.json'
+        if cause.bag is None or not path.is_file():
+            return cause
+        values = json.loads(path.read_text(encoding='utf-8'))
+        blamed = {one['name']: one for one in values['factors']}.get(values['blamed'])
+        return replace(
+            cause, explained=str(values['sentences'][0]),
+            blamed='' if blamed is None else str(blamed['words']),
+            removed=0.0 if blamed is None else float(blamed['removed']),
+        )
+
+    def change(self, cause: CauseEvidence) -> Change | None:
+        """What is suspected: what the explanation blames, else what the region says."""
+        path = self.out / explain_name(cause.rank) / 'explain.json'
+        if cause.bag is not None and path.is_file():
+            name = json.loads(path.read_text(encoding='utf-8'))['blamed']
+            found = None if name is None else blamed_change(
+                open_recording(cause.bag).scenario, str(name))
+            if found is not None:
+                return found
+        if not cause.rank:
+            return None
+        values = read_sealed(self.out / ANALYZE / 'analysis.json').values
+        parts = next(one['region'] for one in values['causes'] if one['rank'] == cause.rank)
+        return region_change(Region(parts=tuple(map(part_of, parts))))
+
+    def _tested(
+        self, runs: CampaignRuns, causes: Sequence[CauseEvidence], network: str,
+        troubles: dict[str, str],
+    ) -> tuple[CauseEvidence, ...]:
+        """Test the first causes on fresh scenes."""
+        if why := why_no_program(runs):
+            troubles[CONFIRM] = why
+            return tuple(causes)
+        settings = replace(fresh_settings(runs), perception=network)
+        if why := why_no_experiment(settings, KMWH):
+            troubles[CONFIRM] = why
+            return tuple(causes)
+        for name, text in program_documents(runs).items():
+            write_atomically(self.out / ANALYZE / name, text)
+        plain = self.out / _PROGRAM
+        write_atomically(plain, recorded_program(runs) or '')
+        return self._experiments(
+            [replace(cause, program=cause.program or plain) for cause in causes], settings,
+            seed=int(runs.facts.get('seed') or 0) + _ANOTHER_SEED, troubles=troubles,
+        )
+
+    def _experiments(
+        self, causes: Sequence[CauseEvidence], settings: RunSettings, *, seed: int,
+        troubles: dict[str, str],
+    ) -> tuple[CauseEvidence, ...]:
+        """Run an experiment for each of the first causes, and read the results."""
+        first = causes[:MOST_CAUSES]
+        changes = {cause.rank: self.change(cause) for cause in first}
+        arms = {rank: arms_of(change, settings.perception) for rank, change in changes.items()}
+        arms = {rank: number for rank, number in arms.items() if number > 1}
+        if not arms:
+            troubles[CONFIRM] = 'nothing is suspected that an experiment could change'
+        scenes = self.budget.scenes(sum(arms.values()))
+        stages = []
+        for cause in first:
+            if cause.rank not in arms or cause.program is None:
+                continue
+            file = self.out / f'{confirm_name(cause.rank)}.yaml'
+            write_atomically(file, experiment_text(
+                settings, program=cause.program, folder=self.out / ANALYZE, seed=seed,
+                change=changes[cause.rank], runs=scenes,
+            ))
+            stages.append(confirm_stage(
+                file, self.out, cause.rank, scenes=scenes, workers=self.workers,
+                arms=arms[cause.rank],
+            ))
+        refused = self._stages(stages)
+        troubles |= refused
+        if refused and CONFIRM not in troubles:
+            troubles[CONFIRM] = next(iter(refused.values()))
+        tested = [
+            self._compared(cause, changes[cause.rank]) if cause.rank in arms else cause
+            for cause in first
+        ]
+        return (*tested, *causes[MOST_CAUSES:])
+
+    def _compared(self, cause: CauseEvidence, change: Change | None) -> CauseEvidence:
+        path = self.out / confirm_name(cause.rank) / 'experiment.json'
+        if not path.is_file():
+            return cause
+        values = read_sealed(path).values
+        found = {one['arm']: one for one in values['comparisons'] if one['pairs']}
+        counts = values['arms'][RECORDED]
+        failed, passed = counts.get(Outcome.FAIL.value, 0), counts.get(Outcome.PASS.value, 0)
+        return replace(
+            cause, fresh=(failed, failed + passed),
+            without=None if change is None else _paired(found.get(change.arm), change.words),
+            truth=_paired(found.get(TRUTH), 'with perfect estimates'),
+        )
+
+    def _shrunk(self) -> tuple[str, ...]:
+        path = self.out / SHRINK / 'shrink.json'
+        if not path.is_file():
+            return ()
+        return shrink_sentences(json.loads(path.read_text(encoding='utf-8')))
+
+    # A run ---------------------------------------------------------------------------------------
+
+    def _run(self, run: JudgedRun) -> Evidence:
+        network = self.perception or run.perception
+        headline = run.headline if run.specs else ''
+        texts = dict(text.partition('=')[::2] for text in run.specs)
+        found = Evidence(
+            subject=str(self.path), network=network, controller=run.controller, spec=headline,
+            formula=texts.get(headline, ''), judged=int(run.outcome.judged),
+            failed=int(run.outcome is Outcome.FAIL), single=True,
+            others={} if run.outcome.judged else {str(run.outcome): 1},
+            rate='a single run has no rate',
+        )
+        if run.outcome is not Outcome.FAIL:
+            return found
+        troubles: dict[str, str] = {}
+        bag = self.path if holds_bag(self.path) else None
+        cause = CauseEvidence(rank=0, words='this run', run_id=run.run_id, bag=bag)
+        judging = Judging(specs=run.specs)
+        blames = None
+        try:
+            blames = self._trial_blames(run, network)
+        except (UsageError, InfraError) as error:
+            troubles[LOCALIZE] = troubles[EXPLAIN] = troubles[CONFIRM] = str(error)
+        if blames is not None:
+            stages = []
+            if network == TRUTH:
+                troubles[EXPLAIN] = _NO_TRUTH
+            elif bag is None:
+                troubles[EXPLAIN] = f'its bag is not in {self.path}'
+            else:
+                stages.append(explain_stage(bag, self.out, 0, network))
+            alone = not blames.network and blames.counted
+            stages.append(shrink_stage(
+                self.path, self.out, runs=self.budget.shrunk, workers=self.workers,
+                perception=TRUTH if alone else network,
+            ))
+            troubles |= self._stages(stages)
+            cause = self._explained(cause)
+            program = self.out / _PROGRAM
+            write_atomically(program, near_program(run.scenario, run.run_id))
+            settings = RunSettings(
+                perception=network, controller=run.controller, gains=run.gains, world=run.world,
+                judging=judging, timing=run.timing,
+            )
+            if why := why_no_experiment(settings, KMWH):
+                troubles[CONFIRM] = why
+            else:
+                cause, = self._experiments(
+                    [replace(cause, program=program)], settings, seed=run.seed + _ANOTHER_SEED,
+                    troubles=troubles,
+                )
+        return replace(
+            found, blames=blames, causes=(cause,), troubles=troubles, shrunk=self._shrunk(),
+            unsatisfiable=unsatisfiable(run.scenario, judging, dict(run.gains)),
+        )
+
+    def _trial_blames(self, run: JudgedRun, network: str) -> Blames:
+        """Drive a run again unchanged, and with perfect estimates.
+
+        Raises:
+            UsageError: it cannot be repeated: network, controller or world differ or are not there.
+        """
+        if run.timing.free:
+            raise UsageError(f'a free run: {NOT_REPRODUCIBLE}')
+        if again := find_world(run.world, run.world_fingerprint).again_words:
+            raise UsageError(again)
+        _check_same(
+            'perception', network, lambda: check_perception(network), run.fingerprint,
+            'name its file with --perception',
+        )
+        _check_same(
+            'controller', run.controller, lambda: check_controller(run.controller, run.gains),
+            run.controller_fingerprint, 'put its file back',
+        )
+        bench = TrialSetup(
+            perception=network, judging=Judging(specs=run.specs), gains=run.gains,
+            controller=run.controller, timing=run.timing.words, world=run.world,
+            world_sha256=run.world_fingerprint,
+        )
+        perception = make_perception(network)
+
+        def trial(word: str) -> Trial:
+            task = Task(run_id=run.run_id, scenario=run.scenario, word=word, seed=(run.seed, 0))
+            return make_trial(task, bench, perception)
+
+        control = trial(AS_RECORDED)
+        before = run.robustness.get(run.headline)
+        if control.passed is not False or (before is not None and control.robustness != before):
+            return Blames(unknown=1)
+        passed = trial(WITH_TRUTH).passed
+        if passed is None:
+            return Blames(unknown=1)
+        if passed:
+            return Blames(network=1)
+        world = find_world(run.world, run.world_fingerprint).make
+        doomed = violated_at_start(run.scenario, bench.judging, world)
+        return Blames(requirement=int(doomed), controller=int(not doomed))
+
+    def _stages(self, stages: Sequence[Stage]) -> dict[str, str]:
+        """Run stages; why some were refused, by name."""
+        code, refused = self.run_stages(stages)
+        if code != ExitCode.OK:
+            raise StoppedError(code)
+        return dict(refused)
+
+
+def kind_of(path: Path) -> str:
+    """Whether a path is a ``campaign``, a ``table`` of one, or a ``run``.
+
+    Raises:
+        UsageError: it is none of them.
+    """
+    if path.suffix == '.parquet' and path.is_file():
+        return 'table'
+    if (path / LEDGER_NAME).is_file():
+        return 'campaign'
+    if (path.parent / LEDGER_NAME).is_file() or (path.is_dir() and holds_bag(path)):
+        return 'run'
+    if path.is_dir():
+        bags = sorted(one.name for one in path.iterdir() if one.is_dir() and holds_bag(one))
+        if bags:
+            raise UsageError(
+                f'{path}: bags without the {LEDGER_NAME} of a campaign; name one of the runs, as '
+                f'{path / bags[0]}'
+            )
+    raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
+
+
+def violated_at_start(scenario: Scenario, judging: Judging, make_world: Any) -> bool:
+    """Whether a formula is violated for certain at the first sample, whatever comes after it.
+
+    No perception, controller or aircraft has had any influence then. Assumptions of the user are
+    not used, as they are about the controller too.
+
+    Args:
+        scenario: the scene.
+        judging: the formulas.
+        make_world: factory of its world.
+    """
+    first: list[tuple[Reading, ...]] = []
+    run_closed_loop(
+        scenario, GroundTruth(), specs=judging.parsed_specs, stop_on=StopOn.VIOLATED,
+        on_step=lambda step: first.append(step.readings) if not first else None,
+        make_world=make_world,
+    )
+    return any(reading.interval.failed for reading in first[0])
+
+
+def unsatisfiable(scenario: Scenario, judging: Judging, gains: Mapping[str, float]) -> str:
+    """Why no run can satisfy one of the formulas, from the ranges of their signals; ''."""
+    found = describe_specs(
+        judging.parsed_specs, scenario.duration_s, SteeringGains(**gains), scenario
+    ).warnings
+    return next((text for text in found if UNSATISFIABLE in text), '')
+
+
+def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """What ``shrink.json`` says, the most important first."""
+    parameters = values['parameters']
+    matter = [key for key, one in parameters.items() if one['matters']]
+    away = [key for key, one in parameters.items() if one['shrunk'] != one['nominal']]
+    sentences = []
+    if values['end'] == End.NOMINAL_FAILS.value:
+        return ('Even the nominal scene fails, so no parameter of this scene matters.',)
+    if matter:
+        words = [f'{BY_KEY[key].title} {BY_KEY[key].value_words(parameters[key]["shrunk"])}'
+                 for key in matter]
+        only = 'alone is' if len(matter) == 1 else 'are together'
+        sentences.append(
+            f'Shrunk to what matters, {" and ".join(words)} {only} enough to violate '
+            f'{values["spec"]}; everything else is nominal.'
+            if set(away) <= set(matter) else
+            f'In the shrunk scene {" and ".join(words)} matter.'
+        )
+    for key in matter:
+        one = parameters[key]
+        if one['passes_at'] is not None:
+            field = BY_KEY[key]
+            sentences.append(
+                f'{field.title[0].upper()}{field.title[1:]}: {field.value_words(one["shrunk"])} '
+                f'fails, {field.value_words(one["passes_at"])} passes.'
+            )
+    if values['end'] == End.SPENT.value:
+        sentences.append(
+            'Shrinking ended before it was minimal, as its runs were spent; a larger --budget '
+            'goes on.'
+        )
+    return tuple(sentences)
+
+
+def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:
+    found = runs.rate()
+    rated = runs.weighting.rated
+    controller = str(runs.facts.get('controller', '')) or 'unknown'
+    return Evidence(
+        subject=subject, network=runs.perception, controller=controller, spec=runs.spec,
+        judged=len(runs.frame), failed=int(runs.failed.sum()),
+        others={**runs.others},
+        rate=f'{found.words()} of the scenes of {runs.program} fail' if rated else (
+            'there is no failure rate of the program, as none of these runs was drawn by it alone'),
+        searched='' if rated and runs.weight.all() else runs.sampler,
+    )
+
+
+def _outcomes(campaign: RecordedCampaign) -> dict[str, int]:
+    """Runs without a verdict, infrastructure errors by kind."""
+    others = Counter(str(row.outcome) for row in campaign.rows if not row.outcome.judged)
+    broken = [row for row in campaign.rows if row.outcome is Outcome.INFRA_ERROR]
+    kinds = Counter(row.kind or 'unknown' for row in broken)
+    others.pop(str(Outcome.INFRA_ERROR), None)
+    return {**{f'INFRA_ERROR ({kind})': number for kind, number in kinds.items()}, **others}
+
+
+def _inside_words(cause: Mapping[str, Any]) -> str:
+    inside, outside = cause['inside'], cause['outside']
+    known = '' if inside['low'] is None else (
+        f' ({100 * inside["low"]:.0f}–{100 * inside["high"]:.0f})')
+    return (
+        f'{100 * inside["rate"]:.0f} %{known} of {inside["runs"]:,} runs, elsewhere '
+        f'{100 * outside["rate"]:.0f} %'
+    )
+
+
+def _paired(values: Mapping[str, Any] | None, words: str) -> Paired | None:
+    if values is None:
+        return None
+    rates = values['satisfied']
+    return Paired(
+        words=words, scenes=values['pairs'], before=rates['base'], after=rates['arm'],
+        difference=rates['difference'], low=rates['low'], high=rates['high'], p=rates['p_holm'],
+    )
+
+
+def _scene_and_judging(campaign: RecordedCampaign) -> tuple[Scenario, Judging]:
+    return campaign.scenario(campaign.counterexamples[0])[0], campaign.judging
+
+
+def _check_same(
+    role: str, word: str, now: Callable[[], str], before: str, mend: str
+) -> None:
+    """Check that a network or controller is there, and that of the run.
+
+    Raises:
+        UsageError: it is not.
+    """
+    was = f'sha256 {before[:12]}…' if before else 'without weights'
+    try:
+        found = now()
+    except UsageError as error:
+        raise UsageError(
+            f"the run's {role} {word!r} ({was}) is not here under this name; {mend}"
+        ) from error
+    if found != before:
+        what = f'sha256 {found[:12]}…' if found else 'without weights'
+        raise UsageError(f'{role} {word} is {what}, the run had one of {was}; {mend}')

@@ -1,0 +1,125 @@
+"""Two networks on the same scenes: known answers of shipped tables, and planted changes."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from planted_runs import planted_runs, planted_table
+
+from taxinet_ros.analysis.campaign.compared import (
+    changed_table,
+    compared,
+    compared_json,
+    compared_sentences,
+)
+from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+from taxinet_ros.errors import UsageError
+
+BAGS = Path(__file__).resolve().parents[3] / 'bags'
+PLAIN = {
+    'wind_speed_mps': 0.0, 'wind_direction_deg': 0.0, 'gust_mps': 0.0, 'gust_seed': 0.0,
+    'runway_state': 'auto', 'slope_percent': 0.0, 'speed_mps': 5.0, 'crossing': True,
+    'place': 'kmwh_04',
+}
+
+
+def of_shipped(one: str, other: str):
+    return compared(*distinct_labels([
+        read_runs(BAGS / f's_falsif_{name}_400.parquet') for name in (one, other)]))
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_given_the_shipped_tables_then_the_pairs_are_those_that_a_join_by_hand_gives():
+    tables = [
+        pd.read_parquet(BAGS / f's_falsif_{name}_400.parquet').set_index('index')['outcome']
+        for name in ('generic', 'specialised')
+    ]
+    first, second = (table.eq('PASS') for table in tables)
+    found = of_shipped('generic', 'specialised')
+    rates = found.satisfied
+    assert (rates.pairs, found.unpaired, found.tested, found.clear) == (400, 0, True, False)
+    assert (rates.first, rates.second) == (int(first.sum()), int(second.sum())) == (363, 369)
+    assert (rates.only_second, rates.only_first) == (
+        int((~first & second).sum()), int((first & ~second).sum())) == (10, 4)
+    # 2 * P(at most 4 of 14 by a fair coin)
+    assert rates.p_value == pytest.approx(2 * 1471 / 2**14)
+    (cause,) = found.better.found
+    assert 'along the track' in cause.region.words()
+    assert (cause.inside.failures, found.worse.found) == (10, ())
+    rows = changed_table(found).rows
+    assert [row[0] for row in rows] == ['worse'] * 4 + ['better'] * 10
+    told = compared_json(found)
+    assert told['satisfied']['difference'] == pytest.approx(6 / 400)
+    assert told['satisfied']['low'] < 0 < told['satisfied']['high']
+    assert next(iter(compared_sentences(found))).startswith('No difference between')
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_the_other_way_round_everything_is_mirrored():
+    one, other = of_shipped('generic', 'specialised'), of_shipped('specialised', 'generic')
+    assert one.satisfied.only_first == other.satisfied.only_second
+    assert one.satisfied.difference.value == -other.satisfied.difference.value
+    assert [cause.region for cause in one.better.found] == [
+        cause.region for cause in other.worse.found]
+
+
+def pair(folder, rate_before, rate_after, **columns):
+    """Two campaigns of the same 200 scenes, each with its own failures."""
+    runs = []
+    for name, rate in (('before', rate_before), ('after', rate_after)):
+        (folder / name).mkdir()
+        table = planted_table(200, 5, rate, **{**PLAIN, **columns})
+        runs.append(planted_runs(table.assign(perception=name), folder / name))
+    return runs
+
+
+def test_a_network_compared_with_itself_does_not_differ(tmp_path):
+    def wet(table):
+        return 0.1 + 0.8 * (table['rain_percent'] > 0)
+
+    found = compared(*pair(tmp_path, wet, wet))
+    assert (found.satisfied.only_first, found.satisfied.only_second) == (0, 0)
+    assert (found.satisfied.p_value, found.clear) == (1.0, False)
+    assert changed_table(found).rows == ()
+
+
+def test_given_a_network_that_broke_in_rain_then_rain_is_named_and_only_as_worse(tmp_path):
+    found = compared(*pair(
+        tmp_path, lambda table: 0.0 * table['rain_percent'],
+        lambda table: (table['rain_percent'] > 0).astype(float)))
+    assert found.clear
+    assert found.satisfied.only_second == 0
+    assert found.better.found == ()
+    (cause,) = found.worse.found
+    assert 'rain' in cause.region.words()
+    wet = int((found.scenes['rain_percent'] > 0).sum())
+    assert found.satisfied.only_first == wet == cause.inside.failures
+    first, *others = compared_sentences(found)
+    assert first.startswith('after is worse than before.')
+    assert any(line.startswith('Got worse: rain') for line in others)
+
+
+def test_given_scenes_chosen_by_results_then_there_is_no_test_and_the_reason_is_said(tmp_path):
+    found = compared(*pair(
+        tmp_path, lambda table: 0.5 + 0 * table['rain_percent'],
+        lambda table: 0.0 * table['rain_percent'], sampler='ce', weight=np.nan))
+    assert (found.tested, found.clear) == (False, False)
+    first = next(iter(compared_sentences(found)))
+    assert first.startswith('No test says whether after is better than before: the scenes were')
+    assert compared_json(found)['satisfied']['mcnemar_p'] is None
+
+
+def test_given_no_common_scene_or_another_requirement_then_one_line_says_so(tmp_path):
+    def rate(table):
+        return 0.5 + 0 * table['rain_percent']
+
+    one, other = pair(tmp_path, rate, rate)
+    (tmp_path / 'far').mkdir()
+    far = planted_runs(planted_table(50, 9, rate, **PLAIN), tmp_path / 'far')
+    with pytest.raises(UsageError, match='no scene in common'):
+        compared(one, far)
+    (tmp_path / 'psi').mkdir()
+    table = planted_table(200, 5, rate, **PLAIN).rename(columns={'rho_phi': 'rho_psi'})
+    with pytest.raises(UsageError, match=r'judged by phi, .* by psi'):
+        compared(other, planted_runs(table, tmp_path / 'psi'))

@@ -1,0 +1,349 @@
+"""A campaign on a cluster of processes: the rows of the local pool, whatever happens to workers."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import dask.config
+import falsify_samples as toy
+import pytest
+import yaml
+from dask_processes import DaskProcesses, Wire, kill
+from distributed import Security
+
+import taxinet_ros
+from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.cluster.connection import Limits, check_cluster
+from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.campaign.cluster.task import OUT
+from taxinet_ros.campaign.record.facts import STACKS, read_facts
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.worker_pool import RunSource, WorkerPool, run_search
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.journal import read_journal
+
+pytestmark = pytest.mark.slow
+TOY = Path(__file__).with_name('toy_worker.py')
+SCALING = Path(__file__).parents[3] / 'docs' / 'scaling.md'
+RUNS = 40
+Acts = dict[int, Callable[[Search], object]]
+LIMITS = Limits(silence_s=2.0, patience_s=60.0)
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
+
+
+@pytest.fixture(scope='module')
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
+    """A cluster of two workers, which tests leave as they found it."""
+    with DaskProcesses(tmp_path_factory.mktemp('dask')) as started:
+        started.add_worker()
+        started.add_worker()
+        yield started
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Callable[..., Path]:
+    """What makes the campaign with the local pool, for comparison."""
+    def make(**changes: Any) -> Path:
+        chosen = options(tmp_path / 'here', **changes)
+        with Search(chosen, ('perception',)) as search, WorkerPool(
+            [sys.executable, str(TOY), str(chosen.campaign.out), str(tmp_path)],
+            min(2, chosen.lag), chosen.campaign.out / 'logs',
+        ) as pool:
+            run_search(search, pool)
+        return chosen.campaign.out
+
+    return make
+
+
+def options(out: Path, **changes: Any) -> SearchOptions:
+    return toy.options(out, **{'runs': RUNS, **changes})
+
+
+class Watched:
+    """A search that does something once so many of its runs are recorded."""
+
+    def __init__(self, search: Search, acts: Acts) -> None:
+        self.search, self._acts = search, acts
+
+    @property
+    def interrupted(self) -> bool:
+        return self.search.interrupted
+
+    def next(self) -> RunRequest | None:
+        return self.search.next()
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        self.search.take(request, result)
+        for act in [self._acts.pop(n) for n in list(self._acts) if len(self.search.rows) >= n]:
+            act(self.search)
+
+
+def there(
+    where: str, out: Path, told: list[str], acts: Acts | None = None,
+    limits: Limits = LIMITS, **changes: Any,
+) -> Search:
+    """Make the campaign on a cluster."""
+    chosen = options(out, cluster=where, **changes)
+    acts = acts or {}
+    with (
+        campaign_cluster(chosen.campaign, where, tell=told.append, limits=limits) as cluster,
+        Search(chosen, ('perception',)) as search,
+        ClusterPool(
+            cluster, [sys.executable, str(TOY), OUT, str(out.parent)], out, runs=chosen.runs,
+            in_flight=chosen.in_flight, on_machine=search.book.add_machine,
+        ) as pool,
+    ):
+        source: RunSource = Watched(search, acts)
+        run_search(source, pool)
+    assert acts == {}
+    return search
+
+
+def check_whole(out: Path, other: Path) -> None:
+    """Every run has one result and its bag, as in the other campaign, and nothing is left over."""
+    toy.same_table(out, other)
+    results = [
+        event['row']['index'] for event in read_journal(out / 'ledger.jsonl')
+        if event['event'] == 'result'
+    ]
+    assert len(results) == len(set(results)) == len(read_table(out))
+    bags = {path.parent.name for path in out.glob('*/bag')}
+    assert bags == set(read_table(out).query("outcome != 'REJECTED'")['run_id'])
+    assert not (out / 'logs' / 'cluster').exists() or not list(out.glob('logs/cluster/*/*/bag'))
+
+
+@pytest.mark.parametrize('changes', [
+    {'sampler': 'ce'}, {'sampler': 'ce', 'lag': 3}, {'sampler': 'halton'},
+], ids=['adaptive', 'another lag', 'by index'])
+def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
+    processes, here, tmp_path, changes
+):
+    told: list[str] = []
+    there(processes.address, tmp_path / 'there', told, **changes)
+    check_whole(tmp_path / 'there', here(**changes))
+    assert told == []
+    assert list(read_facts(tmp_path / 'there').values[STACKS].values()) == [dict(provenance())]
+
+
+def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
+    processes, here, tmp_path
+):
+    file, pace, out = tmp_path / 'scheduler.json', tmp_path / 'pace', tmp_path / 'there'
+    file.write_text(f'{{"address": "{processes.address}"}}')
+    pace.write_text('0.05')
+    ended = there(check_cluster(str(file)), out, [], {12: Search.interrupt})
+    assert ended.interrupted
+    assert 12 <= len(read_table(out)) < RUNS
+    assert set(read_table(out)['outcome']) <= {'PASS', 'FAIL', 'REJECTED'}
+    pace.unlink()
+    chosen = options(out, resume=True)
+    with Search(chosen, ('perception',)) as search, WorkerPool(
+        [sys.executable, str(TOY), str(out), str(tmp_path)], 2, out / 'logs'
+    ) as pool:
+        run_search(search, pool)
+    check_whole(out, here())
+
+
+def test_given_two_campaigns_at_once_then_each_has_its_own_rows(processes, here, tmp_path):
+    outs = [tmp_path / 'one', tmp_path / 'two']
+    (tmp_path / 'pace').write_text('0.01')
+    failed: list[BaseException] = []
+
+    def make(out: Path) -> None:
+        try:
+            there(processes.address, out, [])
+        except BaseException as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=make, args=(out,)) for out in outs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    whole = here()
+    for out in outs:
+        check_whole(out, whole)
+
+
+def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_lost_or_doubled(
+    processes, here, tmp_path
+):
+    """One of three workers is killed; and a child, in whose place its worker starts another."""
+    (tmp_path / 'pace').write_text('0.2')  # it has two tasks when the first result comes
+    third = processes.add_worker()
+    told: list[str] = []
+    (tmp_path / 'deadly-38').write_text('')
+    search = there(
+        processes.address, tmp_path / 'there', told, {1: lambda search: kill(third)},
+        sampler='halton',
+    )
+    assert [line.partition(': ')[2] for line in told] == ['lost; its runs are given to others']
+    retried = [row.index for row in search.rows if row.retries]
+    assert retried == [38]
+    (tmp_path / 'pace').unlink()
+    (tmp_path / 'deadly-38').write_text('')
+    check_whole(tmp_path / 'there', here(sampler='halton'))
+
+
+def test_given_a_worker_that_is_stopped_and_one_that_is_cut_off_then_both_are_named(
+    processes, here, tmp_path
+):
+    """One host is stopped and goes on later; another stays connected, but nothing passes."""
+    (tmp_path / 'pace').write_text('0.05')
+    wire = Wire(processes.port)
+    stopped = processes.add_worker()
+    cut = processes.add_worker(f'tcp://127.0.0.1:{wire.port}')
+    told: list[str] = []
+
+    def lose(search: Search) -> None:
+        stopped.send_signal(signal.SIGSTOP)
+        wire.cut()
+
+    limits = dataclasses.replace(LIMITS, silence_s=1.5)
+    try:
+        there(
+            processes.address, tmp_path / 'there', told,
+            {10: lose, 90: lambda search: stopped.send_signal(signal.SIGCONT)}, limits, runs=120,
+        )
+    finally:
+        for process in (stopped, cut):
+            kill(process)
+        wire.close()
+    silent = [line for line in told if 'silent for 1.5 s; its runs are given to others' in line]
+    assert len(silent) == 2, told
+    (tmp_path / 'pace').unlink()
+    check_whole(tmp_path / 'there', here(runs=120))
+
+
+def test_given_a_scheduler_that_restarts_then_the_campaign_goes_on_with_new_workers(
+    here, tmp_path
+):
+    (tmp_path / 'dask').mkdir()
+    (tmp_path / 'pace').write_text('0.03')
+    told: list[str] = []
+    with DaskProcesses(tmp_path / 'dask') as processes:
+        processes.add_worker()
+
+        def restart(search: Search) -> None:
+            kill(processes.scheduler)
+            processes.start_scheduler()
+            processes.add_worker()
+
+        there(processes.address, tmp_path / 'there', told, {8: restart}, sampler='halton')
+        # Dask may have connected again by itself before anybody looked.
+        assert {
+            f'{processes.address}: the connection is lost; trying to connect again',
+            f'{processes.address}: the scheduler was restarted; all runs in flight are given out '
+            'again',
+        } & set(told), told
+        (tmp_path / 'pace').unlink()
+        check_whole(tmp_path / 'there', here(sampler='halton'))
+        # And one that does not come back ends the campaign, which has kept what it had.
+        (tmp_path / 'pace').write_text('0.03')
+        with pytest.raises(InfraError, match=r'has not answered for .*continue with --resume'):
+            there(
+                processes.address, tmp_path / 'gone', [],
+                {8: lambda search: kill(processes.scheduler)},
+                dataclasses.replace(LIMITS, patience_s=1.0), sampler='halton',
+            )
+    assert 8 <= len(read_table(tmp_path / 'gone')) < RUNS
+
+
+def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_none(
+    processes, here, tmp_path
+):
+    """One has a file of the program changed, the other a library without some instructions."""
+    other = tmp_path / 'elsewhere' / 'taxinet_ros'
+    package = Path(taxinet_ros.__file__).parent
+    shutil.copytree(package, other, ignore=shutil.ignore_patterns('__pycache__'))
+    changed = other / 'core' / 'topics.py'
+    changed.write_text(changed.read_text() + '# changed\n')
+    strange = [
+        processes.add_worker(PYTHONPATH=str(other.parent)),
+        processes.add_worker(NPY_DISABLE_CPU_FEATURES='X86_V3 X86_V4 AVX512_ICL AVX512_SPR'),
+    ]
+    told: list[str] = []
+    (tmp_path / 'pace').write_text('0.1')
+    try:
+        there(processes.address, tmp_path / 'there', told, sampler='halton')
+    finally:
+        for process in strange:
+            kill(process)
+    assert len(told) == 2, told
+    assert sum('taxinet_ros of other files' in line for line in told) == 1, told
+    assert sum('numpy_features X86_V2' in line for line in told) == 1, told
+    assert all(line.endswith('; gets no runs') for line in told)
+    (tmp_path / 'pace').unlink()
+    check_whole(tmp_path / 'there', here(sampler='halton'))
+
+
+def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(processes, tmp_path):
+    told: list[str] = []
+    out = tmp_path / 'there'
+    (tmp_path / 'weights').write_text('0' * 64)
+    chosen = options(out, cluster=processes.address)
+    with (
+        pytest.raises(InfraError, match='has another perception now'),
+        campaign_cluster(
+            chosen.campaign, processes.address, tell=told.append,
+            limits=dataclasses.replace(LIMITS, patience_s=0.5),
+        ) as cluster,
+        Search(chosen, ('perception',)) as search,
+        ClusterPool(
+            cluster, [sys.executable, str(TOY), OUT, str(tmp_path)], out, runs=chosen.runs,
+            in_flight=chosen.in_flight, fingerprint='1' * 64,
+        ) as pool,
+    ):
+        run_search(search, pool)
+    assert len(told) == 2
+    assert all('has another perception now (sha256 000000000000' in line for line in told)
+    assert not [row for row in search.rows if row.outcome.judged]
+
+
+def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_takes_part(
+    here, tmp_path
+):
+    """As docs/scaling.md has it, with a certificate for all three."""
+    keys = Security.temporary()
+    files = {'ca-file': tmp_path / 'ca.pem', 'cert': tmp_path / 'cert.pem',
+             'key': tmp_path / 'key.pem'}
+    contents = (keys.tls_ca_file, keys.tls_client_cert, keys.tls_client_key)
+    for file, content in zip(files.values(), contents, strict=True):
+        file.write_text(content)
+    text = re.findall(r'```yaml\n(distributed:.*?)```', SCALING.read_text(), re.DOTALL)
+    assert len(text) == 1
+    configured = re.sub(r'/etc/dask/(\w+\.pem)', rf'{tmp_path}/\1', text[0])
+    config = tmp_path / 'dask.yaml'
+    config.write_text(configured)
+    (tmp_path / 'dask').mkdir()
+    with DaskProcesses(tmp_path / 'dask', 'tls', DASK_CONFIG=str(config)) as cluster:
+        cluster.add_worker()
+        assert cluster.address.startswith('tls://')
+        asked = dask.config.merge(dask.config.config, yaml.safe_load(configured))
+        with dask.config.set(asked):
+            there(cluster.address, tmp_path / 'there', [], sampler='halton')
+        for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
+            with pytest.raises(UsageError, match='what answers there is no Dask scheduler'):
+                there(
+                    address, tmp_path / 'never', [],
+                    limits=dataclasses.replace(LIMITS, connect_s=1.0),
+                )
+    assert not (tmp_path / 'never').exists()
+    check_whole(tmp_path / 'there', here(sampler='halton'))

@@ -1,0 +1,107 @@
+"""``taxinet plan``: its numbers, its words, and which runs may count."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.analysis.plan import Claim, hopeless, plan_claim
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+
+CLAIM = Claim(criterion='min-satisfaction', threshold=0.9)
+
+
+def campaign(passed: int, failed: int, **changes) -> RecordedCampaign:
+    rows = []
+    for index in range(passed + failed):
+        good = index < passed
+        values = {
+            'run_id': f'run-{index}', 'index': index, 'program': 'p', 'seed': 1,
+            'perception': 'truth', **Scenario().to_human(), 'left_runway': not good,
+            'robustness': exact_intervals({'phi': 1.0 if good else -1.0}), **changes,
+        }
+        rows.append(RunRow(outcome=Outcome.PASS if good else Outcome.FAIL, **values))
+    content = dataclasses.replace(EMPTY_LEDGER, rows=tuple(rows), campaign={'runs': len(rows)})
+    return RecordedCampaign(folder=Path('made'), content=content)
+
+
+def test_given_the_claim_of_the_rule_of_three_then_its_numbers_are_printed(taxinet):
+    code, said, _ = taxinet('plan', '--min-satisfaction', 0.999)
+    assert code == 0
+    assert '       0  2,995\n       1  4,742\n' in said
+    assert '3,688 runs without any' in said  # what gate needs without --planned
+    assert 'chance' not in said
+
+
+def test_given_an_assumed_share_then_chances_and_a_sequential_test_are_there(taxinet):
+    code, said, _ = taxinet(
+        'plan', '--max-off-runway', 0.05, '--if-true', 0.005, '--power', 0.95, '--json')
+    found = json.loads(said)
+    assert code == 0
+    assert found['with_power']['chance'] >= 0.95
+    assert found['sequential']['test'] == 'max-off-runway=0.05,design=0.005'
+    assert found['sequential']['at_limit']['passes'] <= 0.05
+    assert found['sequential']['if_true']['mean_runs'] < found['with_power']['runs']
+
+
+def test_given_runs_so_far_then_the_further_ones_are_by_bounds_for_any_number(taxinet):
+    code, said, _ = taxinet('plan', '--min-satisfaction', 0.999, '--so-far', '4000:6')
+    assert code == 0
+    assert 'so far 6 of 4,000 runs failed, 0.15 %' in said
+    assert 'at this share the claim is false' in said
+    assert '12,080 more runs, without a failure' in said
+    code, said, _ = taxinet('plan', '--min-satisfaction', 0.99, '--so-far', '4000:6')
+    assert 'the claim holds already, whenever the campaign was stopped' in said
+
+
+def test_given_a_campaign_then_only_what_the_program_itself_drew_counts():
+    plain = plan_claim(CLAIM, campaign(95, 5))
+    assert (plain.found.drawn, plain.found.drawn_hits) == (100, 5)
+    assert plain.likely is not None
+    assert plain.likely.chance >= 0.9
+    with pytest.raises(UsageError, match='no rate from this search: grid chose all'):
+        plan_claim(CLAIM, campaign(95, 5, sampler='grid', drawn=False))
+    searched = campaign(95, 5, sampler='active')
+    rows = tuple(
+        dataclasses.replace(row, drawn=row.index % 4 == 0) for row in searched.rows)
+    searched = dataclasses.replace(
+        searched, content=dataclasses.replace(searched.content, rows=rows))
+    partly = plan_claim(CLAIM, searched)
+    assert (partly.found.drawn, partly.found.runs) == (25, 100)
+    assert partly.further[0].runs == 4 * partly.further[0].drawn
+
+
+def test_given_a_campaign_that_refutes_the_claim_then_that_is_known():
+    assert hopeless(plan_claim(CLAIM, campaign(50, 50)))
+    assert not hopeless(plan_claim(CLAIM, campaign(88, 12)))
+    off = Claim(criterion='max-off-runway', threshold=0.1)
+    assert hopeless(plan_claim(off, campaign(50, 50)))
+
+
+@pytest.mark.parametrize(('words', 'complaint'), [
+    ([], 'give one claim'),
+    (['--min-satisfaction', 0.9, '--max-off-runway', 0.1], 'give one claim'),
+    (['--min-satisfaction', 1], 'no number of runs shows that'),
+    (['--min-satisfaction', 1.5], 'needs to be within 0..1'),
+    (['--min-satisfaction', 0.9, '--power', 0.8], 'only with --if-true'),
+    (['--min-satisfaction', 0.9, '--if-true', 0.8], 'does not meet the claim'),
+    (['--min-satisfaction', 0.9, '--so-far', '6:4000'], 'no more failures'),
+    (['--min-satisfaction', 0.9, '--so-far', 'many'], 'expected RUNS:FAILURES'),
+    (['--min-satisfaction', 0.9, '--failures', -1], 'within 0..1000'),
+    (['nowhere', '--min-satisfaction', 0.9], 'not a campaign'),
+    (['nowhere', '--min-satisfaction', 0.9, '--so-far', '4:0'], 'leave one out'),
+])
+def test_given_what_cannot_be_planned_then_one_line_says_why(taxinet, words, complaint):
+    code, _, said = taxinet('plan', *words)
+    assert code == 2
+    assert complaint in said
+    assert len(said.splitlines()) == 1

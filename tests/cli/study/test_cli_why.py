@@ -1,0 +1,264 @@
+"""What is found out about real runs: the commands of the stages run in this process."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.analysis.report import pictures as picture_files
+from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import write_tables
+from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.perception.weights import SHIPPED, card_path
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import SimulatedWorld
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.why.investigation import (
+    Investigation,
+    StoppedError,
+    kind_of,
+    shrink_sentences,
+    unsatisfiable,
+    violated_at_start,
+)
+from taxinet_ros.study.why.plan import Budget
+from taxinet_ros.study.why.verdict import Blames, Fault, judge
+
+WET = tx.Scenario(
+    cross_track_m=-5.0, distance_m=620.0, heading_rad=math.radians(19), clouds='stratus',
+    rain_fraction=0.9, time_of_day_s=8 * 3600, duration_s=5.0,
+)
+NEAR = 'near=eventually(abs(cte) <= 1.5)'
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Drawing takes by far the longest; here only that it is done matters."""
+    monkeypatch.setattr(picture_files, 'DOTS_PER_INCH', 30)
+
+
+class Stages:
+    """Runs the commands of stages in this process, and notes them."""
+
+    def __init__(self, taxinet, out: Path) -> None:
+        self.taxinet, self.out, self.done = taxinet, out, []
+
+    def run(self, stages):
+        refused = {}
+        for stage in stages:
+            assert stage.ready(self.out), stage.name
+            folder = self.out / stage.name
+            folder.mkdir(exist_ok=True)
+            words = [*stage.command(), *(
+                ('--engine', 'loop', '--audit', '0')
+                if stage.words[0] in ('shrink', 'experiment') else ())]
+            code, _, err = self.taxinet(*words)
+            self.done.append(stage.name)
+            if code not in stage.accepts:
+                assert stage.optional, (stage.name, err)
+                refused[stage.name] = err.splitlines()[-1]
+        return 0, refused
+
+
+def looked_into(path: Path, taxinet, tmp_path: Path, **options):
+    out = tmp_path / 'why'
+    out.mkdir()
+    stages = Stages(taxinet, out)
+    found = Investigation(
+        path=path, out=out, perception=None, budget=Budget(runs=24), workers=1,
+        run_stages=stages.run, **options,
+    ).evidence()
+    return found, stages
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_confirmed(
+    tmp_path, taxinet
+):
+    bag = tx.run(WET, perception='original', specs=NEAR).save_bag(
+        tmp_path / 'runs' / 'wet', images=False)
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert found.blames == Blames(network=1)
+    assert stages.done == ['explain', 'shrink', 'confirm']
+    (cause,) = found.causes
+    assert cause.bag == bag
+    assert cause.removed > 0.25
+    assert (cause.without.scenes, cause.without.before) == (4, 0) == (
+        cause.truth.scenes, cause.truth.before)
+    assert cause.truth.after == 4  # the truth always reaches the line
+    assert cause.fresh == (4, 4)
+    verdict = judge(found)
+    assert verdict.fault is Fault.NETWORK
+    assert 'the failed run, driven again' in verdict.sentences[0]
+
+
+def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_path, taxinet):
+    scene = tx.Scenario(cross_track_m=5.0, duration_s=2.0)
+    bag = tx.run(scene, perception='truth', specs='inside=always(abs(cte) <= 1.5)').save_bag(
+        tmp_path / 'runs' / 'out', images=False)
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert found.blames == Blames(requirement=1)
+    assert judge(found).fault is Fault.REQUIREMENT
+    assert 'no network to examine' in found.troubles['explain']
+    assert stages.done == ['shrink']
+
+
+def test_given_a_run_that_fails_with_the_truth_too_then_the_controller_is_at_fault(
+    tmp_path, taxinet
+):
+    weak = tx.SteeringLaw(tx.SteeringGains(heading_gain=0.01))
+    scene = tx.Scenario(cross_track_m=5.0, duration_s=3.0)
+    bag = tx.run(scene, perception='truth', controller=weak, specs=NEAR).save_bag(
+        tmp_path / 'runs' / 'weak', images=False)
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert found.blames == Blames(controller=1)
+    assert stages.done == ['shrink']
+    whose, where, _ = judge(found).sentences
+    assert 'The controller steering is at fault' in whose
+    assert where.startswith('Shrinking ended before it was minimal')  # its share is few runs
+
+
+def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_blamed(
+    tmp_path, taxinet
+):
+    found = tx.falsify(
+        'nominal', runs=3, perception='truth', specs='far=always(abs(cte) >= 3)',
+        settings={'duration_s': 1}, out=tmp_path / 'found',
+    ).folder
+    found, stages = looked_into(found, taxinet, tmp_path)
+    assert stages.done == ['analyze', 'localize', 'shrink']
+    assert found.blames == Blames(requirement=2)  # the budget is for two of the three
+    assert judge(found).fault is Fault.REQUIREMENT
+    assert (found.judged, found.failed) == (3, 3)
+    assert 'all runs fail, so causes cannot be distinguished' in found.troubles['causes']
+
+
+def test_given_a_run_that_passed_then_no_stage_is_run(tmp_path, taxinet):
+    bag = tx.run(tx.Scenario(duration_s=1.0), perception='truth', specs=NEAR).save_bag(
+        tmp_path / 'runs' / 'good', images=False)
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert (judge(found).fault, stages.done) == (Fault.NOTHING, [])
+
+
+def test_given_weights_that_are_gone_then_the_verdict_is_unclear_and_says_which(
+    tmp_path, taxinet
+):
+    weights = tmp_path / 'mine.safetensors'
+    for one, other in ((card_path(SHIPPED['original']), card_path(weights)),
+                       (SHIPPED['original'], weights)):
+        shutil.copyfile(one, other)
+    scene = tx.Scenario(cross_track_m=5.0, duration_s=1.0)
+    bag = tx.run(scene, perception=str(weights), specs=NEAR).save_bag(
+        tmp_path / 'runs' / 'gone', images=False)
+    weights.unlink()
+    found, stages = looked_into(bag, taxinet, tmp_path)
+    assert stages.done == []
+    verdict = judge(found)
+    assert verdict.fault is Fault.UNCLEAR
+    assert "the run's perception 'weights' (sha256 " in verdict.sentences[0]
+    assert 'name its file with --perception' in verdict.sentences[0]
+    assert found.troubles['explain'] == found.troubles['localize']
+
+
+def recorded(folder: Path, outcomes: list[Outcome]) -> Path:
+    """A campaign with these outcomes, without bags."""
+    rows = [
+        RunRow(
+            run_id=f'r{index}', index=index, program='s_falsif', seed=0, perception='original',
+            outcome=outcome, sampler='random',
+            robustness={} if not outcome.judged else exact_intervals(
+                {'phi': 1.0 if outcome is Outcome.PASS else -1.0}),
+            kind='' if outcome.judged else 'timeout', who='' if outcome.judged else 'perception',
+            **tx.Scenario(cross_track_m=float(index)).to_human(),
+        ) for index, outcome in enumerate(outcomes)
+    ]
+    with Ledger(folder / 'ledger.jsonl') as ledger:
+        ledger.campaign({
+            'program': 's_falsif.scenic', 'runs': len(rows), 'perception': 'original',
+            'specs': {'phi': 'always((abs(cte) <= 1.5))'}, 'controller': 'steering',
+        })
+        for row in rows:
+            ledger.intent(row.index, row.run_id)
+            ledger.result(row)
+    write_tables(rows, folder, ('phi',))
+    return folder
+
+
+@pytest.mark.parametrize(('outcomes', 'fault', 'others'), [
+    ([Outcome.INFRA_ERROR] * 3 + [Outcome.REJECTED], Fault.BENCH,
+     {'INFRA_ERROR (timeout)': 3, 'REJECTED': 1}),
+    ([Outcome.PASS] * 3 + [Outcome.INFRA_ERROR], Fault.NOTHING, {'INFRA_ERROR (timeout)': 1}),
+])
+def test_given_a_campaign_without_failures_then_nothing_is_run_and_the_verdict_says_why(
+    outcomes, fault, others, tmp_path, taxinet
+):
+    (tmp_path / 'found').mkdir()
+    folder = recorded(tmp_path / 'found', outcomes)
+    found, stages = looked_into(folder, taxinet, tmp_path)
+    assert (judge(found).fault, stages.done, dict(found.others)) == (fault, [], others)
+    code, said, _ = taxinet('why', folder, '--out', tmp_path / 'page', '--json')
+    told = json.loads(said)
+    assert (code, told['verdict']) == (3 if fault is Fault.BENCH else 0, fault.value)
+    page = (tmp_path / 'page' / 'why.html').read_text()
+    assert told['sentences'][0] in page.replace('&#39;', "'")
+
+
+def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path, taxinet):
+    (tmp_path / 'found').mkdir()
+    folder = recorded(tmp_path / 'found', [Outcome.PASS, Outcome.FAIL])
+    work = Investigation(
+        path=folder, out=tmp_path, perception=None, budget=Budget(runs=24), workers=1,
+        run_stages=lambda stages: (130, {}),
+    )
+    with pytest.raises(StoppedError) as stopped:
+        work.evidence()
+    assert stopped.value.code == 130
+
+
+def test_what_is_neither_campaign_nor_run_is_refused_with_what_could_be_named(tmp_path):
+    with pytest.raises(UsageError, match='neither the folder of a campaign, nor a table'):
+        kind_of(tmp_path)
+    tx.run(tx.Scenario(duration_s=0.5), perception='truth', specs='low=always(cte < 9)').save_bag(
+        tmp_path / 'one', images=False)
+    with pytest.raises(UsageError, match=r'bags without the ledger.jsonl .* as .*/one'):
+        kind_of(tmp_path)
+    assert kind_of(tmp_path / 'one') == 'run'
+
+
+@pytest.mark.parametrize(('offset_m', 'formula', 'doomed'), [
+    (5.0, 'always(abs(cte) <= 1.5)', True),
+    (1.4, 'always(abs(cte) <= 1.5)', False),
+    (5.0, 'eventually[0:1](abs(cte) <= 1.5)', False),
+    (5.0, 'eventually(abs(cte) > 1e6)', False),  # no sample decides it, but no run satisfies it
+])
+def test_a_run_is_violated_at_its_start_only_if_nothing_after_it_could_help(
+    offset_m, formula, doomed
+):
+    scene = tx.Scenario(cross_track_m=offset_m, duration_s=1.0)
+    judging = Judging(specs=(f'phi={formula}',))
+    assert violated_at_start(scene, judging, SimulatedWorld) is doomed
+    assert bool(unsatisfiable(scene, judging, {})) is ('1e6' in formula)
+
+
+def test_what_shrinking_found_is_told_in_sentences():
+    def parameter(original, nominal, shrunk, **values):
+        return {'original': original, 'nominal': nominal, 'shrunk': shrunk, 'matters': False,
+                'passes_at': None, **values}
+
+    values = {'end': 'minimal', 'spec': 'phi', 'parameters': {
+        'rain_percent': parameter(90.0, 0.0, 13.0, matters=True, passes_at=12.0),
+        'cross_track_m': parameter(3.0, 0.0, 0.0),
+    }}
+    assert shrink_sentences(values) == (
+        'Shrunk to what matters, rain 13 % alone is enough to violate phi; everything else is '
+        'nominal.', 'Rain: 13 % fails, 12 % passes.',
+    )
+    assert 'Even the nominal scene fails' in shrink_sentences({**values, 'end': 'nominal fails'})[0]

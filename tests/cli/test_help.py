@@ -1,0 +1,143 @@
+"""``taxinet --help``, examples, completion: whatever lists commands knows them all."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from taxinet_ros.campaign.scenes.programs import known_programs
+from taxinet_ros.cli import progress
+from taxinet_ros.cli.help import (
+    EXAMPLES,
+    SECTIONS,
+    complete_perception,
+    complete_program,
+    complete_sampler,
+    complete_setting,
+)
+from taxinet_ros.cli.main import app
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
+from taxinet_ros.errors import UsageError
+
+ROOT = typer.main.get_command(app)
+TAXINET = Path(sys.executable).with_name('taxinet')
+
+
+def commands(group=ROOT, above=''):
+    """Every command by its words, apart from groups."""
+    found = {}
+    for name, command in group.commands.items():
+        words = f'{above}{name}'
+        deeper = hasattr(command, 'commands')
+        found |= commands(command, f'{words} ') if deeper else {words: command}
+    return found
+
+
+def test_given_the_commands_then_each_is_in_one_section_and_has_an_example():
+    listed = [name for names in SECTIONS.values() for name in names]
+    assert sorted(listed) == sorted(ROOT.commands)
+    assert sorted(EXAMPLES) == sorted(commands())
+    assert all(EXAMPLES.values())
+
+
+@pytest.mark.parametrize('line', [line for lines in EXAMPLES.values() for line in lines])
+def test_given_an_example_when_parsed_then_its_command_takes_it_and_its_program_exists(line):
+    first, *words = shlex.split(line)
+    assert first == 'taxinet'
+    command, path = ROOT, []
+    while hasattr(command, 'commands'):
+        path.append(words.pop(0))
+        command = command.commands[path[-1]]
+    context = command.make_context(' '.join(path), words)
+    assert context.params.get('scenario') in (None, *known_programs())
+    assert line in EXAMPLES[' '.join(path)]
+
+
+def test_given_the_help_when_printed_then_it_has_the_sections_in_order_and_whole_sentences(capsys):
+    for word in ('-h', '--help'):
+        app([word], standalone_mode=False, prog_name='taxinet')
+        out = capsys.readouterr().out
+        places = [out.index(f'\n{title}:\n') for title in SECTIONS]
+        assert places == sorted(places)
+        assert '...' not in out.split('Run scenes:')[1]
+    app(['run', '-h'], standalone_mode=False, prog_name='taxinet')
+    out = capsys.readouterr().out
+    assert all(f'\n    {line}\n' in out for line in EXAMPLES['run'])
+
+
+@pytest.mark.parametrize(('words', 'hint'), [
+    (['--nope'], 'see taxinet --help'), (['nope'], 'see taxinet --help'),
+    (['run', '--nope'], 'see taxinet run --help'), (['bag', 'nope'], 'see taxinet bag --help'),
+    (['bag', 'info'], 'see taxinet bag info --help'),
+    (['falsify', 's_falsif', '--runs', 'x'], 'see taxinet falsify --help'),
+])
+def test_given_wrong_words_then_the_error_names_the_help_of_its_command(words, hint, monkeypatch,
+                                                                        capsys):
+    from taxinet_ros.cli.main import main
+
+    monkeypatch.setattr(sys, 'argv', ['taxinet', *words])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err.rstrip().endswith(hint)
+
+
+def test_given_the_beginning_of_a_word_when_completed_then_all_that_fit_are_offered():
+    assert set(complete_program('s_falsif')) >= {'s_falsif', 's_falsif_ce'}
+    assert complete_perception('tax') == ['taxinet']
+    assert complete_sampler('ce') == ['ce', 'ce-verifai']
+    assert complete_setting('') == [f'{key}=' for key in (*HUMAN_KEYS, *SHORT_FORMS)]
+    assert complete_setting('time') == ['time_of_day_h=', 'time_of_day=']
+    assert complete_setting('clouds=s') == ['clouds=scattered', 'clouds=stratus']
+    assert complete_setting('crossing=') == ['crossing=on', 'crossing=off']
+    assert complete_setting('aircraft=c17') == ['aircraft=c172p']
+    assert complete_setting('fog=') == complete_setting('fog') == complete_setting('rain=3') == []
+
+
+@pytest.mark.parametrize(('words', 'environment', 'told'), [
+    (['--show-completion'], {'_TAXINET_COMPLETE_TEST_DISABLE_SHELL_DETECTION': '1'}, ''),
+    ([], {'_TAXINET_COMPLETE': 'complete_bash', 'COMP_WORDS': 'taxinet fals', 'COMP_CWORD': '1'},
+     'falsify\n'),
+    ([], {'_TAXINET_COMPLETE': 'source_zsh'}, '_taxinet_completion'),
+])
+def test_given_a_shell_that_asks_when_completed_then_nothing_else_is_printed(
+    words, environment, told
+):
+    done = subprocess.run(
+        [TAXINET, *words], env={**os.environ, **environment}, capture_output=True, text=True,
+        check=False,
+    )
+    assert told in done.stdout
+    assert 'taxinet: error' not in done.stderr
+
+
+def test_given_no_terminal_when_a_command_is_long_then_a_line_now_and_then_says_how_far(
+    monkeypatch, capsys
+):
+    now = [100.0]
+    monkeypatch.setattr(progress.time, 'monotonic', lambda: now[0])
+    monkeypatch.delenv(progress.HEARTBEAT)
+    with stage_bars(progress.Console()) as show:
+        for done in range(1, 31):
+            now[0] += 1
+            show('reading', done, 30)
+        show('drawing', 1, 4)
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.splitlines() == [
+        'reading: 10 of 30, about 0:00:18 left', 'reading: 20 of 30, about 0:00:10 left',
+        'reading: 30 of 30',
+    ]
+
+
+@pytest.mark.parametrize('text', ['often', '-1', 'nan'])
+def test_given_another_heartbeat_then_it_is_refused_by_name(text, monkeypatch):
+    monkeypatch.setenv(progress.HEARTBEAT, text)
+    with pytest.raises(UsageError, match=f'TAXINET_HEARTBEAT_S={text}: expected seconds'), \
+            stage_bars(progress.Console()):
+        pass
