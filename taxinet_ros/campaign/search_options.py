@@ -260,6 +260,8 @@ def make_estimate_options(
         raise UsageError(f'--target-error {error:g}: needs to be within 0..10, as in 0.3')
     if not 1e-12 <= floor <= 0.5:
         raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
+    if not 4 <= islands <= 100:
+        raise UsageError(f'--islands {islands}: needs to be within 4..100')
     particles = particles_for(campaign.runs, islands, floor)
     if resume and (before := read_facts(campaign.out)) is not None:
         told = before.values.get('sampler_options')

@@ -231,7 +231,7 @@ SPLITTING = SamplerKind(
     make=make_splitting, batched=True,
     options={
         'particles': Option(
-            meaning='points of an island at each level, a multiple of 10',
+            meaning='points of an island at each level, a multiple of 5',
             default=100, low=10, high=1e5, whole=True,
         ),
         'islands': Option(

@@ -33,6 +33,9 @@ TAIL = 0.025
 CLEAR = 0.5
 """Relative standard error above which the interval of so few islands is not to be relied on."""
 
+MISSED = 0.25
+"""Share of islands without a failure above which the result is unclear."""
+
 
 class State(StrEnum):
     """What an estimate tells."""
@@ -151,7 +154,7 @@ def estimate(
         if flat:
             high = plain_high
             why = 'islands ended at equal results: flat robustness, or chains that do not move'
-    elif relative > CLEAR or not all(values):
+    elif relative > CLEAR or (values == 0).mean() > MISSED:
         missed = int((values == 0).sum())
         state = State.UNCLEAR
         why = (

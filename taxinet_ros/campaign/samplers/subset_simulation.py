@@ -1,7 +1,7 @@
 """Probability of rare failures by subset simulation: multilevel splitting with Markov chains.
 
 A failure of probability 1e-6 is a chain of events that are not rare: a robustness below the first
-level (one draw in ten), then, given that, below a second, and so on to 0 (Au and Beck,
+level (one draw in five), then, given that, below a second, and so on to 0 (Au and Beck,
 Probabilistic Engineering Mechanics 16, 2001; Cerou and others, Statistics and Computing 22, 2012).
 Each level's points are drawn from the program's own distribution conditioned on the level before:
 Markov chains in the unit cube, started at its survivors, that reject every move above the level.
@@ -9,13 +9,16 @@ Markov chains in the unit cube, started at its survivors, that reject every move
 **Islands.** The simulation is repeated on independent populations, the *islands*; their estimates
 have the spread from which the interval is computed. An island that lost a region of failures
 differs from one that kept it, so the interval widens, where the textbook variance of one
-population would see nothing.
+population would see nothing. All islands have the same levels, chosen from the first ones together:
+levels of an island's own would bias its estimate by 1/particles, which no number of islands mends.
 
 **Moves.** A move is cheap where a model can make it: several steps of a Markov chain that takes a
 Gaussian process of all results so far for the robustness, and one run that accepts or rejects their
 end with the exact ratio (the surrogate transition method; Liu, Monte Carlo Strategies in Scientific
 Computing, 2001, section 9.4.3; Christen and Fox, Journal of Computational and Graphical Statistics
-14, 2005). So a wrong model costs acceptance, not correctness. A share of the steps jumps to the
+14, 2005). So a wrong model costs acceptance, not correctness, as long as it does not know the chain
+itself: the chain would leave the points it was fitted to. So islands move by the results of others
+(with their own, the estimate of 1e-6 was twice too great). A share of the steps jumps to the
 neighbourhood of another survivor, which is how chains pass between separate regions.
 
 Pure: the caller runs the points. ``P(robustness <= 0)`` is estimated; everything is a function of
@@ -24,6 +27,7 @@ space, seed, options and results.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
@@ -39,14 +43,16 @@ from taxinet_ros.campaign.samplers.gaussian_process import (
 from taxinet_ros.campaign.samplers.histogram import Floats
 from taxinet_ros.campaign.samplers.space import Space, run_generator
 
-KEEP = 10
+KEEP = 5
 """One particle in so many survives a level."""
 ADDED = 2
 """Islands added at a time after the first ones, until the error is small enough."""
-WINDOW = 250
+WINDOW = 200
 """Most results that the model is conditioned on."""
 FITTED = 120
 """Most results to which its length scales are fitted."""
+CENTRES = 80
+"""Most results to jump to the neighbourhood of."""
 STEPS = 12
 """Steps by the model for each run."""
 JUMPS = 0.3
@@ -91,6 +97,8 @@ class Island:
         flat: whether it ended at equal results above 0: the robustness is flat there, or all its
             chains are at one point.
         runs: number of runs spent.
+        quantiles, rho: its points, and their robustness.
+        known, results: all its results so far, accepted or not.
     """
 
     wave: int
@@ -100,6 +108,19 @@ class Island:
     runs: int = 0
     quantiles: Floats = field(default_factory=lambda: np.empty((0, 0)))
     rho: Floats = field(default_factory=lambda: np.empty(0))
+    known: list[Floats] = field(default_factory=list)
+    results: list[Floats] = field(default_factory=list)
+
+    def learn(self, quantiles: Floats, rho: Floats) -> None:
+        """Keep results, for the model of other islands; NaN is none."""
+        there = ~np.isnan(rho)
+        self.known.append(quantiles[there])
+        self.results.append(rho[there])
+
+    def end(self) -> None:
+        """End it, with the failures among its points."""
+        share = float((self.rho <= 0).sum()) / len(self.rho)
+        self.failing = self.levels[-1].probability * share
 
     def probability_below(self, rho: float) -> float:
         """Estimated probability of a robustness of at most ``rho``."""
@@ -173,12 +194,10 @@ class SubsetSimulation:
         self._seed = seed
         self._plan = plan
         self._features = Features(space)
-        self._model = GaussianProcess(self._features)
-        self._known: list[Floats] = []
-        self._results: list[Floats] = []
         self._scale = 0.5
         self._moves = 0
         self._runs = 0
+        self._levels: list[float | None] = []
 
     def batches(self) -> Generator[Batch, tuple[Floats, Answers], None]:
         """Yield batches; send the quantiles that were run, shape (n, d), and their results."""
@@ -213,95 +232,119 @@ class SubsetSimulation:
         quantiles, answers = yield Batch(nowhere, True)
         self._runs += size
         known = np.array([math.nan if rho is None else rho for rho in answers])
-        self._learn(quantiles, known)
         for number, island in enumerate(islands):
             own = slice(number * count, (number + 1) * count)
             there = ~np.isnan(known[own])
             island.quantiles, island.rho = quantiles[own][there], known[own][there]
             island.runs = count
+            island.learn(quantiles[own], known[own])
             island.levels.append(_level(math.inf, 1.0, island.rho))
-        before = math.inf
-        while True:
-            going = []
-            for island in islands:
-                if island.failing is None and (seeds := self._survivors(island)) is not None:
-                    going.append((island, *seeds))
+        yield from self._down(islands)
+
+    def _down(self, islands: list[Island]) -> Generator[Batch, tuple[Floats, Answers], None]:
+        """Take islands with plain draws to their end, level by level."""
+        self._end_empty(islands)
+        for number in itertools.count():
+            going = [one for one in islands if one.failing is None]
             if not going:
                 return
-            level = float(np.median([below for _, below, _ in going]))
-            yield from self._next_level(going, level, before)
-            before = level
+            if number == len(self._levels):
+                self._choose_level(going)
+            before = self._levels[number - 1] if number else math.inf
+            level = self._levels[number]
+            if level is None or before is None:
+                for one in going:
+                    one.end()
+                return
+            seeds = []
+            for one in going:
+                live = np.flatnonzero(one.rho < level)
+                if len(live):
+                    seeds.append((one, live))
+                else:
+                    one.end()
+            if seeds:
+                yield from self._next_level(seeds, level, before)
 
-    def _survivors(self, island: Island) -> tuple[float, Indices] | None:
-        """The next level and the numbers of its seeds; None if the island has ended."""
-        rho, before = island.rho, island.levels[-1]
+    @staticmethod
+    def _end_empty(islands: list[Island]) -> None:
+        """End islands none of whose draws has a result."""
+        for one in islands:
+            if not len(one.rho):
+                one.failing, one.flat = 0.0, True
+
+    def _choose_level(self, going: list[Island]) -> None:
+        """Add the next level, or None where the islands end, from what they have in common."""
+        rho = np.sort(np.concatenate([one.rho for one in going]))
         keep = max(len(rho) // KEEP, 1)
-        failed = int((rho <= 0).sum())
-        if not len(rho):
-            island.failing, island.flat = 0.0, True
-            return None
-        order = np.argsort(rho, kind='stable')
-        below = float(rho[order[min(keep, len(rho) - 1)]])
-        live = order[:keep][rho[order[:keep]] < below]
-        if failed >= keep or not len(live):
-            island.failing = before.probability * failed / len(rho)
-            island.flat = not failed
-            return None
-        probability = before.probability * len(live) / len(rho)
-        if probability < self._plan.floor:
-            island.failing = before.probability * failed / len(rho)
-            return None
-        return below, live
+        below = float(rho[min(keep, len(rho) - 1)])
+        passed = int((rho < below).sum())
+        reached = float(np.mean([one.levels[-1].probability for one in self.islands]))
+        if below <= 0 or reached * passed / len(rho) < self._plan.floor:
+            self._levels.append(None)
+        elif not passed:
+            self._levels.append(None)
+            for one in going:
+                one.flat = not (one.rho <= 0).any()
+        else:
+            self._levels.append(below)
 
     def _next_level(
-        self, going: list[tuple[Island, float, Indices]], level: float, before: float
+        self, going: list[tuple[Island, Indices]], level: float, before: float
     ) -> Generator[Batch, tuple[Floats, Answers], None]:
         """Fill the next level of some islands by chains from their survivors."""
-        plan = self._plan
         chance = self._chance()
-        keep = plan.particles // KEEP
+        keep = self._plan.particles // KEEP
         owner = np.repeat(np.arange(len(going)), keep)
-        seeds = [chance.permutation(np.resize(live, keep)) for _, _, live in going]
-        at = np.vstack([one.quantiles[own] for (one, _, _), own in zip(going, seeds, strict=True)])
-        rho = np.concatenate([one.rho[own] for (one, _, _), own in zip(going, seeds, strict=True)])
-        below = np.array([level for _, level, _ in going])[owner]
-        passed = [
-            one.levels[-1].probability * len(live) / len(one.rho) for one, _, live in going
-        ]
-        jumps = _Jumps(self._space, at)
-        walk = _Walk(self._space, jumps)
+        # Which survivors have one chain more than others, or none, is left to chance.
+        seeds = [np.resize(chance.permutation(live), keep) for _, live in going]
+        at = np.vstack([one.quantiles[own] for (one, _), own in zip(going, seeds, strict=True)])
+        rho = np.concatenate([one.rho[own] for (one, _), own in zip(going, seeds, strict=True)])
+        passed = [one.levels[-1].probability * len(live) / len(one.rho) for one, live in going]
         path, heights, accepted = [at], [rho], []
         share = float(np.mean(passed))
-        scaled = self._scaling(level, before)
-        self._fit(scaled, level, chance)
+        guides = [
+            (np.flatnonzero(np.isin(owner, movers)), _Guide(self._space, self._features, donors))
+            for movers, donors in self._helped([one for one, _ in going])
+        ]
+        for _, guide in guides:
+            guide.begin(level, before, self._chance())
         for _ in range(KEEP - 1):
             chance = self._chance()
-            expect = self._survival(scaled, level, below, OPEN * share, chance)
-            with blas_threads().limit(limits=1):
-                proposed, ratio, moved = walk.moved(at, expect, self._scale, chance)
-            self._scale = min(1.0, max(0.02, self._scale * math.exp(0.5 * (moved - 0.3))))
+            proposed, ratio = np.array(at), np.ones(len(at))
+            moves = steps = 0
+            for chains, guide in guides:
+                expect = guide.survival(share, chance)
+                with blas_threads().limit(limits=1):
+                    proposed[chains], ratio[chains], moved = guide.walk.moved(
+                        at[chains], expect, self._scale, chance
+                    )
+                moves, steps = moves + moved * len(chains), steps + len(chains)
+            self._scale = min(1.0, max(0.02, self._scale * math.exp(0.5 * (moves / steps - 0.3))))
             still = (proposed == at).all(axis=1)
             tried = np.flatnonzero(~still)
             found = np.full(len(at), math.nan)
             if len(tried):
                 _, answers = yield Batch(proposed[tried], False)
                 found[tried] = [math.nan if one is None else one for one in answers]
-                self._learn(proposed[tried], found[tried])
+                for number, (island, _) in enumerate(going):
+                    own = tried[owner[tried] == number]
+                    island.learn(proposed[own], found[own])
                 self._runs += len(tried)
-            takes = (found < below) & (chance.random(len(at)) < ratio)  # NaN is not below
+            takes = (found < level) & (chance.random(len(at)) < ratio)  # NaN is not below
             at = np.where(takes[:, None], proposed, at)
             rho = np.where(takes, found, rho)
             path.append(at)
             heights.append(rho)
             accepted.append(takes)
-            for number, (island, _, _) in enumerate(going):
+            for number, (island, _) in enumerate(going):
                 island.runs += int((owner[tried] == number).sum())
-        for number, (island, own_level, _) in enumerate(going):
+        for number, (island, _) in enumerate(going):
             mine = owner == number
             island.quantiles = np.vstack([some[mine] for some in path])
             island.rho = np.concatenate([some[mine] for some in heights])
             island.levels.append(_level(
-                own_level, passed[number], island.rho,
+                level, passed[number], island.rho,
                 float(np.mean([some[mine] for some in accepted])),
             ))
 
@@ -310,70 +353,101 @@ class SubsetSimulation:
         self._moves += 1
         return run_generator(self._seed, self._moves, stream=_STREAM)
 
-    # The model ---------------------------------------------------------------------------------
+    def _helped(self, going: Sequence[Island]) -> list[tuple[list[int], list[Island]]]:
+        """Numbers of islands that move by the results of others, and these others.
 
-    def _learn(self, quantiles: Floats, rho: Floats) -> None:
-        there = ~np.isnan(rho)
-        self._known.append(quantiles[there])
-        self._results.append(rho[there])
+        A chain whose moves were chosen with its own past would not keep its distribution. So each
+        half of the first islands moves by the results of the other, later ones by those of all
+        earlier waves.
+        """
+        if wave := going[0].wave:
+            return [(list(range(len(going))), [one for one in self.islands if one.wave < wave])]
+        first = [number for number, one in enumerate(self.islands) if one in going]
+        groups = []
+        for half in range(2):
+            movers = [place for place, number in enumerate(first) if number % 2 == half]
+            if movers:
+                groups.append((movers, self.islands[1 - half::2]))
+        return groups
 
-    def _scaling(self, level: float, before: float) -> Callable[[Floats], Floats]:
-        """Robustness relative to the level, in units of the way to it."""
-        results = np.concatenate(self._results)
-        top = before if math.isfinite(before) else float(np.median(results))
-        unit = top - level
-        if not (math.isfinite(unit) and unit > 0):
-            unit = abs(level) if math.isfinite(level) and level else 1.0
 
-        def scaled(rho: Floats) -> Floats:
-            found: Floats = np.clip((rho - level) / unit, -2.0, 3.0)
+class _Guide:
+    """Proposes moves, by the results of other islands: their model, and jumps to where they were.
+
+    Attributes:
+        walk: the moves of a level.
+    """
+
+    walk: _Walk
+
+    def __init__(self, space: Space, features: Features, donors: Sequence[Island]) -> None:
+        self._space = space
+        self._features = features
+        self._model = GaussianProcess(features)
+        self._donors = donors
+        self._level = 0.0
+        self._unit = 1.0
+
+    def begin(self, level: float, before: float, chance: np.random.Generator) -> None:
+        """Fit the model's length scales around a level, and choose where to jump."""
+        quantiles, rho = self._results()
+        top = before if math.isfinite(before) or not len(rho) else float(np.median(rho))
+        self._level, self._unit = level, top - level
+        if not (math.isfinite(self._unit) and self._unit > 0):
+            self._unit = abs(level) if math.isfinite(level) and level else 1.0
+        inside = chance.permutation(np.flatnonzero(rho < level))[:CENTRES]
+        self.walk = _Walk(self._space, _Jumps(self._space, quantiles[inside]))
+        some = self._chosen(rho, FITTED, chance)
+        scaled = self._scaled(rho[some])
+        if len(set(scaled)) > 1:
+            with blas_threads().limit(limits=1):
+                self._model.fit(self._features.of(quantiles[some]), scaled)
+
+    def survival(self, share: float, chance: np.random.Generator) -> Callable[[Floats], Floats]:
+        """Expected probability that points are below the level, as the weight of their moves.
+
+        Args:
+            share: estimated probability of the level.
+            chance: random numbers.
+        """
+        from scipy.special import ndtr
+
+        quantiles, rho = self._results()
+        if not len(rho):
+            return lambda points: np.ones(len(points))
+        some = self._chosen(rho, WINDOW, chance)
+        known = self._features.of(quantiles[some])
+        with blas_threads().limit(limits=1):
+            predict = self._model.conditioned(known, self._scaled(rho[some]), known[:0])
+
+        def expect(points: Floats) -> Floats:
+            mean, deviation = predict(self._features.of(points))
+            found: Floats = np.maximum(ndtr(-mean / deviation), OPEN * share)
             return found
 
-        return scaled
+        return expect
 
-    def _chosen(self, level: float, most: int, chance: np.random.Generator) -> Indices:
+    def _results(self) -> tuple[Floats, Floats]:
+        """All results of the donors."""
+        quantiles = [some for one in self._donors for some in one.known]
+        rho = [some for one in self._donors for some in one.results]
+        return np.vstack(quantiles), np.concatenate(rho)
+
+    def _scaled(self, rho: Floats) -> Floats:
+        """Robustness relative to the level, in units of the way to it."""
+        found: Floats = np.clip((rho - self._level) / self._unit, -2.0, 3.0)
+        return found
+
+    def _chosen(self, rho: Floats, most: int, chance: np.random.Generator) -> Indices:
         """Numbers of results to learn a level from: half of them below it, most others near."""
-        results = np.concatenate(self._results)
-        if len(results) <= most:
-            return np.arange(len(results))
-        order = np.argsort(results, kind='stable')
-        count = int((results < level).sum())
+        if len(rho) <= most:
+            return np.arange(len(rho))
+        order = np.argsort(rho, kind='stable')
+        count = int((rho < self._level).sum())
         inside = chance.permutation(order[:count])[:most // 2]
         near = order[count:count + (most - len(inside)) * 2 // 3]
         rest = chance.permutation(order[count + len(near):])[:most - len(inside) - len(near)]
         return np.sort(np.concatenate([inside, near, rest]))
-
-    def _fit(
-        self, scaled: Callable[[Floats], Floats], level: float, chance: np.random.Generator
-    ) -> None:
-        """Fit the model's length scales around a level."""
-        some = self._chosen(level, FITTED, chance)
-        results = scaled(np.concatenate(self._results)[some])
-        if len(set(results)) < 2:
-            return
-        with blas_threads().limit(limits=1):
-            self._model.fit(self._features.of(np.vstack(self._known)[some]), results)
-
-    def _survival(
-        self, scaled: Callable[[Floats], Floats], level: float, below: Floats, least: float,
-        chance: np.random.Generator,
-    ) -> Callable[[Floats], Floats]:
-        """Expected probability that points are below each chain's level, at least ``least``."""
-        from scipy.special import ndtr
-
-        some = self._chosen(level, WINDOW, chance)
-        known = self._features.of(np.vstack(self._known)[some])
-        results = scaled(np.concatenate(self._results)[some])
-        limit = scaled(below)
-        with blas_threads().limit(limits=1):
-            predict = self._model.conditioned(known, results, known[:0])
-
-        def expect(quantiles: Floats) -> Floats:
-            mean, deviation = predict(self._features.of(quantiles))
-            found: Floats = np.maximum(ndtr((limit - mean) / deviation), least)
-            return found
-
-        return expect
 
 
 def _level(below: float, probability: float, rho: Floats, accepted: float = math.nan) -> Level:
@@ -459,6 +533,8 @@ class _Jumps:
 
     def draw(self, count: int, chance: np.random.Generator) -> Floats:
         """``count`` points, shape (count, d)."""
+        if not len(self._points):
+            return chance.random((count, len(self._space)))
         origins = self._points[chance.integers(len(self._points), size=count)]
         width = self._widths
         shifted = _uniform(
@@ -473,6 +549,8 @@ class _Jumps:
 
     def density(self, quantiles: Floats) -> Floats:
         """Density of :meth:`draw` over that of the program, shape (n,)."""
+        if not len(self._points):
+            return np.ones(len(quantiles))
         places = self._transformed(quantiles)
         logs = np.zeros((len(quantiles), len(self._points)))
         for number, width in enumerate(self._widths):
