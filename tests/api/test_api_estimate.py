@@ -15,7 +15,7 @@ SPECS = 'near=always(cte <= 7.5)'
 def test_given_a_program_when_estimated_then_the_folder_tells_the_same_and_resumes_to_it(tmp_path):
     out = tmp_path / 'c'
     asked = {
-        'perception': 'truth', 'settings': SETTINGS, 'specs': SPECS, 'runs': 100, 'islands': 4,
+        'perception': 'truth', 'settings': SETTINGS, 'specs': SPECS, 'runs': 400, 'islands': 4,
         'down_to': 0.1, 'target_error': 10, 'out': out,
     }
     found = tx.estimate('s_falsif', **asked)

@@ -40,12 +40,12 @@ def covering(found: list[Found], probability: float) -> int:
 def test_given_known_probabilities_then_intervals_of_splitting_cover_and_the_mean_is_unbiased():
     found = [
         split(LANDSCAPES[name].make(0.001), seed, runs=2000, error=0.5, floor=1e-3)
-        for name in ('half', 'two', 'kinds', 'ring') for seed in range(3)
+        for name in ('half', 'two', 'kinds', 'ring') for seed in range(2)
     ]
     assert all(500 < one.runs <= 2000 for one in found)
     clear = [one for one in found if one.clear]
-    assert len(clear) >= 8
-    # At 95 %, 3 of 12 or more miss in 2 % of cases.
+    assert len(clear) >= 5
+    # At 95 %, 3 of 8 or more miss in 0.6 % of cases.
     assert len(clear) - covering(clear, 0.001) <= 2
     ratio = np.array([one.probability for one in found]) / 0.001
     assert abs(ratio.mean() - 1) < 4 * ratio.std(ddof=1) / len(ratio) ** 0.5
@@ -65,16 +65,13 @@ def test_given_an_estimate_then_the_others_have_as_many_runs_and_it_is_repeatabl
     assert {getattr(one, method).runs for method in METHODS} == {one.splitting.runs}
     assert 0 < one.splitting.runs <= RUNS
     assert one == attempt('half', 0.01, 3)
-    assert one != attempt('half', 0.01, 4)
 
 
 def test_given_words_then_there_are_json_and_a_table(monkeypatch, capsys):
-    monkeypatch.setattr(
-        'taxinet_ros.cli.bench.samplers.measure_rare',
-        lambda words, repeats, show: measure_rare(
-            words, repeats, show, probabilities=(0.01,), workers=1
-        ),
-    )
+    def measured(words, repeats, show):
+        return measure_rare(words, repeats, show, probabilities=(0.01,), workers=1)
+
+    monkeypatch.setattr('taxinet_ros.cli.bench.samplers.measure_rare', measured)
     assert run_rare(['ring', 'half'], repeats=1, as_json=True) == 0
     found = json.loads(capsys.readouterr().out)
     assert [(one['landscape'], one['probability']) for one in found['rare']] == [
@@ -84,7 +81,8 @@ def test_given_words_then_there_are_json_and_a_table(monkeypatch, capsys):
     [line] = [one for one in found['rare'] if one['landscape'] == 'ring']
     assert line['splitting']['error'] == pytest.approx(abs(own.probability / 0.01 - 1))
     assert line['runs'] == own.runs
-    assert run_rare(['ring'], repeats=1, as_json=False) == 0
+    monkeypatch.setattr('taxinet_ros.cli.bench.samplers.measure_rare', lambda *others: found)
+    assert run_rare([], repeats=1, as_json=False) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith('1 estimates for each line, of at most 4,000 runs')
     assert [row.split()[:3] for row in lines if row.startswith('ring ')] == [

@@ -158,8 +158,8 @@ def estimate(
         missed = int((values == 0).sum())
         state = State.UNCLEAR
         why = (
-            f'{missed} of {len(values)} islands found no failure' if missed else
-            f'the islands differ too much: relative error {relative:.2f}'
+            f'the islands differ too much: relative error {relative:.2f}' if relative > CLEAR else
+            f'{missed} of {len(values)} islands found no failure'
         )
     elif high < plain_low or low > plain_high:
         state = State.UNCLEAR

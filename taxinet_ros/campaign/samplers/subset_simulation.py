@@ -280,14 +280,11 @@ class SubsetSimulation:
         below = float(rho[min(keep, len(rho) - 1)])
         passed = int((rho < below).sum())
         reached = float(np.mean([one.levels[-1].probability for one in self.islands]))
-        if below <= 0 or reached * passed / len(rho) < self._plan.floor:
-            self._levels.append(None)
-        elif not passed:
-            self._levels.append(None)
+        if below > 0 and not passed:
             for one in going:
                 one.flat = not (one.rho <= 0).any()
-        else:
-            self._levels.append(below)
+        ends = below <= 0 or not passed or reached * passed / len(rho) < self._plan.floor
+        self._levels.append(None if ends else below)
 
     def _next_level(
         self, going: list[tuple[Island, Indices]], level: float, before: float
