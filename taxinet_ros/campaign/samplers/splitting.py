@@ -33,8 +33,12 @@ TAIL = 0.025
 CLEAR = 0.5
 """Relative standard error above which the interval of so few islands is not to be relied on."""
 
-MISSED = 0.25
-"""Share of islands without a failure above which the result is unclear."""
+MISSED = 0.1
+"""Share of islands without a failure above which the result is unclear.
+
+Of 16 estimates of 1e-5 (``taxinet bench rare two``), the three with two such islands of ten and a
+small spread all had intervals that were too low.
+"""
 
 
 class State(StrEnum):

@@ -309,7 +309,7 @@ class SubsetSimulation:
         for _ in range(KEEP - 1):
             chance = self._chance()
             proposed, ratio = np.array(at), np.ones(len(at))
-            moves = steps = 0
+            moves, steps = 0.0, 0
             for chains, guide in guides:
                 expect = guide.survival(share, chance)
                 with blas_threads().limit(limits=1):
