@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from taxinet_ros.api.fork import fork
     from taxinet_ros.api.odd import odd_coverage
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
-    from taxinet_ros.api.search import falsify
+    from taxinet_ros.api.search import estimate, falsify
     from taxinet_ros.bag.errors import BagError
     from taxinet_ros.bag.run.recording import Recording
     from taxinet_ros.core.motion.controller import SteeringGains, SteeringLaw
@@ -58,6 +58,7 @@ __all__ = [
     'UsageError',
     'UserCodeError',
     'compare',
+    'estimate',
     'falsify',
     'fork',
     'load_aircraft',
@@ -83,7 +84,7 @@ _MODULES = {
     'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.odd': ('odd_coverage',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
-    'taxinet_ros.api.search': ('falsify',),
+    'taxinet_ros.api.search': ('estimate', 'falsify'),
     'taxinet_ros.bag.errors': ('BagError',),
     'taxinet_ros.bag.run.recording': ('Recording',),
     'taxinet_ros.core.motion.controller': ('SteeringGains', 'SteeringLaw'),

@@ -6,13 +6,15 @@ import contextlib
 import dataclasses
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.analysis.search.rare import estimate_of, write_estimate
 from taxinet_ros.api.campaign import Campaign, open_campaign
 from taxinet_ros.api.run import CALLER, spec_texts, text_list
 from taxinet_ros.arguments import (
+    FINITE,
     FLAG,
     FROM_0,
     FROM_1,
@@ -26,14 +28,16 @@ from taxinet_ros.arguments import (
     takes,
 )
 from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.cluster.connection import Cluster
 from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.campaign.loop_run import campaign_loop
 from taxinet_ros.campaign.loop_worker import loop_worker_command
 from taxinet_ros.campaign.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.samplers.sampler import LAG
+from taxinet_ros.campaign.samplers.splitting import RareEstimate
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_options import make_search_options
+from taxinet_ros.campaign.search_options import make_estimate_options, make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.motion.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
@@ -116,6 +120,82 @@ def falsify(
         ),
         participants=(),
     )
+    with _opened(search) as led:
+        _execute(search, led)
+        write_learned(search)
+    exit_code(search.rows)  # raises if no scene could be run
+    return open_campaign(options.out)
+
+
+@takes(
+    program=PATH, target_error=FINITE, down_to=FINITE, runs=FROM_1, islands=FROM_1, seed=FROM_0,
+    perception=WORD, controller=WORD, settings=NONE | MAPPING, bounds=TEXTS, rates=TEXTS,
+    latency=TEXTS, world=WORD, workers=FROM_1, out=NONE | PATH, resume=FLAG,
+)
+@says_parameters
+def estimate(
+    program: str | os.PathLike[str], *, target_error: float = 0.3, down_to: float = 1e-6,
+    runs: int = 4000, islands: int = 8, seed: int = 0, perception: str = 'taxinet',
+    controller: str = STEERING, specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS,
+    settings: Mapping[str, object] | None = None, bounds: str | Sequence[str] = (),
+    rates: str | Sequence[str] = (), latency: str | Sequence[str] = (), world: str = KMWH,
+    workers: int = 1, out: str | os.PathLike[str] | None = None, resume: bool = False,
+) -> RareEstimate:
+    """Estimate the probability that a scene of a program fails, as ``taxinet estimate`` does.
+
+    Args:
+        program: as for ``tx.falsify``.
+        target_error: relative standard error at which to stop; 0: after all runs.
+        down_to: least probability that the runs have to suffice for.
+        runs: maximum number of runs.
+        islands: independent populations at first, 4 or more; their spread gives the interval.
+        seed: seed of the scenes.
+        perception: as for ``tx.falsify``.
+        controller: as for ``tx.falsify``.
+        specs: as for ``tx.run``; the first, the headline, is the failure.
+        settings: as for ``tx.falsify``.
+        bounds: as for ``tx.run``.
+        rates: as for ``tx.run``.
+        latency: as for ``tx.run``.
+        world: as for ``tx.run``.
+        workers: number of processes; results do not depend on it.
+        out: folder of the campaign, new or empty; None for a new one below ``bags/``.
+        resume: continue the estimate in ``out``.
+
+    Returns:
+        ``.state`` (``estimated``, ``unclear`` or ``at most``), ``.probability``, ``.low`` and
+        ``.high`` (95 %), ``.why``, ``.relative_error``, ``.runs``, ``.curve``.
+
+    Raises:
+        UsageError: bad input, in one line; or no scene could be run.
+    """
+    check_perception(perception)
+    check_controller(controller)
+    options = make_options(
+        program=os.fspath(program), runs=runs, seed=seed, perception=perception,
+        settings=_texts(settings), specs=spec_texts(specs),
+        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        controller=controller, bounds=text_list(bounds), rates=text_list(rates),
+        latency=text_list(latency), world=world,
+    )
+    search = Search(
+        make_estimate_options(
+            dataclasses.replace(options, bags=False, engine=LOOP), error=target_error,
+            floor=down_to, islands=islands, workers=workers, resume=resume,
+        ),
+        participants=(),
+    )
+    with _opened(search) as led:
+        _execute(search, led)
+        found = estimate_of(search)
+        write_estimate(found, search)
+    exit_code(search.rows)
+    return found
+
+
+@contextlib.contextmanager
+def _opened(search: Search) -> Iterator[Cluster | None]:
+    """Context of an open search and of its cluster, if it has one."""
     with contextlib.ExitStack() as opened:
         led = None
         if where := search.options.cluster:
@@ -124,21 +204,23 @@ def falsify(
             ))
         opened.enter_context(search)
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
-            warnings.warn(python_words(line), stacklevel=CALLER)
-        sha256 = search.book.facts['controller_sha256']
-        command = loop_worker_command(campaign_loop(
-            search.options.campaign, sha256, recorded_world(search.book.facts)[1]
-        ))
-        pool = WorkerPool(command, workers, options.out / 'logs') if led is None else ClusterPool(
-            led, command, options.out, runs=runs, in_flight=search.options.in_flight,
-            fingerprint=search.book.facts['perception_sha256'],
-            on_machine=search.book.add_machine,
-        )
-        with pool:
-            run_search(search, pool)
-        write_learned(search)
-    exit_code(search.rows)  # raises if no scene could be run
-    return open_campaign(options.out)
+            warnings.warn(python_words(line), stacklevel=CALLER + 2)
+        yield led
+
+
+def _execute(search: Search, led: Cluster | None) -> None:
+    """Execute the runs of an open search on its workers."""
+    options, facts = search.options, search.book.facts
+    command = loop_worker_command(campaign_loop(
+        options.campaign, facts['controller_sha256'], recorded_world(facts)[1]
+    ))
+    out = options.campaign.out
+    pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
+        led, command, out, runs=options.runs, in_flight=options.in_flight,
+        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
+    )
+    with pool:
+        run_search(search, pool)
 
 
 def _texts(values: Mapping[str, object] | None) -> list[str]:

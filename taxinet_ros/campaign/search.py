@@ -33,7 +33,7 @@ from taxinet_ros.campaign.samplers.registry import (
     make_covering_sampler,
     make_sampler,
 )
-from taxinet_ros.campaign.samplers.sampler import Exhausted, Lagged, Probabilities
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Lagged, Probabilities, Sampler
 from taxinet_ros.campaign.samplers.space import Branch, Point, Space
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
@@ -202,6 +202,11 @@ class Search:
     def first_planned(self) -> range | None:
         """Indices of the runs planned before the first one; only within the ``with``."""
         return planned_runs(self.book.facts)
+
+    @property
+    def sampler(self) -> Sampler:
+        """The sampler with the results so far; only within the ``with``."""
+        return self._sampler.sampler
 
     def learned(self) -> Probabilities:
         """The sampler's failure histograms; empty if it has none."""
@@ -372,7 +377,8 @@ class Search:
             ),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
-            'sampler_lag': self.options.lag,
+            # A sampler in batches waits for whole ones, whatever the lag.
+            'sampler_lag': 1 if SAMPLERS[self.options.sampler].batched else self.options.lag,
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,

@@ -14,10 +14,12 @@ from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import Shard
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, MOST_LAG, split_options
+from taxinet_ros.campaign.samplers.splitting import NAME, particles_for
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
 from taxinet_ros.campaign.sequential import (
     MAX_OFF_RUNWAY,
@@ -32,6 +34,8 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
+LEAST_PARTICLES = 20
+"""Fewest particles of an island; with fewer, one region of failures would be all it keeps."""
 FAILURES = 'failures'
 HALF_WIDTH = 'half-width'
 
@@ -246,6 +250,51 @@ def check_workers_or_cluster(
     if again := find_world(campaign.world).again_words:
         raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
     return check_cluster(cluster)
+
+
+def make_estimate_options(
+    campaign: CampaignOptions, *, error: float, floor: float, islands: int, workers: int,
+    resume: bool,
+) -> SearchOptions:
+    """Options of an estimate of a rare failure's probability.
+
+    Args:
+        campaign: validated campaign options; its runs are the most to spend.
+        error: relative standard error at which to stop.
+        floor: least probability that the runs have to suffice for.
+        islands: independent populations at first; with ``resume``, those recorded.
+        workers: number of concurrent runs.
+        resume: continue an interrupted estimate, or one with another error or more runs.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 0 <= error <= 10:
+        raise UsageError(f'--target-error {error:g}: needs to be within 0..10, as in 0.3')
+    if not 1e-12 <= floor <= 0.5:
+        raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
+    if not 4 <= islands <= 100:
+        raise UsageError(f'--islands {islands}: needs to be within 4..100')
+    particles = particles_for(campaign.runs, islands, floor)
+    if resume and (before := read_facts(campaign.out)) is not None:
+        told = before.values.get('sampler_options')
+        if before.values.get('sampler') == NAME and isinstance(told, dict):
+            particles = int(float(told.get('particles', particles)))
+    least = LEAST_PARTICLES
+    if particles < least:
+        needed = math.ceil(campaign.runs * least / max(particles, 1)) if particles else 0
+        while particles_for(needed, islands, floor) < least:
+            needed += 100
+        raise UsageError(
+            f'--runs {campaign.runs}: too few to look for {floor:g} on {islands} islands; use '
+            f'--runs {needed}, or a greater --down-to'
+        )
+    return make_search_options(
+        campaign, sampler=NAME, workers=workers, resume=resume, until=None, budget_min=None,
+        sampler_options=[
+            f'particles={particles}', f'islands={islands}', f'error={error!r}', f'floor={floor!r}',
+        ],
+    )
 
 
 def _check_shard(shard: Shard, runs: int, until: str | None) -> None:

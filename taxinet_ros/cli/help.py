@@ -16,7 +16,7 @@ from taxinet_ros.registry import PERCEPTIONS, SAMPLERS, names
 
 SECTIONS = {
     'Run scenes': ('demo', 'run', 'up', 'node', 'check-node'),
-    'Search for failures': ('falsify', 'merge', 'learned'),
+    'Search for failures': ('falsify', 'estimate', 'merge', 'learned'),
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
@@ -43,6 +43,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
         'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10',
         'taxinet falsify s_falsif --runs 50 --sampler coverage --odd s_falsif',
+    ),
+    'estimate': (
+        'taxinet estimate s_falsif --perception taxinet --runs 4000 --workers 2 --engine loop',
     ),
     'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
     'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),

@@ -46,6 +46,7 @@ from taxinet_ros.cli.run.commands import (
     aircraft_app,
     check_node,
     demo,
+    estimate,
     experiment,
     falsify,
     flightgear_app,
@@ -150,9 +151,9 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
-    compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train, dataset,
-    evaluate, case_study, improve, tune,
+    run, up, check_node, falsify, estimate, merge, learned, why, shrink, analyze, localize, explain,
+    fork, compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train,
+    dataset, evaluate, case_study, improve, tune,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -174,8 +175,8 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or sequential; or searches [SAMPLER|LANDSCAPE]...; or '
-            'processors',
+            'or intervals [SAMPLER]...; or sequential; or rare [LANDSCAPE]...; '
+            'or searches [SAMPLER|LANDSCAPE]...; or processors',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
@@ -224,6 +225,9 @@ def bench(
     `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
     err and how many runs they take.
 
+    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and by
+    plain draws and importance sampling: their errors, and how often intervals cover.
+
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
 
@@ -255,6 +259,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_sequential
 
         raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for_study('rare', words, given):
+        from taxinet_ros.cli.bench.samplers import run_rare
+
+        raise typer.Exit(run_rare(words[1:], repeats=repeats, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 

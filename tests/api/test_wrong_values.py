@@ -42,6 +42,7 @@ CALLS = {
     'open_campaign': (tx.open_campaign, {}),
     # No search is begun here, whatever else is right.
     'falsify': (tx.falsify, {'program': 'no/such.scenic', 'out': 'never'}),
+    'estimate': (tx.estimate, {'program': 'no/such.scenic', 'out': 'never'}),
     'Scenario': (tx.Scenario, {}),
     'Spec.parse': (tx.Spec.parse, {}),
     'SteeringGains': (tx.SteeringGains, {}),

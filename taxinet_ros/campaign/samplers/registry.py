@@ -26,6 +26,7 @@ from taxinet_ros.campaign.samplers.sampler import (
 )
 from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 from taxinet_ros.campaign.samplers.space_filling import Grid
+from taxinet_ros.campaign.samplers.splitting import make_splitting
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import Extension, Extensions
 
@@ -64,12 +65,15 @@ class SamplerKind:
         make: factory; takes space, seed, number of runs and option values.
         options: the sampler's options by name.
         depends_on: what its points depend on; a search by their results cannot be run in shards.
+        batched: whether a run may depend on the result of the one before it
+            (:class:`.sampler.Batched`), not only on those up to ``LAG`` before.
     """
 
     meaning: str
     make: Callable[[Space, int, int, Values], Sampler]
     options: Mapping[str, Option] = field(default_factory=dict)
     depends_on: DependsOn = DependsOn.RESULTS
+    batched: bool = False
 
 
 def _check_make(where: str, make: Callable[..., object]) -> None:
@@ -234,6 +238,29 @@ CMAES = proposer_kind(
         'population': Option(
             meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
             default=0, low=0, high=1e5, whole=True,
+        ),
+    },
+)
+
+
+SPLITTING = SamplerKind(
+    meaning='chains down the levels of robustness: for taxinet estimate',
+    make=make_splitting, batched=True,
+    options={
+        'particles': Option(
+            meaning='points of an island at each level, a multiple of 5',
+            default=100, low=10, high=1e5, whole=True,
+        ),
+        'islands': Option(
+            meaning='independent populations at first; their spread gives the interval',
+            default=8, low=2, high=100, whole=True,
+        ),
+        'error': Option(
+            meaning='relative standard error at which to stop; 0: after all runs',
+            default=0.3, low=0, high=10,
+        ),
+        'floor': Option(
+            meaning='least probability to look for', default=1e-6, low=1e-12, high=0.5,
         ),
     },
 )

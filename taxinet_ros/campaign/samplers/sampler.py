@@ -156,6 +156,14 @@ LAG = 8
 MOST_LAG = 10_000
 
 
+@runtime_checkable
+class Batched(Protocol):
+    """A sampler that waits, at some runs, for the results of all before them."""
+
+    def needed(self) -> int:
+        """Number of results, counted from run 0, that the next run depends on at least."""
+
+
 class Lagged:
     """A sampler for several workers: issues tickets in order, takes results in any order."""
 
@@ -175,6 +183,11 @@ class Lagged:
         """Choose each run by the results of all but the last ``lag - 1``; before the first run."""
         assert not self._asked
         self._lag = lag
+
+    @property
+    def sampler(self) -> Sampler:
+        """The wrapped sampler."""
+        return self._sampler
 
     @property
     def ready(self) -> bool:
@@ -259,7 +272,8 @@ class Lagged:
     @property
     def due(self) -> int:
         """Number of results, counted from run 0, that the next run depends on."""
-        return max(self._asked - self._lag + 1, 0)
+        batched = self._sampler.needed() if isinstance(self._sampler, Batched) else 0
+        return max(self._asked - self._lag + 1, batched)
 
 
 _STREAM = 1

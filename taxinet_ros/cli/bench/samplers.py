@@ -1,4 +1,4 @@
-"""``taxinet bench intervals``, ``sequential`` and ``searches``: samplers, intervals, tests."""
+"""``taxinet bench intervals``, ``rare``, ``sequential`` and ``searches``: intervals, samplers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.bench.intervals import measure_intervals
+from taxinet_ros.bench.rare import LANDSCAPES as RARE
+from taxinet_ros.bench.rare import METHODS, measure_rare
 from taxinet_ros.bench.searches import APART, LANDSCAPES, measure_searches
 from taxinet_ros.bench.sequential import measure_sequential
 from taxinet_ros.cli.progress import run_with_progress
@@ -108,6 +110,61 @@ def _print_sequential(found: dict[str, Any], console: Console) -> None:
         'average; fixed: runs of a campaign judged once that errs as seldom', style='dim',
         soft_wrap=True,
     )
+
+
+def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+    """Estimate known probabilities of failure and print.
+
+    Args:
+        words: landscapes; none for all.
+        repeats: estimates for each landscape and probability.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: an unknown landscape, or ``repeats`` below 1.
+    """
+    return run_with_progress(partial(measure_rare, words, repeats), _print_rare, as_json=as_json)
+
+
+def _print_rare(found: dict[str, Any], console: Console) -> None:
+    console.print(
+        f'{found["repeats"]} estimates for each line, of at most {found["most_runs"]:,} runs; '
+        'error, coverage: splitting, plain draws, importance sampling with as many runs',
+        soft_wrap=True,
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column('landscape', no_wrap=True)
+    for heading in ('fails', 'runs', 'error', 'plain', 'i.s.', 'clear', 'covers', '95 %', 'all',
+                    'plain', 'i.s.', 'bias', 'gain'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    last = ''
+    for one in found['rare']:
+        split = one['splitting']
+        share = split['covers_clear']
+        table.add_row(
+            '' if one['landscape'] == last else one['landscape'], f'{one["probability"]:.0e}',
+            f'{one["runs"]:,.0f}', *(f'{one[method]["error"]:.2f}' for method in METHODS),
+            f'{split["clear"]:.0%}',
+            *(('', '') if share is None else (
+                f'{share:.0%}',
+                f'{100 * split["covers_clear_low"]:.0f}–{100 * split["covers_clear_high"]:.0f}',
+            )),
+            *(f'{one[method]["covers"]:.0%}' for method in METHODS),
+            f'{100 * split["bias"]:+.0f} %', f'{split["gain"]:.2g}',
+        )
+        last = one['landscape']
+    console.print(table)
+    console.print(
+        'error: median relative error; clear: estimates that claim their interval, and how many of '
+        'these cover (95 % interval of this share); all: how many of all cover, the unclear '
+        'included; bias: of the mean; gain: runs that plain draws need for the same mean square '
+        'error, over those spent', style='dim', soft_wrap=True,
+    )
+    for name in dict.fromkeys(one['landscape'] for one in found['rare']):
+        console.print(f'{name}: {RARE[name].meaning}', style='dim', soft_wrap=True)
 
 
 def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:

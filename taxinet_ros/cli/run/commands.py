@@ -247,6 +247,75 @@ def falsify(
     )
 
 
+def estimate(
+    scenario: ScenarioArgument,
+    target_error: Annotated[
+        float,
+        typer.Option(help='relative standard error at which to stop; 0: after all runs'),
+    ] = 0.3,
+    down_to: Annotated[
+        float,
+        typer.Option(metavar='PROBABILITY', help='least probability that the runs suffice for'),
+    ] = 1e-6,
+    runs: MostRunsOption = 4000,
+    islands: Annotated[
+        int,
+        typer.Option(
+            min=4, max=100, help='independent populations at first; their spread gives the interval'
+        ),
+    ] = 8,
+    workers: WorkersOption = 1,
+    out: OutOption = None,
+    resume: ResumeOption = False,
+    seed: SeedOption = 0,
+    perception: PerceptionOption = 'taxinet',
+    controller: ControllerOption = 'steering',
+    world: WorldOption = 'kmwh',
+    settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
+    spec: SpecOption = None,
+    images: ImagesOption = 'none',
+    bound: BoundOption = None,
+    rate: RateOption = None,
+    latency: LatencyOption = None,
+    engine: EngineOption = 'loop',
+    audit: AuditOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Estimate the probability of rare failures, down to one in a million.
+
+    Splits the way to a failure into levels of robustness, each reached from the one before by
+    Markov chains in the program's own distribution. Its headline is the first requirement, or the
+    only one. Prints the probability with a 95 % interval, and draws P(robustness <= r). Exit codes:
+    0 estimated, 3 an upper limit only, unclear, or with a greater error than asked for.
+    """
+    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.record.facts import missing_packages_named
+    from taxinet_ros.campaign.search_options import make_estimate_options
+    from taxinet_ros.cli.run.estimate import run_estimate
+    from taxinet_ros.core.world import world_word
+
+    with missing_packages_named(out if resume else None):
+        campaign = make_options(
+            program=scenario, runs=runs, seed=seed, perception=perception,
+            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            bounds=bound or (), rates=rate or (), controller=controller,
+            latency=latency or (), world=world_word(world, renderer_of(camera)), engine=engine,
+            audit=audit,
+        )
+        options = make_estimate_options(
+            campaign, error=target_error, floor=down_to, islands=islands, workers=workers,
+            resume=resume,
+        )
+    raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
+
+
 def merge(
     shards: Annotated[
         list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of all shards')

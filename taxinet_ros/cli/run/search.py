@@ -153,7 +153,7 @@ def run_falsify(
     with (
         _open_cluster(options, console, store=url) as cluster,
         uploads or contextlib.nullcontext(),
-        _open_search(options, console, quiet=quiet, uploads=uploads) as search,
+        open_search(options, console, quiet=quiet, uploads=uploads) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
@@ -163,7 +163,7 @@ def run_falsify(
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
-            _run_on_workers(search, cluster)
+            run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
@@ -178,7 +178,7 @@ def run_falsify(
 
 
 @contextlib.contextmanager
-def _open_search(
+def open_search(
     options: SearchOptions, console: Console, *, quiet: bool, uploads: BagUploads | None = None,
 ) -> Iterator[Search]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
@@ -212,7 +212,7 @@ def _open_cluster(
     return campaign_cluster(options.campaign, options.cluster, store=store, tell=tell)
 
 
-def _run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
+def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
     """Execute the runs of an open search on its workers; Ctrl-C ends it in order."""
     with interrupts(search.interrupt), _pool(search, cluster) as pool:
         run_search(search, pool)
@@ -279,14 +279,14 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
     """
     with (
         _open_cluster(options, console) as cluster,
-        _open_search(options, console, quiet=False) as search,
+        open_search(options, console, quiet=False) as search,
     ):
         for line in requirement_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
         for note in (*search.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
-            _run_on_workers(search, cluster)
+            run_on_workers(search, cluster)
     return search
 
 
@@ -351,7 +351,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
                 console.print(shrinking.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            _run_on_workers(shrinking, cluster)
+            run_on_workers(shrinking, cluster)
     found = make_report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)

@@ -15,8 +15,8 @@ from taxinet_ros.campaign.samplers.active_search import (
     PATIENCE,
     WINDOW,
     ActiveSearch,
-    _Features,
-    _Process,
+    Features,
+    GaussianProcess,
 )
 from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, prior_point
@@ -167,12 +167,12 @@ def test_given_more_results_than_the_window_when_told_then_the_lone_ones_stay() 
 
 
 def test_given_results_when_predicted_then_scikit_learn_says_the_same() -> None:
-    features = _Features(SPACE)
+    features = Features(SPACE)
     chance = np.random.default_rng(0)
     known, asked = features.of(chance.random((40, 3))), features.of(chance.random((25, 3)))
     others = features.of(chance.random((6, 3)))
     results = np.sin(5 * known[:, 0]) + 0.3 * known[:, 1] + 0.01 * chance.standard_normal(40)
-    process = _Process(features)
+    process = GaussianProcess(features)
     process.fit(known, results)
     x, kind, y = process.length_scales
     assert x < 1 < y

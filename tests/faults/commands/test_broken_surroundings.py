@@ -35,7 +35,7 @@ DOES_NOTHING = {
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
     'check-node': ['no_such_program'], 'compare': ['nothing', 'nowhere', 'nowhere'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
-    'evaluate': ['nothing'],
+    'estimate': ['nothing'], 'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
     'fork': ['nowhere', '--at', '1'],

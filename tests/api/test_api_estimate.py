@@ -1,0 +1,40 @@
+"""``tx.estimate``: the estimate of the command line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import taxinet_ros as tx
+
+SETTINGS = {'duration': 0.5}
+SPECS = 'near=always(cte <= 7.5)'
+
+
+def test_given_a_program_when_estimated_then_the_folder_tells_the_same_and_resumes_to_it(tmp_path):
+    out = tmp_path / 'c'
+    asked = {
+        'perception': 'truth', 'settings': SETTINGS, 'specs': SPECS, 'runs': 400, 'islands': 4,
+        'down_to': 0.1, 'target_error': 10, 'out': out,
+    }
+    found = tx.estimate('s_falsif', **asked)
+    told = json.loads((out / 'estimate.json').read_text())
+    assert told['runs'] == found.runs == len(tx.open_campaign(out).rows) > 0
+    assert (told['state'], told['low'], told['high']) == (found.state, found.low, found.high)
+    assert 0 <= found.low <= found.high <= 1
+    again = tx.estimate('s_falsif', **asked, resume=True)
+    assert (again.low, again.high, again.runs) == (found.low, found.high, found.runs)
+
+
+@pytest.mark.parametrize(('asked', 'words'), [
+    ({'target_error': 11}, 'target_error 11: needs to be within'),
+    ({'down_to': 0.7}, 'down_to 0.7: needs to be within'),
+    ({'runs': 10}, 'runs 10: too few to look for'),
+    ({'perception': 'external'}, 'is a node of a graph, but this command'),
+    ({'resume': True}, 'nothing to resume'),
+])
+def test_given_what_cannot_be_then_one_line_says_so_and_nothing_is_written(asked, words, tmp_path):
+    with pytest.raises(tx.UsageError, match=words):
+        tx.estimate('s_falsif', out=tmp_path / 'out', **asked)
+    assert not (tmp_path / 'out').exists()

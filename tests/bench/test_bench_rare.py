@@ -1,0 +1,104 @@
+"""``taxinet bench rare``: landscapes fail as often as they say, intervals hold, a table."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from taxinet_ros.bench.rare import (
+    LANDSCAPES,
+    METHODS,
+    RUNS,
+    SPACE,
+    Found,
+    attempt,
+    draw,
+    measure_rare,
+    split,
+    weigh,
+)
+from taxinet_ros.cli.bench.samplers import run_rare
+from taxinet_ros.cli.main import _exit_code, app
+
+
+@pytest.mark.parametrize('name', LANDSCAPES)
+@pytest.mark.parametrize('probability', [0.1, 0.01])
+def test_given_a_landscape_then_it_fails_as_often_as_it_says(name, probability):
+    points = ndtri(np.random.default_rng(1).random((200_000, len(SPACE))))
+    share = float((LANDSCAPES[name].make(probability)(points) <= 0).mean())
+    error = (probability * (1 - probability) / len(points)) ** 0.5
+    assert share == pytest.approx(probability, abs=4 * error)
+
+
+def covering(found: list[Found], probability: float) -> int:
+    return sum(one.low <= probability <= one.high for one in found)
+
+
+def test_given_known_probabilities_then_intervals_of_splitting_cover_and_the_mean_is_unbiased():
+    found = [
+        split(LANDSCAPES[name].make(0.001), seed, runs=2000, error=0.5, floor=1e-3)
+        for name in ('half', 'two', 'kinds', 'ring') for seed in range(2)
+    ]
+    assert all(500 < one.runs <= 2000 for one in found)
+    clear = [one for one in found if one.clear]
+    assert len(clear) >= 5
+    # At 95 %, 3 of 8 or more miss in 0.6 % of cases.
+    assert len(clear) - covering(clear, 0.001) <= 2
+    ratio = np.array([one.probability for one in found]) / 0.001
+    assert abs(ratio.mean() - 1) < 4 * ratio.std(ddof=1) / len(ratio) ** 0.5
+
+
+def test_given_known_probabilities_then_those_beside_it_estimate_them_too():
+    found = [weigh(LANDSCAPES['two'].make(1e-4), 4000, seed) for seed in range(10)]
+    assert np.median([one.probability for one in found]) == pytest.approx(1e-4, rel=0.3)
+    assert covering(found, 1e-4) >= 5
+    plain = [draw(0.01, 4000, seed) for seed in range(100)]
+    assert covering(plain, 0.01) >= 90
+    assert np.mean([one.probability for one in plain]) == pytest.approx(0.01, rel=0.07)
+
+
+def test_given_an_estimate_then_the_others_have_as_many_runs_and_it_is_repeatable():
+    one = attempt('half', 0.01, 3)
+    assert {getattr(one, method).runs for method in METHODS} == {one.splitting.runs}
+    assert 0 < one.splitting.runs <= RUNS
+    assert one == attempt('half', 0.01, 3)
+
+
+def test_given_words_then_there_are_json_and_a_table(monkeypatch, capsys):
+    def measured(words, repeats, show):
+        return measure_rare(words, repeats, show, probabilities=(0.01,), workers=1)
+
+    monkeypatch.setattr('taxinet_ros.cli.bench.samplers.measure_rare', measured)
+    assert run_rare(['ring', 'half'], repeats=1, as_json=True) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [(one['landscape'], one['probability']) for one in found['rare']] == [
+        ('half', 0.01), ('ring', 0.01),
+    ]
+    own = split(LANDSCAPES['ring'].make(0.01), 0)
+    [line] = [one for one in found['rare'] if one['landscape'] == 'ring']
+    assert line['splitting']['error'] == pytest.approx(abs(own.probability / 0.01 - 1))
+    assert line['runs'] == own.runs
+    monkeypatch.setattr('taxinet_ros.cli.bench.samplers.measure_rare', lambda *others: found)
+    assert run_rare([], repeats=1, as_json=False) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith('1 estimates for each line, of at most 4,000 runs')
+    assert [row.split()[:3] for row in lines if row.startswith('ring ')] == [
+        ['ring', '1e-02', f'{own.runs:,}'],
+    ]
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['rare', 'corners'], "landscape 'corners' is unknown; known: half, two, "),
+    (['rare', '--repeats', '0'], '--repeats is 0, needs to be 1 or more'),
+    (['rare', '--guard'], '--guard: not with rare'),
+    (['camera', 'rare'], 'rare must come first'),
+])
+def test_given_a_mistake_when_asked_for_then_one_line_says_what(words, message, capsys):
+    code = _exit_code(lambda: app(['bench', *words], standalone_mode=False))
+    captured = capsys.readouterr()
+    assert (code, captured.out) == (2, '')
+    assert message in captured.err
+    assert captured.err.count('\n') == 1

@@ -1,0 +1,104 @@
+"""An estimate as a campaign: workers, kills and the order of answers change nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shutil
+from pathlib import Path
+
+import falsify_samples as toy
+import pytest
+
+from taxinet_ros.analysis.search.rare import estimate_of
+from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_options
+from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import UsageError
+
+RUNS = 340
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
+
+
+def options(
+    out: Path, *, resume: bool = False, error: float = 0.0, runs: int = RUNS
+) -> SearchOptions:
+    return toy.options(
+        out, runs=runs, sampler='splitting', resume=resume, sampler_options={
+            'particles': '20', 'islands': '4', 'error': repr(error), 'floor': '0.001',
+        },
+    )
+
+
+def rarely(request: RunRequest) -> RunResult:
+    """A failure in a small disc, around which robustness rises."""
+    scenario = request.scenario
+    rho = math.hypot(scenario.cross_track_m + 4, scenario.distance_m / 500 - 2) - 0.2
+    return dataclasses.replace(
+        toy.result(request, Outcome.PASS if rho > 0 else Outcome.FAIL),
+        robustness=exact_intervals({'phi_eventually': rho}),
+    )
+
+
+def estimated(
+    chosen: SearchOptions, workers: int = 1, pick: toy.Pick = toy.first,
+    killed: dict[int, Path] | None = None,
+) -> str:
+    """Text of an estimate; what is on disk after so many answers is copied (``killed``)."""
+    with toy.searching(chosen) as search:
+        for number, _ in enumerate(toy.answers(search, workers, pick, rarely), 1):
+            if killed and number in killed:
+                shutil.copytree(chosen.campaign.out, killed[number])
+        return repr(estimate_of(search))  # NaN is not equal to itself
+
+
+def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_same(tmp_path):
+    # Amid the first draws, at their end, amid a level, near the end.
+    killed = {number: tmp_path / f'killed{number}' for number in (3, 80, 100, 240)}
+    whole = estimated(options(tmp_path / 'whole'), killed=killed)
+    for folder in killed.values():
+        assert folder.is_dir()
+        assert estimated(options(folder, resume=True)) == whole
+        toy.same_table(tmp_path / 'whole', folder)
+
+
+def test_given_more_workers_then_table_and_estimate_are_the_same(tmp_path):
+    whole = estimated(options(tmp_path / 'one'))
+    killed = {210: tmp_path / 'killed'}
+    assert estimated(options(tmp_path / 'more'), 8, toy.last, killed) == whole
+    toy.same_table(tmp_path / 'one', tmp_path / 'more')
+    assert estimated(options(tmp_path / 'killed', resume=True), 3, toy.first) == whole
+    toy.same_table(tmp_path / 'one', tmp_path / 'killed')
+
+
+def test_given_an_error_that_was_reached_when_resumed_with_less_then_more_islands_follow(tmp_path):
+    out = tmp_path / 'c'
+    first = options(out, error=2.0, runs=520)
+    assert ' islands=4,' in estimated(first)
+    before = read_table(out)['rho']
+    assert ' islands=4,' not in estimated(options(out, resume=True, runs=520))
+    assert read_table(out)['rho'][:len(before)].equals(before)
+    assert len(read_table(out)) > len(before)
+
+
+@pytest.mark.parametrize(('asked', 'words'), [
+    ({'error': 11.0}, '--target-error 11: needs to be within'),
+    ({'floor': 0.6}, '--down-to 0.6: needs to be within'),
+    ({'islands': 3}, '--islands 3: needs to be within'),
+    ({'floor': 1e-12, 'islands': 8}, 'too few to look for 1e-12 on 8 islands; use --runs '),
+])
+def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
+    campaign = CampaignOptions(
+        program='nominal', runs=900, seed=0, perception='truth', out=tmp_path / 'c'
+    )
+    with pytest.raises(UsageError, match=words):
+        make_estimate_options(campaign, **{
+            'error': 0.3, 'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
+        })
