@@ -22,10 +22,12 @@ from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
+from taxinet_ros.analysis.report.worst import WorstView, rho_words, view_worst
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.pages import PLACE
 
 _ASSETS = Path(__file__).parent / 'assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')
@@ -70,12 +72,22 @@ def _html(report: Report, on_progress: Callable[[str], None]) -> str:
     script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
     return _environment().get_template('page.html').render(
         report=report, runs=runs, run_link=run_link, page_link=page_link,
-        made_on=words(provenance()),
+        worst=_worst(report, runs), rho={clean(run): rho_words(rho)
+                                         for run, rho in report.rho.items()},
+        made_on=words(provenance()), pages=Markup(PLACE),
         sections=[_section(section, runs, on_progress) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],
         ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
     )
+
+
+def _worst(report: Report, runs: _Runs) -> WorstView | None:
+    """The run of the first screen; None if there is none, or it has no viewer."""
+    view = runs.views.get(clean(report.worst))
+    if view is None or not len(view.t_s):
+        return None
+    return view_worst(view, report.rho.get(report.worst))
 
 
 def page_link(path: str) -> str:

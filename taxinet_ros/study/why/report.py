@@ -201,7 +201,7 @@ def why_report(
             *_todo(todo), *_causes(evidence, worst, out), *_sure(evidence, verdict.fault),
             *_others(evidence), *_stages(evidence, out),
         ),
-        runs=bags,
+        runs=bags, worst=next(iter(bags), ''),
     )
 
 
