@@ -39,7 +39,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),
     'falsify': (
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
-        'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10',
+        'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10 --web',
     ),
     'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
     'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),

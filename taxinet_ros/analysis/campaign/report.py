@@ -200,7 +200,8 @@ def _worst_first(runs: Mapping[str, Path], failures: pd.DataFrame) -> dict[str, 
     rho = dict(zip(failures['run_id'], failures['rho'].astype(float), strict=True))
     ordered = {run: runs[run] for run in sorted(runs, key=lambda run: (rho[run], run))}
     return {
-        'runs': ordered, 'worst': next(iter(ordered), ''), 'rho': {run: rho[run] for run in ordered},
+        'runs': ordered, 'worst': next(iter(ordered), ''),
+        'rho': {run: rho[run] for run in ordered},
     }
 
 

@@ -138,6 +138,7 @@ class Report:
         sections: the evidence.
         runs: folders of runs to inspect step by step, by run id, the worst first.
         worst: the one of them whose frame and path are shown on the first screen; '' for none.
+        worst_words: what that run is called.
         rho: robustness of runs, by run id, shown in their list.
         made_on: machine and versions that the evidence comes from, at the end of the page.
     """
@@ -148,6 +149,7 @@ class Report:
     sections: tuple[Section, ...]
     runs: Mapping[str, Path] = field(default_factory=dict)
     worst: str = ''
+    worst_words: str = 'The worst run'
     rho: Mapping[str, float] = field(default_factory=dict)
     made_on: str = ''
 

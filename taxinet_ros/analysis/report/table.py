@@ -150,6 +150,8 @@ def _words(value: Cell, column: Column) -> str:
         return '–'
     if isinstance(value, bool):
         return 'yes' if value else 'no'
+    if value == '-∞' and column.decimals is not None:
+        return '−∞'
     if isinstance(value, str) or column.decimals is None:
         return str(value)
     return f'{value:.{column.decimals}f}'.replace('-', '−')

@@ -14,6 +14,7 @@ from taxinet_ros.analysis.report.viewer import RunView
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 
 _BEYOND_EDGE_M = 3.0
+_MORE_STEPS = 5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,14 +94,18 @@ def _side_words(cte_m: float) -> str:
 def _draw(view: RunView, row: int, figure: Figure, theme: Theme) -> None:
     axes = figure.subplots()
     straight = view.track.is_runway
-    across, edge = view.curves['x'] if straight else view.t_s, view.half_width_m
+    edge, cte = view.half_width_m, view.curves['cte']
+    on = np.flatnonzero(np.abs(cte) <= edge)
+    # What the network reports about grass says nothing, and hides the rest.
+    until = slice(0, max(int(on[-1]) if len(on) else 0, row) + _MORE_STEPS)
+    across = (view.curves['x'] if straight else view.t_s)[until]
     axes.axhspan(-CENTRELINE_TOLERANCE_M, CENTRELINE_TOLERANCE_M, color=theme.faint, zorder=0)
     for side in (-edge, edge):
         axes.axhline(side, color=theme.ink, linewidth=1.0)
-    axes.plot(across, view.curves['cte'], color=theme.failed, linewidth=2.0, label='aircraft')
-    axes.plot(across, view.curves['cteEstimate'], color=theme.passed, linewidth=1.2,
+    axes.plot(across, cte[until], color=theme.failed, linewidth=2.0, label='aircraft')
+    axes.plot(across, view.curves['cteEstimate'][until], color=theme.passed, linewidth=1.2,
               linestyle='--', label='network')
-    axes.plot(across[row], view.curves['cte'][row], 'o', color=theme.ink, markersize=6,
+    axes.plot(across[row], cte[row], 'o', color=theme.ink, markersize=6,
               label='this frame')
     axes.set_ylim(-edge - _BEYOND_EDGE_M, edge + _BEYOND_EDGE_M)
     axes.set_xlabel('along the runway [m]' if straight else 'time [s]')

@@ -213,7 +213,8 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
 
 def record_beside(path: Path) -> Path | None:
     """Folder of the campaign that a folder, its table or one of its runs belongs to, if any."""
-    for folder in (path, path.parent):
+    first = path.resolve().parent if path.is_file() else path.resolve()
+    for folder in (first, first.parent):
         if (folder / LEDGER_NAME).is_file():
             return folder
     return None

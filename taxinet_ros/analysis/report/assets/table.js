@@ -71,7 +71,8 @@ class ReportTable {
   /** The same with a true minus, as all of the page has it; copies keep the one of keyboards. */
   shown(cell, column) {
     const text = this.text(cell, column);
-    return this.columns[column].decimals === null ? text : text.replace('-', '−');
+    const isNumber = typeof cell === 'number' || cell === '-∞';
+    return isNumber && this.columns[column].decimals !== null ? text.replace('-', '−') : text;
   }
 
   /** How a cell is set: numbers to the right, long words in several lines. */
