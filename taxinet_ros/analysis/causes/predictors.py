@@ -201,7 +201,7 @@ def _in_order(region: Region) -> Region:
     return Region(parts=tuple(sorted(region.parts, key=lambda part: order.index(part.feature))))
 
 
-def _ends(feature: Feature, below: float, above: float) -> tuple[float, float]:
+def rounded_ends(feature: Feature, below: float, above: float) -> tuple[float, float]:
     """Round ends of the two sides of a split, which do not overlap.
 
     Args:
@@ -228,7 +228,7 @@ def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFr
             kind for kind in kinds if (feature.kinds.index(kind) > limit) is above))
     else:
         values = frame[name].to_numpy(dtype=np.float64)
-        most, least = _ends(
+        most, least = rounded_ends(
             feature, float(values[values <= limit].max()), float(values[values > limit].min()))
         low, high = (old.low, old.high) if isinstance(old, Interval) else (None, None)
         low, high = (least, high) if above else (low, most)

@@ -6,6 +6,7 @@ The page is made of the same parts as a report and asks for nothing but its own 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -82,7 +83,10 @@ def live_values(
 def _rate_words(found: ProgramRate) -> str:
     if not found.runs:
         return ''
-    return found.why_not if found.rate is None else found.rate.words()
+    if found.rate is None:
+        return found.why_not
+    value, low, high = (100 * part for part in found.rate)
+    return f'{value:.1f} % ({low:.1f}–{high:.1f} %)'
 
 
 def _row(row: RunRow) -> dict[str, Any]:
@@ -91,9 +95,15 @@ def _row(row: RunRow) -> dict[str, Any]:
     return {
         'id': row.run_id, 'index': row.index, 'outcome': row.outcome.value,
         'rho': None if headline is None else headline[1],
-        'scene': scene_words(row), 'detail': '' if row.outcome.judged else row.detail,
+        'scene': _scene(row), 'detail': '' if row.outcome.judged else row.detail,
         'values': [
             None if (value := scene.get(field.key)) is None else round(float(value), 4)
             for field in _NUMBERS
         ],
     }
+
+
+def _scene(row: RunRow) -> str:
+    """The scene in one line, with the signs of the reports."""
+    words = ' '.join(scene_words(row).split()).replace(' deg', '°')
+    return re.sub(r'(?<!\S)-(?=[0-9])', '−', words)

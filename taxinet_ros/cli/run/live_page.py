@@ -161,7 +161,12 @@ class _Handler(BaseHTTPRequestHandler):
         if hmac.compare_digest(path, root):
             self._answer(HTTPStatus.OK, self.server.page, _HTML)
         elif hmac.compare_digest(path, root + _DATA.encode()):
-            self._answer(HTTPStatus.OK, self._values(parts.query), _JSON)
+            try:
+                values = self._values(parts.query)
+            except Exception:  # the page says that there is no answer; the campaign goes on
+                self._answer(HTTPStatus.INTERNAL_SERVER_ERROR)
+                return
+            self._answer(HTTPStatus.OK, values, _JSON)
         else:
             self._answer(HTTPStatus.NOT_FOUND)
 

@@ -3,7 +3,7 @@
 const EVERY_MS = 2000;
 const MOST_FAILURES = 200;
 const TICKS = 5;
-const FRAME = { left: 84, right: 704, top: 12, bottom: 300 };
+const FRAME = { left: 84, right: 704, top: 32, bottom: 310 };
 const CLOCK = 'time_of_day_h';
 const PREFERRED = [CLOCK, 'distance_m', 'cross_track_m', 'heading_deg', 'rain_percent'];
 
@@ -59,7 +59,8 @@ function ticks(field, low, high) {
 
 function scaleOf(values, from, to) {
   const [low, high] = values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
-  const place = (value) => from + ((value - low) / (high - low)) * (to - from);
+  const room = 0.03 * (to - from);
+  const place = (value) => from + room + ((value - low) / (high - low)) * (to - from - 2 * room);
   return { low, high, place };
 }
 
@@ -90,6 +91,7 @@ function drawMap() {
   }
   parts.push(makeSvg('line', { class: 'axis', x1: FRAME.left, x2: FRAME.right, y1: FRAME.bottom, y2: FRAME.bottom }));
   parts.push(makeSvg('line', { class: 'axis', x1: FRAME.left, x2: FRAME.left, y1: FRAME.top, y2: FRAME.bottom }));
+  parts.push(makeSvg('text', { x: 4, y: FRAME.top - 10 }, axisWords(fields[up])));
   parts.push(makeSvg('text', { class: 'label-middle', x: (FRAME.left + FRAME.right) / 2, y: FRAME.bottom + 48 }, axisWords(fields[across])));
   for (const point of [...known].sort((a, b) => Number(a.failed) - Number(b.failed))) {
     parts.push(mark(point, x.place(point.values[across]), y.place(point.values[up])));
@@ -112,7 +114,7 @@ function failureRow(row) {
     make('td', {}, String(row.index)),
     make('td', { className: 'number' }, row.rho === null ? '–' : signed(row.rho)),
     make('td', {}, make('b', { className: 'outcome outcome-fail' }, row.outcome)),
-    make('td', {}, row.detail || row.scene.replace(/ -(?=\d)/g, ' −')),
+    make('td', {}, row.detail || row.scene),
   ];
   return make('tr', {}, ...cells);
 }

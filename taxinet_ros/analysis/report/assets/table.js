@@ -56,7 +56,8 @@ class ReportTable {
     addEventListener('beforeprint', () => this.print(true));
     addEventListener('afterprint', () => this.print(false));
     this.find('.table-scroll').addEventListener('scroll', () => this.showHidden());
-    new ResizeObserver(() => this.showHidden()).observe(this.find('.table-scroll'));
+    const sizes = new ResizeObserver(() => this.showHidden());
+    for (const part of ['.table-scroll', 'table']) sizes.observe(this.find(part));
     this.find('.table-copy').addEventListener('click', (event) => this.copy(event.target));
   }
 
@@ -130,7 +131,7 @@ class ReportTable {
   /** Say how many columns lie beyond the right side, since many systems hide the scroll bar. */
   showHidden() {
     const box = this.find('.table-scroll');
-    const right = box.getBoundingClientRect().right - 1;
+    const right = box.getBoundingClientRect().right + 1;
     const beyond = this.headers.filter((header) => header.getBoundingClientRect().right > right);
     const hint = this.find('.table-more');
     hint.hidden = beyond.length === 0 || box.scrollWidth <= box.clientWidth;
