@@ -171,7 +171,7 @@ def test_given_a_campaign_with_web_then_its_page_is_there_while_it_runs_and_its_
 ) -> None:
     out = tmp_path / 'found'
     words = (
-        'falsify', 'nominal', '--runs', '6', '--perception', 'truth', '--set', 'duration=2',
+        'falsify', 'nominal', '--runs', '3', '--perception', 'truth', '--set', 'duration=2',
         '--sampler', 'random', '--engine', 'loop', '--audit', '0', '--images', 'none', '--quiet',
         '--json', '--web', '--out', str(out), '--spec', 'near=always(abs(cte) <= 20)',
     )
@@ -194,6 +194,6 @@ def test_given_a_campaign_with_web_then_its_page_is_there_while_it_runs_and_its_
     assert command.returncode == 0
     rho = read_table(out).set_index('run_id')['rho']
     assert all(one['rho'] == rho[one['id']] for one in seen['rows'])
-    assert seen['runs'] == 6
+    assert seen['runs'] == 3
     with pytest.raises(ConnectionRefusedError):
         asked(address)
