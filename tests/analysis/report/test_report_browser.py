@@ -164,8 +164,9 @@ def test_given_columns_beyond_the_side_when_asked_for_then_they_come_into_view(
             before = now.tab.locator('.table-scroll').evaluate('box => box.scrollLeft')
             more.click()
             now.wait_until(
-                f"document.querySelector('.table-scroll').scrollLeft > {before}"
-                " || document.querySelector('.table-more').hidden")
+                "(box => box.scrollLeft >= Math.min("
+                f"{before} + 0.7 * box.clientWidth, box.scrollWidth - box.clientWidth - 1))"
+                "(document.querySelector('.table-scroll'))")
         now.wait_until("document.querySelector('.table-more').hidden")
         assert now.tab.evaluate(last) <= width
 
