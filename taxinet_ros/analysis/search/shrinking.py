@@ -154,7 +154,8 @@ def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageRepor
     ended = found.state.end.value or 'interrupted'
     matter = [one.key for one in found.findings if one.matters]
     bags = {
-        row.run_id: options.campaign.out / row.bag for row in three.values()
+        row.run_id: options.campaign.out / row.bag
+        for row in sorted(three.values(), key=lambda row: row.rho[name])
         if row.bag and (options.campaign.out / row.bag).is_dir()
     }
     shrunk = three.get('shrunk')
@@ -172,7 +173,6 @@ def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageRepor
         ),
         sections=(Section(
             name='parameters', heading='Parameters',
-            sentences=(f'{finding_lines(found)[0]}.',),
             pictures=(shrink_picture(drawn, f'Fails with {off_nominal(found)}'),) if drawn else (),
             commands=(run_command(options, PROGRAM_NAME),),
             tables=(_parameters(found),),
@@ -181,6 +181,11 @@ def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageRepor
         worst_words='The shrunk run',
         rho={row.run_id: row.rho[name] for row in three.values()},
     )
+
+
+def _signs(words: str) -> str:
+    words = f'−{words[1:]}' if words.startswith('-') else words
+    return words.replace(' deg', '°')
 
 
 def _parameters(found: Report) -> Table:
@@ -194,7 +199,8 @@ def _parameters(found: Report) -> Table:
             Column(name='matters', title='matters'),
         ),
         rows=tuple(
-            (one.key, one.words(one.original), one.words(one.nominal), one.words(one.shrunk),
+            (one.key, *(_signs(one.words(value))
+                        for value in (one.original, one.nominal, one.shrunk)),
              one.rho_in_original, one.rho_in_shrunk,
              'nominal already' if one.original == one.nominal else one.matters)
             for one in found.findings
