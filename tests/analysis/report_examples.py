@@ -74,6 +74,7 @@ def plain_report() -> Report:
         title='s_falsif, 60 runs', facts={'perception': 'original', 'seed': '0'},
         summary=('Rain is the cause.', 'The crossing is another.'), sections=(section,),
         runs={**{name: GOLDEN / name for name in RUNS}, 'gone': GOLDEN / 'gone'},
+        worst=RUNS[1], rho={RUNS[1]: -1.304}, made_on='one machine',
     )
 
 

@@ -1,10 +1,15 @@
 """The command as a person calls it, without a process of its own."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
 from taxinet_ros.cli.main import main
+
+_folder = str(Path(__file__).resolve().parents[1] / 'analysis')  # the browser
+if _folder not in sys.path:
+    sys.path.append(_folder)
 
 
 @pytest.fixture

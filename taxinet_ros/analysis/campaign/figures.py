@@ -166,7 +166,7 @@ def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> 
     """Failure rate over two features, as a map with the rate in each cell."""
     cells = max(1, len(runs.frame) // _RUNS_PER_CELL)
     rows = bins(up, runs.frame, min(10, max(1, round(math.sqrt(cells / 2)))))
-    columns = bins(across, runs.frame, min(12, max(1, cells // len(rows))))
+    columns = bins(across, runs.frame, min(12, max(2, cells // len(rows))))
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()

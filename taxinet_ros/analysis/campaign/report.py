@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -188,8 +190,19 @@ def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
         f'{findings.runs.label}',
         facts=_facts(findings), summary=summary(findings),
         sections=_sections(findings, failures),
-        runs=bag_folders(findings.runs, failures, viewers),
+        **_worst_first(bag_folders(findings.runs, failures, viewers), failures),
+        made_on='; '.join(map(words, findings.runs.stacks)),
     )
+
+
+def _worst_first(runs: Mapping[str, Path], failures: pd.DataFrame) -> dict[str, Any]:
+    """The runs to look at in order of robustness, and the worst of them for the first screen."""
+    rho = dict(zip(failures['run_id'], failures['rho'].astype(float), strict=True))
+    ordered = {run: runs[run] for run in sorted(runs, key=lambda run: (rho[run], run))}
+    return {
+        'runs': ordered, 'worst': next(iter(ordered), ''),
+        'rho': {run: rho[run] for run in ordered},
+    }
 
 
 def _sections(findings: Findings, failures: pd.DataFrame) -> tuple[Section, ...]:
@@ -276,12 +289,11 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
     if commands:
         sentences.append(
             'To test a cause on fresh scenes, run its command in this folder:')
-        sentences += commands
     elif findings.causes.found:
         why = why_no_program(findings.runs)
         sentences.append(f'There is no program to test the causes on fresh scenes: {why}.')
     return Section(
-        name='causes', heading='Causes', sentences=tuple(sentences),
+        name='causes', heading='Causes', sentences=tuple(sentences), commands=tuple(commands),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),
                   *((ranking_picture(findings.ranking),) if findings.ranking else ())),
         tables=(*((causes_table(findings, failures),) if findings.causes.found else ()),
@@ -355,8 +367,7 @@ def _facts(findings: Findings) -> Mapping[str, str]:
         'formula': f'{runs.spec}: {_formula(runs)}' if _formula(runs) else runs.spec,
         'runs': f'{len(runs.frame):,} with a verdict',
         'baselines': ', '.join(one.baseline.label for one in findings.comparisons),
-        'table': str(runs.path), 'version': str(facts.get('taxinet_ros_version') or ''),
-        'made on': '; '.join(map(words, runs.stacks)) or 'not told',
+        'table': runs.path.name, 'version': str(facts.get('taxinet_ros_version') or ''),
     }
     return {name: value for name, value in found.items() if value}
 

@@ -63,8 +63,9 @@ def bins_table(runs: CampaignRuns) -> Table:
         caption='The failure rate in each bin of the figure above, and the median robustness.',
         columns=(
             Column(name='feature', title='feature'), Column(name='bin', title='values'),
-            Column(name='low', title='low', decimals=2),
-            Column(name='high', title='high', decimals=2), *_RATE,
+            # As text, with unit and clock times, they are in the column before.
+            Column(name='low', title='low', decimals=2, on_page=False),
+            Column(name='high', title='high', decimals=2, on_page=False), *_RATE,
             Column(name='median_rho', title='median ρ', decimals=2),
         ),
     )

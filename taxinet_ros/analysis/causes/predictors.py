@@ -12,7 +12,6 @@ from scipy.sparse import csr_array
 from sklearn.model_selection import StratifiedKFold, cross_val_score
 from sklearn.tree import DecisionTreeClassifier
 
-from taxinet_ros.analysis.causes.causes import round_limits
 from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region, interval_cells
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, holm
 from taxinet_ros.analysis.runs.features import (
@@ -160,7 +159,7 @@ def grow_tree(runs: CampaignRuns) -> CauseTree | None:
     right = cross_val_score(_tree(depth, len(failed)), values, failed, cv=folds)
     tree = _tree(depth, len(failed)).fit(values, failed)
     rules = [
-        Rule(region=round_limits(region, runs.frame), rate=runs.rate(region.mask(runs.frame)))
+        Rule(region=_in_order(region), rate=runs.rate(region.mask(runs.frame)))
         for region in _leaves(tree.tree_, list(columns.columns), runs.frame)
     ]
     return CauseTree(
@@ -197,6 +196,26 @@ def _leaves(tree: Any, names: list[str], frame: pd.DataFrame) -> Iterator[Region
     yield from below(0, Region(parts=()))
 
 
+def _in_order(region: Region) -> Region:
+    order = list(BY_NAME)
+    return Region(parts=tuple(sorted(region.parts, key=lambda part: order.index(part.feature))))
+
+
+def rounded_ends(feature: Feature, below: float, above: float) -> tuple[float, float]:
+    """Round ends of the two sides of a split, which do not overlap.
+
+    Args:
+        feature: feature that is split by.
+        below: greatest value of a run on the lower side.
+        above: least value of a run on the upper side.
+    """
+    most, least = feature.rounded(below, below)[1], feature.rounded(above, above)[0]
+    if most <= least:
+        return most, least
+    middle = (below + above) / 2
+    return middle, middle  # both sides name it; no run lies there
+
+
 def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFrame) -> Region:
     """The part of a region on one side of a split."""
     feature = BY_NAME[name]
@@ -208,12 +227,10 @@ def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFr
         new = Kinds(feature=name, kinds=tuple(
             kind for kind in kinds if (feature.kinds.index(kind) > limit) is above))
     else:
-        # Interval ends are values of runs; no run lies between an end and the limit.
         values = frame[name].to_numpy(dtype=np.float64)
+        most, least = rounded_ends(
+            feature, float(values[values <= limit].max()), float(values[values > limit].min()))
         low, high = (old.low, old.high) if isinstance(old, Interval) else (None, None)
-        if above:
-            low = float(values[values > limit].min())
-        else:
-            high = float(values[values <= limit].max())
+        low, high = (least, high) if above else (low, most)
         new = Interval(feature=name, low=low, high=high)
     return Region(parts=(*others, new))

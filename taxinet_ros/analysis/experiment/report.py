@@ -348,7 +348,7 @@ def _axis_unit(experiment: Experiment) -> str:
 
 def _points(difference: ConfidenceInterval) -> str:
     value, low, high = (100 * part for part in difference)
-    return f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})'
+    return f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})'.replace('-', '−')
 
 
 def _p(value: float) -> str:

@@ -287,6 +287,11 @@ def attention_sentences(insight: Insight) -> Iterator[str]:
             f'{100 * share:.0f} % of the change by covering patches is there (11 % if all ninths '
             'were equal).'
         )
+        for what, there in zip(
+            ('cross-track', 'heading'), insight.occlusion.regions_alone, strict=True
+        ):
+            if there != region:
+                yield f'The estimated {what} error alone depends most on the {there}.'
     for name, (area, weight) in insight.parts.items():
         if area >= _NOT_IN_VIEW:
             yield (

@@ -52,22 +52,32 @@ class OcclusionMap:
 
         The share is 0 if there is no effect.
         """
-        parts = {
-            (row, column): float(cell.sum())
-            for row, band in enumerate(np.array_split(self.weight_rad, 3, axis=0))
-            for column, cell in enumerate(np.array_split(band, 3, axis=1))
-        }
-        row, column = max(parts, key=lambda place: parts[place])
-        total = sum(parts.values())
-        words = f'{_ROWS[row]} {_COLUMNS[column]}'.strip()
-        return ('centre' if words == 'middle' else words,
-                parts[row, column] / total if total > 0 else 0.0)
+        return _ninth(self.weight_rad)
+
+    @property
+    def regions_alone(self) -> tuple[str, str]:
+        """The same names for the estimated cross-track error and heading error alone."""
+        return _ninth(np.abs(self.cte_m))[0], _ninth(np.abs(self.he_rad))[0]
 
     def share(self, mask: NDArray[np.bool_]) -> float:
         """Share of the effect within ``mask`` (H, W) of the picture."""
         weight = _in_pixels(self.weight_rad, mask.shape)
         total = float(weight.sum())
         return float(weight[mask].sum()) / total if total > 0 else 0.0
+
+
+def _ninth(weight: Floats) -> tuple[str, float]:
+    """Name of the ninth of the picture with most of the weight, and its share of all."""
+    parts = {
+        (row, column): float(cell.sum())
+        for row, band in enumerate(np.array_split(weight, 3, axis=0))
+        for column, cell in enumerate(np.array_split(band, 3, axis=1))
+    }
+    row, column = max(parts, key=lambda place: parts[place])
+    total = sum(parts.values())
+    words = f'{_ROWS[row]} {_COLUMNS[column]}'.strip()
+    return ('centre' if words == 'middle' else words,
+            parts[row, column] / total if total > 0 else 0.0)
 
 
 def occlusion_map(look: Estimator, image: Frame, gains: SteeringGains) -> OcclusionMap:

@@ -44,7 +44,8 @@ def explain_report(found: Explanation) -> Report:
     return Report(
         title=f'Network errors in {run_id}',
         facts=_facts(found), summary=tuple(explain_sentences(found)),
-        sections=tuple(_sections(found)), runs={run_id: found.bag},
+        sections=tuple(_sections(found)), runs={run_id: found.bag}, worst=run_id,
+        worst_words='The run',
     )
 
 

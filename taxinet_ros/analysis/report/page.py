@@ -22,10 +22,12 @@ from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
+from taxinet_ros.analysis.report.worst import WorstView, rho_words, view_worst
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.pages import PLACE
 
 _ASSETS = Path(__file__).parent / 'assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')
@@ -66,16 +68,26 @@ def write_report_page(
 
 def _html(report: Report, on_progress: Callable[[str], None]) -> str:
     runs = _read_runs(report, on_progress)
-    style = _theme_style() + _joined(_STYLES)
-    script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
-    return _environment().get_template('page.html').render(
+    style = theme_style() + joined(_STYLES)
+    script = f"(() => {{\n'use strict';\n{joined(_SCRIPTS)}}})();\n"
+    return environment().get_template('page.html').render(
         report=report, runs=runs, run_link=run_link, page_link=page_link,
-        made_on=words(provenance()),
+        worst=_worst(report, runs), rho={clean(run): rho_words(rho)
+                                         for run, rho in report.rho.items()},
+        made_on=words(provenance()), pages=Markup(PLACE),
         sections=[_section(section, runs, on_progress) for section in report.sections],
-        policy=_policy(style, script), style=Markup(style), script=Markup(script),
+        policy=page_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],
         ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
     )
+
+
+def _worst(report: Report, runs: _Runs) -> WorstView | None:
+    """The run of the first screen; None if there is none, or it has no viewer."""
+    view = runs.views.get(clean(report.worst))
+    if view is None or not len(view.t_s):
+        return None
+    return view_worst(view, report.rho.get(report.worst))
 
 
 def page_link(path: str) -> str:
@@ -83,7 +95,8 @@ def page_link(path: str) -> str:
     return quote(f'./{clean(path)}', safe='/')
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """Jinja with the page's templates; everything is escaped, an unknown name is an error."""
     return Environment(
         loader=FileSystemLoader(_ASSETS), autoescape=True, undefined=StrictUndefined,
         finalize=cleaned, trim_blocks=True, lstrip_blocks=True,
@@ -123,11 +136,12 @@ def _grounds(runs: _Runs) -> dict[str, Any]:
     }
 
 
-def _joined(names: tuple[str, ...]) -> str:
+def joined(names: tuple[str, ...]) -> str:
+    """Text of some assets, one after the other."""
     return '\n'.join((_ASSETS / name).read_text(encoding='utf-8') for name in names)
 
 
-def _theme_style() -> str:
+def theme_style() -> str:
     """The colours shared by page and pictures, as CSS properties."""
     pairs = {
         name: (getattr(LIGHT, name), getattr(DARK, name))
@@ -137,9 +151,10 @@ def _theme_style() -> str:
     return '\n'.join([':root {', *lines, '}', ''])
 
 
-def _policy(style: str, script: str) -> str:
+def page_policy(style: str, script: str, *more: str) -> str:
+    """Content security policy that admits this style and script only, and what ``more`` adds."""
     return '; '.join([
-        "default-src 'none'", 'img-src data:', f"style-src '{_digest(style)}'",
+        "default-src 'none'", *more, 'img-src data:', f"style-src '{_digest(style)}'",
         f"script-src '{_digest(script)}'", "base-uri 'none'", "form-action 'none'",
     ])
 

@@ -63,11 +63,13 @@ class Column:
         name: name in JSON and files, including the unit, such as ``rain_percent``.
         title: display name, such as ``rain [%]``.
         decimals: number of decimals; None for text and integers.
+        on_page: whether a page shows it; files have all columns.
     """
 
     name: str
     title: str
     decimals: int | None = None
+    on_page: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,6 +137,10 @@ class Report:
         summary: sentences on the findings, the most important first.
         sections: the evidence.
         runs: folders of runs to inspect step by step, by run id, the worst first.
+        worst: the one of them whose frame and path are shown on the first screen; '' for none.
+        worst_words: what that run is called.
+        rho: robustness of runs, by run id, shown in their list.
+        made_on: machine and versions that the evidence comes from, at the end of the page.
     """
 
     title: str
@@ -142,6 +148,10 @@ class Report:
     summary: tuple[str, ...]
     sections: tuple[Section, ...]
     runs: Mapping[str, Path] = field(default_factory=dict)
+    worst: str = ''
+    worst_words: str = 'The worst run'
+    rho: Mapping[str, float] = field(default_factory=dict)
+    made_on: str = ''
 
 
 def style_axes(axes: Axes, *, grid: str = 'both') -> None:

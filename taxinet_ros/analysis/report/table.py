@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import quote
 
@@ -83,11 +83,14 @@ def view_table(table: Table, viewers: Collection[str]) -> TableView:
     Raises:
         ValueError: a row and the columns differ in length, or there is no ``run_id_column``.
     """
+    rows = [_values(table, row) for row in table.rows]
+    kept = [place for place, column in enumerate(table.columns) if column.on_page]
+    rows = [[row[place] for place in kept] for row in rows]
+    table = replace(table, columns=tuple(table.columns[place] for place in kept))
     names = [column.name for column in table.columns]
     if table.run_id_column is not None and table.run_id_column not in names:
         raise ValueError(f'table {table.name}: no column {table.run_id_column!r} for run ids')
     run_column = names.index(table.run_id_column) if table.run_id_column is not None else -1
-    rows = [_values(table, row) for row in table.rows]
     numeric = [_is_numeric([row[place] for row in rows]) for place in range(len(names))]
     shown = tuple(
         tuple(
@@ -147,9 +150,11 @@ def _words(value: Cell, column: Column) -> str:
         return '–'
     if isinstance(value, bool):
         return 'yes' if value else 'no'
+    if value == '-∞' and column.decimals is not None:
+        return '−∞'
     if isinstance(value, str) or column.decimals is None:
         return str(value)
-    return f'{value:.{column.decimals}f}'
+    return f'{value:.{column.decimals}f}'.replace('-', '−')
 
 
 def _data(

@@ -25,7 +25,13 @@ from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track, painted_line
-from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    DISTANCE,
+    TIME_OF_DAY,
+    ScenarioField,
+    clock_words,
+)
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
 
@@ -172,6 +178,11 @@ class RunView:
         return ', '.join(f'{name} {self.facts[name]}' for name in _TELLING if name in self.facts)
 
     @property
+    def half_width_m(self) -> float:
+        """Distance of the pavement's edges from the line [m]."""
+        return self.track.half_width_m
+
+    @property
     def ground_name(self) -> str:
         """Name by which runs refer to their ground."""
         kind = 'crossed' if self.crossing else 'plain'
@@ -245,19 +256,25 @@ def _words(facts: RunFacts) -> dict[str, str]:
     words = {'outcome': ' '.join(w for w in (facts.outcome, facts.kind, facts.detail) if w)}
     for name, judged in facts.judged.items():
         lower, upper = judged.interval
-        ends = f'{lower:.2f} … {upper:.2f}'
-        words[f'ρ of {name}'] = f'{lower:.2f}' if judged.final else ends
+        ends = [f'{end:.2f}'.replace('-', '−') for end in (lower, upper)]
+        words[f'ρ of {name}'] = ends[0] if judged.final else ' … '.join(ends)
     if (perception := facts.nodes.get('perception')) is not None:
         words['perception'] = perception.implementation
     words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'
     for name, value in facts.scene.items():
-        words[BY_KEY[name].label] = _scene_words(value) + BY_KEY[name].unit_mark
+        words[BY_KEY[name].label] = _scene_words(BY_KEY[name], value)
     return {name: word for name, word in words.items() if word}
 
 
-def _scene_words(value: Any) -> str:
+def _scene_words(field: ScenarioField, value: Any) -> str:
+    """A value of the scene as in the tables and figures: clock times, round numbers, true minus."""
     if isinstance(value, bool):
         return 'yes' if value else 'no'
+    if field is TIME_OF_DAY:
+        return clock_words(value)
     if isinstance(value, float):
-        return f'{value:.1f}'.rstrip('0').rstrip('.')
+        digits = 0 if field is DISTANCE else 1
+        number = f'{value:,.{digits}f}'
+        number = number.rstrip('0').rstrip('.') if digits else number
+        return number.replace('-', '−') + field.unit_mark
     return str(value)

@@ -149,4 +149,9 @@ def _edges(feature: Feature, least: float, most: float, bins_at_most: int) -> Se
         first, last = math.floor(least / width + 1e-9), math.ceil(most / width - 1e-9)
         if last - first <= bins_at_most:
             break
+    else:
+        # A single bin ends where the runs do, not at midnight: 06:00 to 18:00, not 00:00 to 24:00.
+        width = feature.widths[0]
+        ends = math.floor(least / width + 1e-9), math.ceil(most / width - 1e-9)
+        return [end * width for end in ends]
     return [number * width for number in range(first, max(last, first + 1) + 1)]

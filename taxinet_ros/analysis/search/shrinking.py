@@ -10,58 +10,78 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
+from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.analysis.report.parts import Column, Picture, Section, Table, Theme
+from taxinet_ros.analysis.report.parts import Report as PageReport
+from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.options import ShrinkOptions
-from taxinet_ros.campaign.shrink.shrinking import Report, edge_words, off_nominal
+from taxinet_ros.campaign.shrink.shrinking import (
+    Report,
+    edge_words,
+    finding_lines,
+    off_nominal,
+    run_command,
+)
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
 
-# Okabe-Ito colours, distinguishable with all common colour vision deficiencies; dashes for grey.
-_STYLES: tuple[dict[str, Any], ...] = (
-    {'color': '#D55E00', 'linestyle': (0, (5, 1.5)), 'linewidth': 1.6},
-    {'color': 'black', 'linestyle': '-', 'linewidth': 2.2},
-    {'color': '#0072B2', 'linestyle': (0, (1, 1)), 'linewidth': 2.0},
-)
+_MOST = 3
+_NOTHING = {
+    False: 'No single parameter matters: the failure stays whichever is made nominal.',
+    True: 'Which parameters matter is not known yet.',
+}
 _LEAST_M, _BEYOND_EDGE_M = 2.5, 4.0
 
 
-def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
-    """Draw up to three runs in one plot. The same runs give the same bytes.
+def _styles(theme: Theme) -> tuple[dict[str, Any], ...]:
+    """Distinguishable with all common colour vision deficiencies; dashes for grey."""
+    return (
+        {'color': theme.failed, 'linestyle': (0, (5, 1.5)), 'linewidth': 1.6},
+        {'color': theme.ink, 'linestyle': '-', 'linewidth': 2.2},
+        {'color': theme.passed, 'linestyle': (0, (1, 1)), 'linewidth': 2.0},
+    )
+
+
+def shrink_picture(runs: Sequence[Trajectory], title: str) -> Picture:
+    """Up to three runs in one plot.
 
     Args:
         runs: the original, the shrunk and the nominal run, as far as available; their labels are
             shown.
-        path: PNG file to write.
         title: title of the picture.
 
     Raises:
         ValueError: there is nothing to draw, or there are too many.
     """
-    if not 0 < len(runs) <= len(_STYLES):
+    if not 0 < len(runs) <= _MOST:
         raise ValueError(f'{len(runs)} runs to draw')
-    figure = Figure(figsize=(8.0, 4.4), dpi=110, layout='constrained')
-    FigureCanvasAgg(figure)
+    return Picture(
+        name=Path(PICTURE_NAME).stem, title=title, size_in=(8.0, 4.4),
+        caption='True distance from the line over time, left is up.',
+        draw=lambda figure, theme: _draw(runs, figure, theme),
+    )
+
+
+def _draw(runs: Sequence[Trajectory], figure: Figure, theme: Theme) -> None:
     axes = figure.subplots()
-    _background(axes, _limit(runs), runs[0].half_width_m)
-    for order, (run, style) in enumerate(zip(runs, _STYLES, strict=False)):
+    _background(axes, _limit(runs), runs[0].half_width_m, theme)
+    for order, (run, style) in enumerate(zip(runs, _styles(theme), strict=False)):
         axes.plot(run.t_s, run.cte_m, label=run.label, zorder=3 + order, **style)
         axes.plot(run.t_s[:1], run.cte_m[:1], marker='o', markersize=4, color=style['color'])
     axes.set_xlabel('time [s]')
     axes.set_ylabel('cross-track error [m], left is up')
-    axes.set_title(title, fontsize=11)
     band, *lines = axes.get_legend_handles_labels()[0]
     figure.legend(
         handles=[*lines, band], loc='outside lower center', ncols=4, frameon=False, fontsize=9
     )
-    figure.savefig(path, format='png', metadata={'Software': None})
 
 
 def _limit(runs: Sequence[Trajectory]) -> float:
@@ -70,26 +90,27 @@ def _limit(runs: Sequence[Trajectory]) -> float:
     return float(np.clip(1.1 * farthest, _LEAST_M, runs[0].half_width_m + _BEYOND_EDGE_M))
 
 
-def _background(axes: Axes, limit: float, edge: float) -> None:
+def _background(axes: Axes, limit: float, edge: float, theme: Theme) -> None:
     axes.axhspan(-BAND_M, BAND_M, color='#009E73', alpha=0.18, linewidth=0, zorder=1,
                  label=f'within {BAND_M:g} m of the centreline')
     if limit > edge:
         for side in (-1, 1):
-            axes.axhspan(side * edge, side * limit, color='0.88', zorder=0)
-            axes.axhline(side * edge, color='0.25', linewidth=1.4, zorder=2)
+            axes.axhspan(side * edge, side * limit, color=theme.faint, alpha=0.5, zorder=0)
+            axes.axhline(side * edge, color=theme.ink, linewidth=1.4, zorder=2)
         axes.text(0.01, 0.985, 'off the runway', transform=axes.transAxes, va='top', fontsize=8,
-                  color='0.35')
+                  color=theme.ink)
     axes.set_ylim(-limit, limit)
     axes.margins(x=0.01)
-    axes.grid(visible=True, color='0.9', linewidth=0.6, zorder=0)
+    axes.grid(visible=True, linewidth=0.6, zorder=0)
     axes.set_axisbelow(True)
 
 
 JSON_NAME, PROGRAM_NAME, PICTURE_NAME = 'shrink.json', 'shrunk.scenic', 'shrink.png'
+PAGE_NAME = 'shrink.html'
 
 
 def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
-    """Write ``shrink.json``, ``shrunk.scenic`` and, if there are bags, ``shrink.png``.
+    """Write page, ``shrunk.scenic``, ``shrink.json`` and, if there are bags, ``shrink.png``.
 
     Args:
         options: the options.
@@ -110,12 +131,81 @@ def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
     }
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
     write_atomically(out / JSON_NAME, json.dumps(_as_json(options, found, runs), indent=2) + '\n')
+    report = shrink_report(options, found, runs)
+    for section in report.sections:
+        for picture in section.pictures:
+            write_png(picture, out, LIGHT)
+    write_report_page(report, out / PAGE_NAME)
+    pictures = [PICTURE_NAME] if report.sections[0].pictures else []
+    return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
+
+
+def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageReport:
+    """The page on a shrinking: what is left of the failed run, and what matters in it.
+
+    Args:
+        options: the options.
+        found: the result so far.
+        runs: number of runs.
+    """
+    name = options.headline
     drawn = _trajectories(options, found)
-    if not drawn:
-        return [PROGRAM_NAME, JSON_NAME]
-    title = f'{options.run.run_id}: fails with {off_nominal(found)}'
-    shrink_picture(drawn, out / PICTURE_NAME, title)
-    return [PROGRAM_NAME, JSON_NAME, PICTURE_NAME]
+    three = _three(found)
+    ended = found.state.end.value or 'interrupted'
+    matter = [one.key for one in found.findings if one.matters]
+    bags = {
+        row.run_id: options.campaign.out / row.bag
+        for row in sorted(three.values(), key=lambda row: row.rho[name])
+        if row.bag and (options.campaign.out / row.bag).is_dir()
+    }
+    shrunk = three.get('shrunk')
+    return PageReport(
+        title=f'{options.run.run_id}, shrunk',
+        facts={
+            'network': Path(options.campaign.perception).name, 'formula': name,
+            'runs': f'{runs:,}', 'ended': ended,
+        },
+        summary=(
+            f'It still fails with {off_nominal(found)}; every other parameter is nominal.',
+            f'What matters: {", ".join(matter)}.' if matter else _NOTHING[
+                any(one.matters is None for one in found.findings)],
+            *finding_lines(found)[1:],
+        ),
+        sections=(Section(
+            name='parameters', heading='Parameters',
+            pictures=(shrink_picture(drawn, f'Fails with {off_nominal(found)}'),) if drawn else (),
+            commands=(run_command(options, PROGRAM_NAME),),
+            tables=(_parameters(found),),
+        ),),
+        runs=bags, worst='' if shrunk is None else shrunk.run_id,
+        worst_words='The shrunk run',
+        rho={row.run_id: row.rho[name] for row in three.values()},
+    )
+
+
+def _signs(words: str) -> str:
+    words = f'−{words[1:]}' if words.startswith('-') else words
+    return words.replace(' deg', '°')
+
+
+def _parameters(found: Report) -> Table:
+    return Table(
+        name='parameters', title='Every parameter', caption='ρ with this one parameter nominal.',
+        columns=(
+            Column(name='parameter', title='parameter'), Column(name='original', title='original'),
+            Column(name='nominal', title='nominal'), Column(name='shrunk', title='shrunk'),
+            Column(name='rho_in_original', title='ρ in the original', decimals=2),
+            Column(name='rho_in_shrunk', title='ρ in the shrunk run', decimals=2),
+            Column(name='matters', title='matters'),
+        ),
+        rows=tuple(
+            (one.key, *(_signs(one.words(value))
+                        for value in (one.original, one.nominal, one.shrunk)),
+             one.rho_in_original, one.rho_in_shrunk,
+             'nominal already' if one.original == one.nominal else one.matters)
+            for one in found.findings
+        ),
+    )
 
 
 def _as_json(options: ShrinkOptions, found: Report, runs: int) -> dict[str, Any]:

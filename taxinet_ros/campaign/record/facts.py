@@ -215,6 +215,15 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
     return f'{what}: {words}' if words else ''
 
 
+def record_beside(path: Path) -> Path | None:
+    """Folder of the campaign that a folder, its table or one of its runs belongs to, if any."""
+    first = path.resolve().parent if path.is_file() else path.resolve()
+    for folder in (first, first.parent):
+        if (folder / LEDGER_NAME).is_file():
+            return folder
+    return None
+
+
 def read_facts(folder: Path) -> SealedJson | None:
     """Read ``campaign.json`` in a folder; None if there is none.
 

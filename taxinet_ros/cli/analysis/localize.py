@@ -20,6 +20,7 @@ from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOpt
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -55,6 +56,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     )
     unfinished = len(trials) < options.wanted
     written = _write(found, options.out)
+    add_page(campaign.folder, written[0], 'Network or controller')
     if as_json:
         print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
     else:

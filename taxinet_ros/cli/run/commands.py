@@ -62,6 +62,7 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     StoreOption,
     UntilOption,
+    WebOption,
     WorkersOption,
     WorldOption,
     airport_place,
@@ -201,6 +202,7 @@ def falsify(
     free: FreeOption = False,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
+    web: WebOption = False,
     quiet: QuietOption = False,
     as_json: JsonSummaryOption = False,
     exit_zero: ExitZeroOption = False,
@@ -243,7 +245,7 @@ def falsify(
             odd=odd,
         )
     raise ended(
-        run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,
+        run_falsify(options, quiet=quiet, store=store, as_json=as_json, web=web), exit_zero,
     )
 
 
@@ -390,7 +392,7 @@ def shrink(
             workers=workers, out=out, resume=resume, images=images, controller=controller,
             engine=engine, audit=audit, cluster=cluster,
         )
-    raise typer.Exit(run_shrink(options, quiet=quiet))
+    raise typer.Exit(run_shrink(options, run, quiet=quiet))
 
 
 xplane_app = typer.Typer(rich_markup_mode=None, help='X-Plane as camera and as world.')

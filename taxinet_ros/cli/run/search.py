@@ -42,7 +42,7 @@ from taxinet_ros.campaign.experiment import (
 )
 from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, record_beside
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -67,9 +67,11 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
+from taxinet_ros.cli.run.live_page import live_page_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.atomic import make_atomically
+from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -130,6 +132,7 @@ class _Figures(ProgressColumn):
 
 def run_falsify(
     options: SearchOptions, *, quiet: bool, store: str | None = None, as_json: bool = False,
+    web: bool = False,
 ) -> int:
     """Run the search and print the results.
 
@@ -138,6 +141,7 @@ def run_falsify(
         quiet: print warnings and the summary only.
         store: address to which bags are uploaded, or None.
         as_json: print the summary as JSON; all else goes to standard error.
+        web: serve a live page meanwhile; its address goes to standard error, also with ``quiet``.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
@@ -162,7 +166,10 @@ def run_falsify(
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
-        with search_view(console, search, shown=console.is_terminal and not quiet):
+        with (
+            live_page_of(search) if web else contextlib.nullcontext(),
+            search_view(console, search, shown=console.is_terminal and not quiet),
+        ):
             run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
@@ -322,11 +329,12 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
+def run_shrink(options: ShrinkOptions, run: Path, *, quiet: bool) -> int:
     """Shrink the run, write the result and print it.
 
     Args:
         options: options of the search.
+        run: the failed run; the pages of its campaign and this one link to each other.
         quiet: print the outcome only.
 
     Returns:
@@ -357,6 +365,9 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     _check_reproduced(options, found)
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
+    page = options.campaign.out / 'shrink.html'
+    if page.is_file() and (record := record_beside(run)) is not None:
+        add_page(record, page, f'Shrunk run of {options.run.run_id}')
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 

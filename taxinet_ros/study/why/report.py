@@ -53,7 +53,7 @@ from taxinet_ros.study.why.verdict import (
 JSON_NAME, PAGE_NAME = 'why.json', 'why.html'
 _STAGE_PAGES = {
     'analyze/report.html': 'analysis of all runs',
-    'localize/localize.html': 'network or controller', 'shrink/shrink.png': 'shrunk run',
+    'localize/localize.html': 'network or controller', 'shrink/shrink.html': 'shrunk run',
 }
 
 
@@ -201,7 +201,8 @@ def why_report(
             *_todo(todo), *_causes(evidence, worst, out), *_sure(evidence, verdict.fault),
             *_others(evidence), *_stages(evidence, out),
         ),
-        runs=bags,
+        runs=bags, worst=next(iter(bags), ''),
+        worst_words='The run' if evidence.single else 'The worst run of the first cause',
     )
 
 

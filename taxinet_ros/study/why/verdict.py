@@ -93,8 +93,8 @@ class Paired:
         """Display text."""
         return (
             f'{self.words}, {self.after} instead of {self.before} of {self.scenes} fresh scenes '
-            f'are satisfied: {100 * self.difference:+.0f} points '
-            f'({100 * self.low:+.0f} to {100 * self.high:+.0f}, p {p_words(self.p)})'
+            f'are satisfied: {_points(self.difference)} points '
+            f'({_points(self.low)} to {_points(self.high)}, p {p_words(self.p)})'
         )
 
 
@@ -466,6 +466,10 @@ def _requirement(evidence: Evidence) -> Action:
 def trainable(network: str) -> bool:
     """Whether ``taxinet train --start`` takes a network: shipped, or weights of its format."""
     return network.endswith('.safetensors') or not any(sign in network for sign in './: ')
+
+
+def _points(share: float) -> str:
+    return f'{100 * share:+.0f}'.replace('-', '−')
 
 
 def p_words(p: float) -> str:

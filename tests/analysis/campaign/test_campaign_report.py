@@ -20,13 +20,13 @@ from taxinet_ros.analysis.campaign.folder import check_folder, write_analysis
 from taxinet_ros.analysis.campaign.report import campaign_report
 from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.causes.clusters import find_clusters, principal_axes
-from taxinet_ros.analysis.causes.predictors import grow_tree, rank_features
+from taxinet_ros.analysis.causes.predictors import grow_tree, rank_features, rounded_ends
 from taxinet_ros.analysis.experiment.pairs import paired_rates
 from taxinet_ros.analysis.report import page as report_page
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT
 from taxinet_ros.analysis.runs.bins import bins, medians
 from taxinet_ros.analysis.runs.campaign import difference, distinct_labels
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES, TIME_OF_DAY
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES, RAIN, TIME_OF_DAY
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed
 
@@ -219,6 +219,11 @@ def test_given_bags_then_only_failures_with_one_are_to_be_looked_at(tmp_path):
     assert sorted(campaign_report(findings).runs) == sorted(recorded)
     assert all(folder == tmp_path / name for name, folder in campaign_report(findings).runs.items())
     assert len(campaign_report(findings, viewers=2).runs) == 2
+    report = campaign_report(findings)
+    rho = table.set_index('run_id')['rho'][list(report.runs)].tolist()
+    assert rho == sorted(rho), 'the worst first'
+    assert report.worst == next(iter(report.runs))
+    assert list(report.rho.values()) == rho
     assert not campaign_report(findings, viewers=0).runs
 
 
@@ -339,6 +344,23 @@ def test_given_a_simple_rule_then_the_tree_says_it(tmp_path):
     assert sum(rule.rate.runs for rule in tree.rules) == 800
     assert tree.accuracy > tree.guess + 0.05
     assert grow_tree(planted_runs(planted_table(20, 5, early), tmp_path)) is None
+
+
+@pytest.mark.parametrize(('below', 'above', 'ends'), [
+    (24.2, 30.7, (25.0, 30.0)), (25.3, 25.9, (25.6, 25.6)), (0.0, 25.3, (0.0, 25.0)),
+])
+def test_given_the_sides_of_a_split_then_their_words_do_not_overlap(below, above, ends):
+    assert rounded_ends(RAIN, below, above) == pytest.approx(ends)
+    most, least = rounded_ends(RAIN, below, above)
+    assert below <= most <= least <= above
+
+
+def test_given_few_runs_then_the_hours_of_a_map_end_where_the_runs_do(tmp_path):
+    frame = planted_runs(planted_table(60, 1, early, time_of_day_h=np.linspace(6.2, 17.8, 60)),
+                         tmp_path).frame
+    for most in (1, 2):
+        cut = bins(TIME_OF_DAY, frame, most)
+        assert (cut[0].low, cut[-1].high) == (6.0, 18.0)
 
 
 def test_given_a_feature_that_matters_then_it_ranks_first_and_others_do_not(tmp_path):

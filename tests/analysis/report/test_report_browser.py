@@ -83,10 +83,10 @@ def test_given_a_table_when_a_header_is_pressed_then_it_sorts_and_the_unknown_st
         header.locator('button').focus()
         now.tab.keyboard.press('Enter')
         assert header.get_attribute('aria-sort') == 'ascending'
-        assert now.column(2)[:2] == ['-∞', '-49.29']
+        assert now.column(2)[:2] == ['−∞', '−49.29']
         now.tab.keyboard.press('Enter')
         assert header.get_attribute('aria-sort') == 'descending'
-        shown = [float(text) for text in now.column(2)]
+        shown = [float(text.replace('−', '-')) for text in now.column(2)]
         assert shown == sorted(shown, reverse=True)
         for _ in range(2):
             now.tab.locator('.page-after').click()
@@ -121,6 +121,54 @@ def test_given_a_table_when_copied_then_the_clipboard_has_all_chosen_rows_as_csv
     assert len(lines) == 61
     assert lines[:3] == ['run_id,rho,left,weather', 'truth-nominal,,yes,rain',
                          'taxinet-midday,-∞,no,dry']
+
+
+def test_given_one_chosen_row_when_copied_then_it_is_one_row(browser: Any, page: Path) -> None:
+    with opened(browser, page) as now:
+        now.tab.context.grant_permissions(['clipboard-read', 'clipboard-write'])
+        now.tab.locator('.table-filter').fill('run-59')
+        now.tab.locator('.table-copy').click()
+        now.tab.get_by_text('1 row copied').wait_for()
+
+
+def test_given_a_filter_and_an_order_when_printed_then_every_chosen_row_is_on_paper(
+    browser: Any, page: Path,
+) -> None:
+    with opened(browser, page) as now:
+        now.tab.locator('.table-filter').fill('dry')
+        now.tab.locator('th button').nth(1).click()
+        shown = now.column(1)
+        now.tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+        printed = now.column(1)
+        assert len(printed) == 40 == len(set(printed))
+        assert printed[:25] == shown
+        assert now.tab.locator('.table-state').inner_text() == '40 of 60 rows'
+        now.tab.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert now.column(1) == shown
+
+
+@pytest.mark.parametrize('width', [1400, 420])
+def test_given_columns_beyond_the_side_when_asked_for_then_they_come_into_view(
+    browser: Any, page: Path, width: int,
+) -> None:
+    with opened(browser, page, size={'width': width, 'height': 900}) as now:
+        more = now.tab.locator('.table-more')
+        now.tab.evaluate("""() => {
+            for (const cell of document.querySelectorAll('th')) cell.style.minWidth = '30rem';
+        }""")
+        now.wait_until("!document.querySelector('.table-more').hidden")
+        last = "document.querySelector('th:last-child').getBoundingClientRect().right"
+        for _ in range(8):
+            if not more.is_visible():
+                break
+            before = now.tab.locator('.table-scroll').evaluate('box => box.scrollLeft')
+            more.click()
+            now.wait_until(
+                "(box => box.scrollLeft >= Math.min("
+                f"{before} + 0.7 * box.clientWidth, box.scrollWidth - box.clientWidth - 1))"
+                "(document.querySelector('.table-scroll'))")
+        now.wait_until("document.querySelector('.table-more').hidden")
+        assert now.tab.evaluate(last) <= width
 
 
 def test_given_a_link_of_a_run_when_followed_then_its_viewer_opens_and_back_closes_it(

@@ -75,6 +75,19 @@ def test_given_a_report_when_written_then_everything_of_it_is_on_the_page(plain:
     assert len(page.all('tr')) == 1 + 25
 
 
+def test_given_a_worst_run_when_written_then_its_frame_and_path_stand_before_the_evidence(
+    plain: str,
+) -> None:
+    first, rest = plain.split('id="section-rates"')
+    assert 'The worst run: <a href="#run=taxinet-midday">taxinet-midday</a>, ρ −1.30' in first
+    assert 'class="worst-frame" src="data:image/webp;base64,' in first
+    assert first.count('alt="The path of this run"') == 2, 'for light and dark'
+    assert 'm right' in first or 'm left' in first
+    assert '<span class="rho">ρ −1.30</span>' in rest
+    assert 'The runs were made on one machine.' in rest
+    assert 'time of day 12:00' in plain, 'clock times, as in tables and figures'
+
+
 def test_given_a_report_when_written_then_the_contents_lead_to_every_section(plain: str) -> None:
     page = Reader(plain)
     places = {attributes.get('id') for _, attributes in page.elements}
@@ -93,7 +106,7 @@ def test_given_a_report_when_written_then_no_name_stands_twice(plain: str) -> No
 
 
 def test_given_a_picture_when_written_then_it_is_there_for_light_and_dark(plain: str) -> None:
-    images = Reader(plain).all('img')
+    images = [one for one in Reader(plain).all('img') if one['alt'] == 'A curve']
     assert [one['class'] for one in images] == ['when-light', 'when-dark']
     shape = {(one['alt'], one['width'], one['height']) for one in images}
     assert shape == {('A curve', '288', '144')}

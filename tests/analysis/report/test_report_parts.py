@@ -128,7 +128,7 @@ def test_given_run_ids_when_viewed_then_only_runs_with_viewers_are_links() -> No
     ('cell', 'decimals', 'words'),
     [
         (1.005, 1, '1.0'), (2, 2, '2.00'), (2, None, '2'), (0.1 + 0.2, None, '0.3'), (None, 2, '–'),
-        (math.nan, 2, '–'), (-math.inf, 2, '-∞'), (True, None, 'yes'), (False, None, 'no'),
+        (math.nan, 2, '–'), (-math.inf, 2, '−∞'), (True, None, 'yes'), (False, None, 'no'),
         (-0.001, 2, '0.00'), ('words', 2, 'words'), (2**60, None, str(2**60)),
         ('a\0', None, 'a\ufffd'),
     ],

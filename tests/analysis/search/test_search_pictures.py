@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from matplotlib.image import imread
 
 from taxinet_ros.analysis.one_run.trajectories import Trajectory
+from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.search.learned_picture import learned_picture
 from taxinet_ros.analysis.search.shrinking import shrink_picture
 from taxinet_ros.campaign.samplers.space import Dimension
@@ -47,18 +49,18 @@ def run(label: str, cte_m: float) -> Trajectory:
     return Trajectory(label=label, t_s=t, x_m=5 * t, cte_m=cte_m * t / 30, ok=abs(cte_m) < 1.5)
 
 
-def test_given_three_runs_then_the_same_picture_is_drawn_each_time(tmp_path):
+def test_given_three_runs_then_the_same_picture_is_drawn_each_time():
     runs = [run('original', -90.0), run('shrunk', 1.7), run('nominal', 0.1)]
-    for name in ('a.png', 'b.png'):
-        shrink_picture(runs, tmp_path / name, 'title')
-    assert (tmp_path / 'a.png').read_bytes() == (tmp_path / 'b.png').read_bytes()
-    shrink_picture(runs[1:], tmp_path / 'c.png', 'title')
-    far, near = imread(tmp_path / 'a.png'), imread(tmp_path / 'c.png')
+    one, two, other = (
+        png_bytes(shrink_picture(some, 'title'), LIGHT) for some in (runs, runs, runs[1:])
+    )
+    assert one == two
+    far, near = imread(io.BytesIO(one)), imread(io.BytesIO(other))
     assert far.shape == near.shape
     assert not np.array_equal(far, near), 'the view follows the runs'
 
 
 @pytest.mark.parametrize('number', [0, 4])
-def test_given_no_run_or_too_many_then_it_is_refused(tmp_path, number):
+def test_given_no_run_or_too_many_then_it_is_refused(number):
     with pytest.raises(ValueError, match=f'{number} runs to draw'):
-        shrink_picture([run('one', 1.0)] * number, tmp_path / 'a.png', 'title')
+        shrink_picture([run('one', 1.0)] * number, 'title')

@@ -48,7 +48,7 @@ def test_given_a_failed_run_when_shrunk_then_the_screen_says_what_matters(folder
     for key in ('heading_deg', 'distance_m', 'time_of_day_h'):
         assert table[key][-2:] == ['nominal', 'already']
     assert any(line.startswith('cross_track_m: +2.1 m fails, +2.0 m passes') for line in lines)
-    assert lines[-2] == 'written: s/shrunk.scenic, shrink.json, shrink.png'
+    assert lines[-2] == 'written: s/shrink.html, shrunk.scenic, shrink.json, shrink.png'
 
 
 def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(folder):
@@ -61,6 +61,9 @@ def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(fo
     assert found['original']['rho'] == read_table(folder / 'c')['rho'][0], 'the same to the bit'
     assert {key for key, one in found['parameters'].items() if one['matters']} == {'cross_track_m'}
     assert (out / 'shrink.png').read_bytes().startswith(b'\x89PNG')
+    page = (out / 'shrink.html').read_text()
+    assert 'What matters: cross_track_m.' in page
+    assert 'id="worst"' in page, 'the shrunk run is on the first screen'
 
 
 def test_given_a_cluster_then_the_shrunk_scenario_is_the_same(folder):

@@ -34,6 +34,7 @@ class ReportTable {
     this.chosen = this.rows;
     this.sorted = { column: -1, descending: false };
     this.first = 0;
+    this.printing = false;
     this.listen();
     this.keepWidths();
     this.showState();
@@ -49,8 +50,14 @@ class ReportTable {
       header.firstElementChild.addEventListener('click', () => this.sortBy(column));
     });
     this.find('.table-filter')?.addEventListener('input', () => this.choose());
+    this.find('.table-more').addEventListener('click', () => this.showMore());
     this.find('.page-before')?.addEventListener('click', () => this.turn(-1));
     this.find('.page-after')?.addEventListener('click', () => this.turn(1));
+    addEventListener('beforeprint', () => this.print(true));
+    addEventListener('afterprint', () => this.print(false));
+    this.find('.table-scroll').addEventListener('scroll', () => this.showHidden());
+    const sizes = new ResizeObserver(() => this.showHidden());
+    for (const part of ['.table-scroll', 'table']) sizes.observe(this.find(part));
     this.find('.table-copy').addEventListener('click', (event) => this.copy(event.target));
   }
 
@@ -62,6 +69,13 @@ class ReportTable {
     return typeof cell === 'number' && decimals !== null ? cell.toFixed(decimals) : String(cell);
   }
 
+  /** The same with a true minus, as all of the page has it; copies keep the one of keyboards. */
+  shown(cell, column) {
+    const text = this.text(cell, column);
+    const isNumber = typeof cell === 'number' || cell === '-∞';
+    return isNumber && this.columns[column].decimals !== null ? text.replace('-', '−') : text;
+  }
+
   /** How a cell is set: numbers to the right, long words in several lines. */
   kind(text, column) {
     if (this.columns[column].numeric) return 'number';
@@ -69,7 +83,10 @@ class ReportTable {
   }
 
   searchWords(cells) {
-    return cells.map((cell, column) => this.text(cell, column)).join('\n').toLowerCase();
+    const words = cells.flatMap((cell, column) => [
+      this.text(cell, column), this.shown(cell, column),
+    ]);
+    return words.join('\n').toLowerCase();
   }
 
   /** Sort ascending, at the second click descending; what is not known stays last. */
@@ -105,8 +122,31 @@ class ReportTable {
     this.show();
   }
 
+  /** Paper has no buttons to turn pages: all chosen rows, in their order. */
+  print(printing) {
+    this.printing = printing;
+    if (this.chosen.length > this.rowsAtOnce) this.show();
+  }
+
+  /** Say how many columns lie beyond the right side, since many systems hide the scroll bar. */
+  showHidden() {
+    const box = this.find('.table-scroll');
+    const right = box.getBoundingClientRect().right + 1;
+    const beyond = this.headers.filter((header) => header.getBoundingClientRect().right > right);
+    const hint = this.find('.table-more');
+    hint.hidden = beyond.length === 0 || box.scrollWidth <= box.clientWidth;
+    hint.textContent = `${beyond.length} more ${beyond.length === 1 ? 'column' : 'columns'} →`;
+  }
+
+  /** Go on to the columns beyond the right side. */
+  showMore() {
+    const box = this.find('.table-scroll');
+    box.scrollBy({ left: 0.8 * box.clientWidth, behavior: 'smooth' });
+  }
+
   show() {
-    const shown = this.chosen.slice(this.first, this.first + this.rowsAtOnce);
+    const [first, many] = this.printing ? [0, Infinity] : [this.first, this.rowsAtOnce];
+    const shown = this.chosen.slice(first, first + many);
     this.find('tbody').replaceChildren(...shown.map((row) => this.rowElement(row.cells)));
     this.showState();
   }
@@ -114,7 +154,7 @@ class ReportTable {
   showState() {
     const count = this.chosen.length;
     const last = Math.min(this.first + this.rowsAtOnce, count);
-    const part = count > this.rowsAtOnce ? `${(this.first + 1).toLocaleString('en')}–${last.toLocaleString('en')} of ` : '';
+    const part = count > this.rowsAtOnce && !this.printing ? `${(this.first + 1).toLocaleString('en')}–${last.toLocaleString('en')} of ` : '';
     const rows = this.rows.length === 1 ? 'row' : 'rows';
     const all = [count, this.rows.length].map((number) => number.toLocaleString('en'));
     this.find('.table-state').textContent = `${part}${[...new Set(all)].join(' of ')} ${rows}`;
@@ -129,7 +169,7 @@ class ReportTable {
 
   rowElement(cells) {
     return make('tr', {}, ...cells.map((cell, column) => {
-      const text = this.text(cell, column);
+      const text = this.shown(cell, column);
       const linked = column === this.runColumn && this.viewers.has(text);
       const inner = linked ? make('a', { href: runLink(text) }, text) : text;
       return make('td', { className: this.kind(text, column) }, inner);
@@ -158,7 +198,8 @@ class ReportTable {
     const before = button.textContent;
     try {
       await navigator.clipboard.writeText(this.csv());
-      button.textContent = `${this.chosen.length} rows copied`;
+      const count = this.chosen.length;
+      button.textContent = `${count.toLocaleString('en')} ${count === 1 ? 'row' : 'rows'} copied`;
     } catch {
       button.textContent = 'The browser refuses';
     }

@@ -1,0 +1,115 @@
+"""The worst run on the first screen of a report: one frame of the camera, and the path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
+from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
+from taxinet_ros.analysis.report.viewer import RunView
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+
+_BEYOND_EDGE_M = 3.0
+_MORE_STEPS = 5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WorstView:
+    """The worst run, ready for the template.
+
+    Attributes:
+        run_id: the run.
+        rho: its robustness in words, or ''.
+        frame: ``data:`` address of the frame, or '' if there is none.
+        at: time of the frame in words.
+        path: picture of the path.
+        caption: scene and moment, in sentences.
+    """
+
+    run_id: str
+    rho: str
+    frame: str
+    at: str
+    path: PictureView
+    caption: str
+
+
+def rho_words(rho: float) -> str:
+    """A robustness with sign and two decimals: ``−1.30``."""
+    return f'{rho:+.2f}'.replace('-', '−')
+
+
+def view_worst(view: RunView, rho: float | None) -> WorstView:
+    """Prepare a run for the first screen.
+
+    The frame is that at which the estimate is farthest off while the aircraft is on the pavement,
+    or the aircraft from the line where no estimate is known.
+
+    Args:
+        view: the run, of one step or more.
+        rho: its robustness, if known.
+    """
+    row, known = _moment(view)
+    at = f'{view.t_s[row]:.1f} s'
+    cte, estimate = view.curves['cte'][row], view.curves['cteEstimate'][row]
+    seen = f'The camera at {at}: the aircraft is {_side_words(cte)} of the line'
+    seen += f', the network reports {_side_words(estimate)}. ' if known else '. '
+    frames = view.frames
+    number = frames.steps.index(row) if row in frames.steps else None
+    scene = view.summary
+    return WorstView(
+        run_id=view.run_id, rho='' if rho is None else rho_words(rho), at=at,
+        frame='' if number is None else data_address(frames.files[number]),
+        path=view_picture(Picture(
+            name='worst-path', title='The path of this run', caption='', size_in=(5.0, 2.5),
+            draw=partial(_draw, view, row),
+        )),
+        caption=(f'{scene[:1].upper()}{scene[1:]}. ' if scene else '')
+        + (seen if number is not None else '')
+        + 'The band is the tolerance, lines are the edges of the pavement.',
+    )
+
+
+def _moment(view: RunView) -> tuple[int, bool]:
+    """Row of the trace to show, of those with a frame, and whether the estimate is known there."""
+    rows = np.array(view.frames.steps or range(len(view.t_s)))
+    cte = view.curves['cte'][rows]
+    wrong = np.abs(view.curves['cteEstimate'][rows] - cte)
+    wrong[np.abs(cte) > view.half_width_m] = np.nan
+    if np.isfinite(wrong).any() and np.nanmax(wrong) > 0:
+        return int(rows[np.nanargmax(wrong)]), True
+    far = np.where(np.isfinite(cte), np.abs(cte), -1.0)
+    return int(rows[far.argmax()]), False
+
+
+def _side_words(cte_m: float) -> str:
+    side = 'left' if cte_m >= 0 else 'right'
+    return f'{abs(cte_m):.1f} m {side}'
+
+
+def _draw(view: RunView, row: int, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    straight = view.track.is_runway
+    edge, cte = view.half_width_m, view.curves['cte']
+    on = np.flatnonzero(np.abs(cte) <= edge)
+    # What the network reports about grass says nothing, and hides the rest.
+    until = slice(0, max(int(on[-1]) if len(on) else 0, row) + _MORE_STEPS)
+    across = (view.curves['x'] if straight else view.t_s)[until]
+    axes.axhspan(-CENTRELINE_TOLERANCE_M, CENTRELINE_TOLERANCE_M, color=theme.faint, zorder=0)
+    for side in (-edge, edge):
+        axes.axhline(side, color=theme.ink, linewidth=1.0)
+    axes.plot(across, cte[until], color=theme.failed, linewidth=2.0, label='aircraft')
+    axes.plot(across, view.curves['cteEstimate'][until], color=theme.passed, linewidth=1.2,
+              linestyle='--', label='network')
+    axes.plot(across[row], cte[row], 'o', color=theme.ink, markersize=6,
+              label='this frame')
+    axes.set_ylim(-edge - _BEYOND_EDGE_M, edge + _BEYOND_EDGE_M)
+    axes.set_xlabel('along the runway [m]' if straight else 'time [s]')
+    axes.set_ylabel('from the line [m],\nleft is up')
+    axes.margins(x=0.02)
+    style_axes(axes, grid='none')
+    figure.legend(loc='outside upper center', ncols=3, frameon=False, fontsize=9)
