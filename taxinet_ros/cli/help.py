@@ -20,7 +20,9 @@ SECTIONS = {
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
-    'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate'),
+    'Judge': (
+        'check', 'plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate',
+    ),
     'Train': ('dataset', 'train', 'improve', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
@@ -53,7 +55,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet fork bags/found/RUN --find --perception truth',
     ),
     'experiment': ('taxinet experiment shadows_afternoon --runs 120 --perception original',),
-    'gate': ('taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',),
+    'gate': (
+        'taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',
+        'taxinet gate my_net.onnx --baseline bags/before --junit gate.xml',
+    ),
+    'check': ('taxinet check my_net.onnx', 'taxinet check original --allow 30 --quiet'),
     'plan': (
         'taxinet plan --min-satisfaction 0.999',
         'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',

@@ -27,6 +27,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
     bisect,
+    check,
     compare,
     doctor,
     explain,
@@ -150,8 +151,8 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, merge, learned, why, shrink, analyze, localize, explain, fork,
-    compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train, dataset,
-    evaluate, case_study, improve,
+    compare, bisect, experiment, gate, check, plan, plugins, doctor, monitor, spec, demo, train,
+    dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
