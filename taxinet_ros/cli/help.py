@@ -25,7 +25,7 @@ SECTIONS = {
     ),
     'Train': ('dataset', 'train', 'improve', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
-    'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
+    'Recordings and tools': ('bag', 'doctor', 'setup-messages', 'plugins', 'bench'),
 }
 """Sections of the commands, in the order of the workflow."""
 
@@ -104,6 +104,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
     'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
     'bench': ('taxinet bench', 'taxinet bench processors --json'),
 }

@@ -180,7 +180,6 @@ def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
         ({'min_satisfaction': 0.5, 'max_infra': -1}, '--max-infra -1'),
         ({}, 'give a threshold'),
         ({'margin': 1.5}, '--margin 1.5: a share'),
-        ({'margin': 1.5}, '--margin 1.5: a share'),
         ({'margin': 0.1, 'look': Look.SEQUENTIAL}, '--baseline: not with --sequential'),
     ],
 )

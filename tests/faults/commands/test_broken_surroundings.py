@@ -43,7 +43,8 @@ DOES_NOTHING = {
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
     'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'], 'node': ['nothing'],
     'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],
-    'plugins': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
+    'plugins': ['nothing'], 'run': ['nothing'], 'setup-messages': ['nothing'],
+    'shrink': ['nowhere'],
     'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
     'why': ['nowhere'], 'xplane': ['nothing'],
 }
