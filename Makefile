@@ -13,9 +13,9 @@
 #   REPEATS=10          how often make bench measures, in turns
 #   HASHES=yes          of what is pinned, install the very files of hashes.txt, tools included
 #
-# On Linux the default index serves torch with CUDA, some GB. Without a GPU let PIP_EXTRA_INDEX_URL
-# name the index of PyTorch's CPU wheels before the first make: the pinned version is the same, and
-# pip then prefers the small build.
+# On Linux the default index serves torch with CUDA, some GB. Without a GPU, make adds the index of
+# PyTorch's CPU wheels, where it answers and PIP_EXTRA_INDEX_URL names no other: the pinned version is
+# the same, and pip then prefers the small build. TORCH=any leaves the choice to pip.
 
 PYTHON ?= python3 python3.13 python3.12 python3.11
 VENV ?= .venv
@@ -23,6 +23,7 @@ OUT ?= bags/demo
 PYTEST ?=
 JOBS ?= logical
 HASHES ?=
+TORCH ?=
 REPEATS ?= 10
 
 BIN := $(VENV)/bin
@@ -31,6 +32,19 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install -q -c constraints.txt
 # The requirements are whole without their own; what is not pinned, CUDA's libraries, follows later.
 VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
+# Without a GPU, the small build of torch, if its index answers within seconds; hashes name files.
+CPU_TORCH := https://download.pytorch.org/whl/cpu
+ASK := import sys, urllib.request; urllib.request.urlopen(sys.argv[1] + "/torch/", timeout=10)
+CHOOSE_TORCH = if [ -z "$(TORCH)$(HASHES)$${PIP_EXTRA_INDEX_URL:-}" ] && [ "$$(uname)" = Linux ] && \
+  [ ! -e /dev/nvidiactl ] && [ ! -e /dev/kfd ]; then \
+    if $(BIN)/python -c '$(ASK)' '$(CPU_TORCH)' 2>/dev/null; then \
+      echo 'make: no GPU here: torch for CPUs, from $(CPU_TORCH) (TORCH=any: the default index)'; \
+      export PIP_EXTRA_INDEX_URL='$(CPU_TORCH)'; \
+    else echo 'make: no GPU here, but $(CPU_TORCH) does not answer: torch as pip finds it'; fi; fi
+# pip is silent while it downloads and unpacks; this tells every 20 s that it works.
+BEAT = { while sleep 20 > /dev/null 2>&1; do \
+  echo "make: still installing; $$(du -sh $(VENV) 2>/dev/null | cut -f1) in $(VENV) so far"; done & } ; \
+  beat=$$!; trap 'kill '$$beat' 2>/dev/null' EXIT
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
 NATIVE := $(wildcard taxinet_ros/core/camera/native/*)
@@ -93,12 +107,28 @@ ifeq ($(origin PYTHON),command line)
 $(DONE)/venv: | asked-python
 endif
 
+# Of one interpreter that was asked for, its own words say more than a list of those that are unfit.
+ASKED := import os, sys, sysconfig; \
+  print("Python %d.%d" % sys.version_info[:2], end=""); \
+  (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.exit(", not 3.11 to 3.13"); \
+  import ensurepip, venv; \
+  header = os.path.join(sysconfig.get_path("include"), "Python.h"); \
+  os.path.exists(header) or sys.exit(", has no C headers: " + header + " (python3-dev)")
+
 asked-python:
 	@if [ -x $(BIN)/python ] && [ "$$($(BIN)/python -V)" != "$$($(PYTHON) -V)" ]; then \
 	  echo 'make: $(VENV) holds' "$$($(BIN)/python -V), not $(PYTHON);" \
 	    'say make distclean first, or VENV=another' >&2; \
 	  exit 2; \
 	fi
+	@$(if $(word 2,$(PYTHON)),exit 0;) \
+	told=$$($(PYTHON) -c '$(ASKED)' 2>&1); code=$$?; \
+	case "$$code $$told" in '0 Python 3.'*) ;; *) \
+	  echo 'make: $(PYTHON) ended with exit code' "$$code:" \
+	    "$$(printf '%s\n' "$${told:-it says nothing}" | tail -1);" \
+	    'name a Python 3.11 to 3.13: make PYTHON=/path/to/python3.12' >&2; \
+	  exit 2;; \
+	esac
 
 $(DONE)/venv:
 	@for compiler in cc c++; do command -v $$compiler >/dev/null || { \
@@ -134,7 +164,7 @@ $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.t
 	  echo 'make: not the files of hashes.txt; an index of other builds? without HASHES the' \
 	    'versions in constraints.txt are enough' >&2; \
 	  exit 2; }
-	@$(INSTALL) --no-build-isolation -e '.[ros]'
+	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros]'
 	@sed -n '/^opencv-python-headless==/,/[^\]$$/p' hashes.txt > $(DONE)/headless
 	@$(BIN)/python -c '$(HEADLESS)' 2>/dev/null || \
 	  $(if $(HASHES),$(VERIFIED) $(DONE)/headless --force-reinstall,\
@@ -148,5 +178,5 @@ $(DONE)/messages: $(DONE)/packages $(INTERFACES)
 
 $(DONE)/tools: setup.py constraints.txt | $(DONE)/packages
 	@echo 'make: installing the tools for tests'
-	@$(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
+	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
 	@touch $@

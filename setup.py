@@ -179,6 +179,7 @@ setup(
         (f'lib/{NAME}', [str(path) for path in files_below('scripts')]),
         *shared('config'),
         *shared('launch'),
+        *shared('msg_defs'),
         *shared('scenarios'),
     ],
     python_requires='>=3.11,<3.14',

@@ -17,8 +17,9 @@ runs count.
 test (:mod:`taxinet_ros.campaign.sequential`), which ``falsify --until`` may have stopped at.
 
 The JUnit format is that of Ant's reports as read by Jenkins, GitLab and others: a ``testsuite``
-with ``properties`` and ``testcase`` elements; a test case with a ``failure``, ``error`` or
-``skipped`` child has not passed.
+with ``properties`` and ``testcase`` elements; a test case with a ``failure`` or ``skipped`` child
+has not passed. A criterion is a test case: a run that violates its requirement is no failure of the
+gate as long as the share of such runs is small enough.
 """
 
 from __future__ import annotations
@@ -91,6 +92,15 @@ class Verdict(enum.StrEnum):
     INCONCLUSIVE = 'INCONCLUSIVE'
 
 
+class Kind(enum.Enum):
+    """What a criterion limits."""
+
+    SATISFACTION = enum.auto()
+    OFF_RUNWAY = enum.auto()
+    BASELINE = enum.auto()
+    BROKEN = enum.auto()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GateOptions:
     """Acceptance criteria of a campaign.
@@ -103,6 +113,8 @@ class GateOptions:
         look: the looks that the confidence covers.
         design: with a sequential test and one threshold, the share that the system is designed
             for, in the words of the threshold; or None.
+        margin: with a baseline, the loss against it up to which a system counts as no worse, as a
+            share of scenes (:mod:`taxinet_ros.analysis.campaign.baseline`); None: no baseline.
     """
 
     min_satisfaction: float | None = None
@@ -111,6 +123,7 @@ class GateOptions:
     confidence: float = 0.95
     look: Look = Look.ANY
     design: float | None = None
+    margin: float | None = None
 
     def __post_init__(self) -> None:
         """Check the criteria.
@@ -126,6 +139,11 @@ class GateOptions:
                 '--design: with one threshold only; it is unclear which of the two it belongs to'
             )
         if self.look is Look.SEQUENTIAL:
+            if self.margin is not None:
+                raise UsageError(
+                    '--baseline: not with --sequential, which may end anywhere; the paired test is '
+                    'for scenes whose number was fixed beforehand'
+                )
             for criterion in (MIN_SATISFACTION, MAX_OFF_RUNWAY):
                 self.test(criterion)
 
@@ -146,11 +164,14 @@ class GateOptions:
         for name, value in (
             ('--min-satisfaction', self.min_satisfaction),
             ('--max-off-runway', self.max_off_runway),
+            ('--margin', self.margin),
         ):
             if value is not None and not 0 <= value <= 1:
                 raise UsageError(f'{name} {value:g}: a share, so it needs to be within 0..1')
-        if self.min_satisfaction is None and self.max_off_runway is None:
-            raise UsageError('gate: give a threshold: --min-satisfaction or --max-off-runway')
+        if (self.min_satisfaction, self.max_off_runway, self.margin) == (None, None, None):
+            raise UsageError(
+                'gate: give a threshold: --min-satisfaction, --max-off-runway or --baseline'
+            )
         if not 0.5 <= self.confidence < 1:
             raise UsageError(f'--confidence {self.confidence:g}: needs to be within 0.5..1')
         if self.max_infra < 0:
@@ -162,6 +183,7 @@ class Criterion:
     """One criterion and its verdict.
 
     Attributes:
+        kind: what it limits.
         name: such as ``satisfied >= 0.86``.
         verdict: the answer.
         sentence: explanation with figures.
@@ -170,8 +192,11 @@ class Criterion:
             the same; None if no number suffices, or none is needed.
         course: how far a sequential test has come, or None.
         test: that test, or None.
+        against: of a comparison with a baseline, the runs that got worse.
+        next: the command to go on with where it has not passed, or ''.
     """
 
+    kind: Kind
     name: str
     verdict: Verdict
     sentence: str
@@ -179,6 +204,8 @@ class Criterion:
     more_runs: int | None = None
     course: Course | None = None
     test: SequentialTest | None = None
+    against: frozenset[str] = frozenset()
+    next: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -204,7 +231,7 @@ class GateResult:
 
 def gate_result(
     rows: Sequence[RunRow], options: GateOptions, *, planned: int | range = 0,
-    rules: Sequence[str] = (),
+    rules: Sequence[str] = (), compared: Criterion | None = None, folder: str = '',
 ) -> GateResult:
     """Evaluate acceptance criteria on a campaign.
 
@@ -214,6 +241,8 @@ def gate_result(
         planned: number of runs planned before the first one, or their indices; 0 for the actual
             number.
         rules: stop rules of the search's sessions, as typed after ``--until``.
+        compared: the criterion of a baseline, or None.
+        folder: what a command calls these runs; '' for no next commands.
 
     Raises:
         UsageError: runs were stopped before it was known whether they leave the runway.
@@ -234,7 +263,11 @@ def gate_result(
         else:
             off = criterion == MAX_OFF_RUNWAY
             criteria.append(_criterion(good, threshold, options, off=off))
+    if compared is not None:
+        criteria.append(compared)
     criteria.append(_infra(rows, options.max_infra))
+    if folder:
+        criteria = [_with_next(one, options, folder) for one in criteria]
     verdicts = {one.verdict for one in criteria}
     return GateResult(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
@@ -245,6 +278,21 @@ def gate_result(
             *_stop_notes(satisfied, options, criteria, rules),
         ),
     )
+
+
+def _with_next(one: Criterion, options: GateOptions, folder: str) -> Criterion:
+    """The criterion with the command to go on with, if it has not passed and has none."""
+    if one.verdict is Verdict.PASS or one.next:
+        return one
+    if one.kind is Kind.BROKEN:
+        command = ['doctor', folder]
+    elif one.verdict is Verdict.FAIL:
+        command = ['why', folder]
+    elif one.kind is Kind.OFF_RUNWAY:
+        command = ['plan', folder, '--max-off-runway', f'{options.max_off_runway:g}']
+    else:
+        command = ['plan', folder, '--min-satisfaction', f'{options.min_satisfaction:g}']
+    return replace(one, next=shlex.join(['taxinet', *command]))
 
 
 def bounds(found: ProgramRate, confidence: float, look: Look = Look.ANY) -> Bounds:
@@ -312,6 +360,7 @@ def _criterion(
         name, limit = 'off the runway', options.max_off_runway or 0.0
     sign = '<=' if off else '>='
     return Criterion(
+        kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
         sentence=_sentence(name, shown, good, options, verdict, more),
     )
@@ -328,6 +377,7 @@ def _sequential(
     if found.decision in (Decision.PASS, Decision.FAIL):
         verdict = Verdict(found.decision.value)
     return Criterion(
+        kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {test.shown(test.limit):g}, sequential', verdict=verdict,
         course=found, test=test, sentence=_sequential_sentence(found, good, test, name),
     )
@@ -432,6 +482,7 @@ def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
     how = f': {kind_words(count_kinds(kinds))}' if kinds else ''
     runs = 'run was' if broken == 1 else 'runs were'
     return Criterion(
+        kind=Kind.BROKEN,
         name=f'broken by the bench <= {most}',
         verdict=Verdict.PASS if broken <= most else Verdict.FAIL,
         sentence=f'{broken} {runs} broken by the bench and {"is" if broken == 1 else "are"} in no '
@@ -460,31 +511,42 @@ def _notes(counts: Mapping[Outcome, int], found: ProgramRate, planned: int) -> l
 # Char of XML 1.0 (fifth edition, production 2), negated.
 _ILLEGAL = re.compile('[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
 _GATE = 'gate'
+_MOST_TOLD = 10
+"""Maximum number of runs in the text of a failure; its properties have all."""
 
 
 def junit_xml(
     rows: Sequence[RunRow], answer: GateResult, folder: Path, facts: Mapping[str, Any], *,
-    inconclusive_passes: bool, documents: Path = Path(),
+    inconclusive_passes: bool, documents: Path = Path(), table: Path | None = None,
 ) -> bytes:
-    """The report as a UTF-8 document.
+    """The report as a UTF-8 document: a test case for each criterion, the runs as properties.
+
+    The suite has a property for every run, a criterion's case one for every run that speaks against
+    it, with the command that runs it again. A case that has not passed says the figures, these runs
+    and the next command.
 
     Args:
         rows: the campaign's runs.
         answer: result of the gate.
-        folder: the campaign's folder, for rerun commands.
+        folder: the campaign's folder, for commands.
         facts: facts of the campaign.
         inconclusive_passes: an undecided criterion is skipped, not a failure.
         documents: folder of the files of :func:`rerun_documents`.
+        table: the runs' table, which ``taxinet analyze`` takes; or None.
     """
     suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})
-    _add_properties(suite, answer, facts)
+    _add_properties(suite, answer, rows, {
+        **facts, **({} if table is None else {'table': table}),
+    })
     for criterion in answer.criteria:
-        _add_criterion(suite, criterion, passes=inconclusive_passes)
-    for row in rows:
-        _add_run(suite, row, folder, facts, documents)
+        against = {
+            row.run_id: (_result_words(row), _again(row, folder, facts, documents))
+            for row in sorted(rows, key=_headline_rho) if speaks_against(row, criterion)
+        }
+        _add_criterion(suite, criterion, against, passes=inconclusive_passes)
     totals = {
         'tests': len(suite.findall('testcase')), 'failures': len(suite.findall('*/failure')),
-        'errors': len(suite.findall('*/error')), 'skipped': len(suite.findall('*/skipped')),
+        'errors': 0, 'skipped': len(suite.findall('*/skipped')),
     }
     times = {'time': f'{sum(row.wall_s for row in rows):.3f}'}
     suite.attrib.update({name: str(number) for name, number in totals.items()} | times)
@@ -492,6 +554,17 @@ def junit_xml(
     root.append(suite)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
+
+
+def speaks_against(row: RunRow, criterion: Criterion) -> bool:
+    """Whether a run is one of those that a criterion limits the number of."""
+    if criterion.kind is Kind.BASELINE:
+        return row.run_id in criterion.against
+    if criterion.kind is Kind.OFF_RUNWAY:
+        return bool(row.left_runway)
+    if criterion.kind is Kind.BROKEN:
+        return row.outcome is Outcome.INFRA_ERROR
+    return row.outcome is Outcome.FAIL
 
 
 def rerun_command(
@@ -526,61 +599,75 @@ def _settings(row: RunRow, facts: Mapping[str, Any]) -> RunSettings:
 
 
 def _add_properties(
-    suite: ElementTree.Element, answer: GateResult, facts: Mapping[str, Any]
+    suite: ElementTree.Element, answer: GateResult, rows: Sequence[RunRow],
+    facts: Mapping[str, Any],
 ) -> None:
     names = (
         'taxinet_ros_version', 'program', 'program_sha256', 'seed', 'sampler', 'perception',
-        'perception_sha256', 'controller', 'controller_sha256', 'timing',
+        'perception_sha256', 'controller', 'controller_sha256', 'timing', 'baseline', 'table',
     )
     values = {name: facts[name] for name in names if name in facts} | {
         **{f'stack_{name}': words(one) for name, one in recorded_stacks(facts).items()},
         'gate': answer.verdict.value, 'judged': answer.judged,
         **{outcome.value: count for outcome, count in answer.counts.items()},
         **{f'note_{number}': note for number, note in enumerate(answer.notes, 1)},
+        **{f'run {row.run_id}': f'{row.outcome}: {_result_words(row)}'.removesuffix(': ')
+           for row in rows},
     }
-    properties = ElementTree.SubElement(suite, 'properties')
+    _add_values(suite, values)
+
+
+def _add_values(parent: ElementTree.Element, values: Mapping[str, Any]) -> None:
+    properties = ElementTree.SubElement(parent, 'properties')
     for name, value in values.items():
         attributes = {'name': _text(name), 'value': _text(value)}
         ElementTree.SubElement(properties, 'property', attributes)
 
 
-def _add_criterion(suite: ElementTree.Element, criterion: Criterion, *, passes: bool) -> None:
+def _add_criterion(
+    suite: ElementTree.Element, criterion: Criterion, against: Mapping[str, tuple[str, str]], *,
+    passes: bool,
+) -> None:
+    """Add a test case; ``against`` has result and command by run, the worst first."""
     attributes = {'classname': _GATE, 'name': _text(criterion.name), 'time': '0'}
     case = ElementTree.SubElement(suite, 'testcase', attributes)
+    if against:
+        _add_values(case, {
+            f'run {run_id}': '; '.join(filter(None, told)) for run_id, told in against.items()
+        })
     if criterion.verdict is Verdict.PASS:
         ElementTree.SubElement(case, 'system-out').text = _text(criterion.sentence)
         return
     skipped = passes and criterion.verdict is Verdict.INCONCLUSIVE
-    found = {'message': _text(f'{criterion.verdict}: {criterion.sentence}')}
+    message = f'{criterion.verdict}: {criterion.sentence}'
     kind = {} if skipped else {'type': criterion.verdict.value}
-    ElementTree.SubElement(case, 'skipped' if skipped else 'failure', {**found, **kind})
+    found = ElementTree.SubElement(
+        case, 'skipped' if skipped else 'failure', {'message': _text(message), **kind})
+    lines = [message, *(f'{run_id}: {told}' for run_id, (told, _) in against.items())]
+    if len(against) > _MOST_TOLD:
+        lines[_MOST_TOLD + 1:] = [f'and {len(against) - _MOST_TOLD} more, in the properties']
+    lines += [again for _, again in against.values() if again][:1]
+    if criterion.next:
+        lines.append(f'next: {criterion.next}')
+    found.text = _text('\n'.join(lines))
 
 
-def _add_run(
-    suite: ElementTree.Element, row: RunRow, folder: Path, facts: Mapping[str, Any],
-    documents: Path,
-) -> None:
-    attributes = {
-        'classname': _text(Path(row.program).stem or 'run'), 'name': _text(row.run_id),
-        'time': f'{row.wall_s:.3f}',
-    }
-    case = ElementTree.SubElement(suite, 'testcase', attributes)
-    if row.outcome is Outcome.PASS:
-        return
+def _again(row: RunRow, folder: Path, facts: Mapping[str, Any], documents: Path) -> str:
+    """The command that runs a violated run again, with a word before it; ''."""
+    command = ''
     if row.outcome is Outcome.FAIL:
-        message = _rho_words(row) + (', off the runway' if row.left_runway else '')
-        failure = ElementTree.SubElement(
-            case, 'failure', {'message': _text(message), 'type': row.outcome.value}
-        )
         command = rerun_command(row, folder, facts, documents)
-        failure.text = _text(f'{message}\nrun it again: {command}' if command else message)
-        return
-    words = ' '.join(word for word in (row.kind, row.who, row.detail) if word)
-    message = f'{row.outcome}: {words}' if words else row.outcome.value
-    if row.outcome is Outcome.INFRA_ERROR:
-        ElementTree.SubElement(case, 'error', {'message': _text(message), 'type': row.kind})
-    else:
-        ElementTree.SubElement(case, 'skipped', {'message': _text(message)})
+    return f'run {row.run_id} again: {command}' if command else ''
+
+
+def _headline_rho(row: RunRow) -> float:
+    return next((low for low, _ in row.robustness.values()), math.inf)
+
+
+def _result_words(row: RunRow) -> str:
+    if row.outcome.judged:
+        return _rho_words(row) + (', off the runway' if row.left_runway else '')
+    return ' '.join(word for word in (row.kind, row.who, row.detail) if word)
 
 
 def _rho_words(row: RunRow) -> str:

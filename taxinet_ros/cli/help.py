@@ -21,11 +21,12 @@ SECTIONS = {
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
     'Judge': (
-        'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'spec', 'evaluate',
+        'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'spec',
+        'evaluate',
     ),
     'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
-    'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
+    'Recordings and tools': ('bag', 'doctor', 'setup-messages', 'plugins', 'bench'),
 }
 """Sections of the commands, in the order of the workflow."""
 
@@ -59,7 +60,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet fork bags/found/RUN --find --perception truth',
     ),
     'experiment': ('taxinet experiment shadows_afternoon --runs 120 --perception original',),
-    'gate': ('taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',),
+    'gate': (
+        'taxinet gate bags/found --min-satisfaction 0.95 --junit gate.xml',
+        'taxinet gate my_net.onnx --baseline bags/before --junit gate.xml',
+    ),
+    'check': ('taxinet check my_net.onnx', 'taxinet check original --allow 30 --quiet'),
     'plan': (
         'taxinet plan --min-satisfaction 0.999',
         'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
@@ -114,6 +119,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
     'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
     'bench': ('taxinet bench', 'taxinet bench processors --json'),
 }

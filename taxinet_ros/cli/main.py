@@ -27,6 +27,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
     bisect,
+    check,
     compare,
     doctor,
     explain,
@@ -152,8 +153,8 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, estimate, merge, learned, why, shrink, analyze, localize, explain,
-    fork, compare, bisect, experiment, gate, plan, plugins, doctor, monitor, spec, demo, train,
-    dataset, evaluate, case_study, improve, tune,
+    fork, compare, bisect, experiment, gate, check, plan, plugins, doctor, monitor, spec, demo,
+    train, dataset, evaluate, case_study, improve, tune,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -164,6 +165,18 @@ app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')
 app.add_typer(flightgear_app, name='flightgear')
 app.add_typer(xplane_app, name='xplane')
+
+
+@app.command()
+def setup_messages() -> None:
+    """Build the ROS 2 messages into this virtual environment, once after pip install.
+
+    Needs the extra ros and a C++ compiler; make does it by itself. Without messages, --engine loop,
+    import taxinet_ros and the analysis of recordings work all the same.
+    """
+    from taxinet_ros.cli.messages import run_setup_messages
+
+    raise typer.Exit(run_setup_messages())
 
 
 @app.command()
@@ -415,8 +428,9 @@ def _unforeseen(error: BaseException) -> tuple[str, int]:
     if isinstance(error, ModuleNotFoundError) and (error.name or '').partition('.')[0] in _ROS:
         return (
             f'no {error.name} in this Python: it belongs to ROS 2 (make installs it as wheels; or '
-            'source a Jazzy installation) or to its messages (make, or colcon build with '
-            'msg_defs); --engine loop needs neither, taxinet doctor says what is here'
+            'source a Jazzy installation) or to its messages (make, taxinet setup-messages, or '
+            'colcon build with msg_defs); --engine loop needs neither, taxinet doctor says what is '
+            'here'
         ), ExitCode.USAGE
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'

@@ -192,7 +192,8 @@ def _messages(name: str) -> Iterator[Check]:
     try:
         messages: Any = importlib.import_module('taxinet_msgs.msg')
     except ImportError as error:
-        yield Check(name, 'broken', f'not built: {error}', 'make, or colcon build with msg_defs')
+        mend = 'make, taxinet setup-messages, or colcon build with msg_defs'
+        yield Check(name, 'broken', f'not built: {error}', mend)
         return
     fields = messages.Scenario.get_fields_and_field_types()
     lost = [field.attribute for field in SCENARIO_FIELDS if field.attribute not in fields]

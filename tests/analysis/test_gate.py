@@ -179,6 +179,8 @@ def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
         ({'min_satisfaction': 0.5, 'confidence': 95}, '--confidence 95: needs'),
         ({'min_satisfaction': 0.5, 'max_infra': -1}, '--max-infra -1'),
         ({}, 'give a threshold'),
+        ({'margin': 1.5}, '--margin 1.5: a share'),
+        ({'margin': 0.1, 'look': Look.SEQUENTIAL}, '--baseline: not with --sequential'),
     ],
 )
 def test_given_options_that_make_no_sense_then_one_line_says_so(options, words):
@@ -252,30 +254,69 @@ def document(all_rows, options, *, passes=False) -> ElementTree.Element:
     return ElementTree.fromstring(data)
 
 
-def test_given_a_campaign_then_every_run_and_every_criterion_is_a_test_case():
+def test_given_a_campaign_then_each_criterion_is_a_test_case_and_each_run_a_property():
     broken = row(3, Outcome.INFRA_ERROR, kind='timeout', who='perception',
                  detail='a <b> & "c" \x00\x1b\ud800 \U0001f6e9')
     some = [row(0, Outcome.PASS), row(1, Outcome.FAIL, left=True, bag='run-1'),
             row(2, Outcome.FAIL), broken, row(4, Outcome.REJECTED, detail='no draw'),
             row(5, Outcome.INTERRUPTED)]
-    root = document(some, GateOptions(min_satisfaction=0.9))
+    root = document(some, GateOptions(min_satisfaction=0.9, max_off_runway=0.01))
     (suite,) = root.findall('testsuite')
-    assert suite.attrib == {'name': 'c d', 'tests': '8', 'failures': '4', 'errors': '1',
-                            'skipped': '2', 'time': '12.000'}
+    assert suite.attrib == {'name': 'c d', 'tests': '3', 'failures': '3', 'errors': '0',
+                            'skipped': '0', 'time': '12.000'}
     cases = {case.get('name'): case for case in suite.findall('testcase')}
-    assert len(cases) == 8
-    assert len(cases['run-0']) == 0
-    failure = cases['run-1'].find('failure')
-    assert failure.get('message') == 'phi: rho -2.250, off the runway'
-    assert "taxinet run --from 'c d/run-1'" in failure.text
-    assert '--set crossing=on' in cases['run-2'].find('failure').text
-    error = cases['run-3'].find('error')
-    assert error.get('type') == 'timeout'
-    assert error.get('message').endswith('a <b> & "c" \ufffd\ufffd\ufffd \U0001f6e9')
-    assert [cases[name].find('skipped').get('message') for name in ('run-4', 'run-5')] == [
-        'REJECTED: no draw', 'INTERRUPTED']
-    names = {p.get('name'): p.get('value') for p in suite.find('properties')}
+    assert list(cases) == [
+        'satisfied >= 0.9', 'off the runway <= 0.01', 'broken by the bench <= 0']
+    names = properties(suite)
     assert (names['gate'], names['judged'], names['INFRA_ERROR']) == ('FAIL', '3', '1')
+    assert [value for name, value in names.items() if name.startswith('run ')] == [
+        'PASS: phi: rho +0.500', 'FAIL: phi: rho -2.250, off the runway', 'FAIL: phi: rho -2.250',
+        'INFRA_ERROR: timeout perception a <b> & "c" \ufffd\ufffd\ufffd \U0001f6e9',
+        'REJECTED: no draw', 'INTERRUPTED',
+    ]
+    against = properties(cases['satisfied >= 0.9'])
+    assert list(against) == ['run run-1', 'run run-2']
+    assert "; run run-1 again: taxinet run --from 'c d/run-1'" in against['run run-1']
+    assert '--set crossing=on' in against['run run-2']
+    assert list(properties(cases['off the runway <= 0.01'])) == ['run run-1']
+    assert list(properties(cases['broken by the bench <= 0'])) == ['run run-3']
+
+
+def properties(case: ElementTree.Element) -> dict[str, str]:
+    return {one.get('name'): one.get('value') for one in case.findall('properties/property')}
+
+
+def test_given_a_failed_criterion_then_its_text_has_figures_worst_run_and_the_next_command():
+    found = [row(n, Outcome.FAIL, robustness=exact_intervals({'phi': -1.0 - n % 7}))
+             for n in range(40)]
+    data = junit_xml(
+        found, gate_result(found, GateOptions(min_satisfaction=0.9), folder='c d'), Path('c d'), {},
+        inconclusive_passes=False, table=Path('t.parquet'))
+    suite = ElementTree.fromstring(data)[0]
+    assert properties(suite)['table'] == 't.parquet'
+    case = suite.find('testcase')
+    first, *runs, again, after = case.find('failure').text.splitlines()
+    assert first.startswith('FAIL: 0.00 % of 40 runs are satisfied; with 95 % confidence each, at')
+    assert runs[0] == 'run-6: phi: rho -7.000', 'the worst first'
+    assert runs[10:] == ['and 30 more, in the properties']
+    assert again.startswith('run run-6 again: taxinet run nominal --perception original')
+    assert after == "next: taxinet why 'c d'"
+    assert len(properties(case)) == 40
+
+
+@pytest.mark.parametrize(('runs', 'options', 'command'), [
+    (rows(45, 5), GateOptions(min_satisfaction=0.86), 'taxinet plan c --min-satisfaction 0.86'),
+    (rows(45, 5), GateOptions(max_off_runway=0.01), 'taxinet plan c --max-off-runway 0.01'),
+    (rows(0, 50, off=50), GateOptions(max_off_runway=0.01), 'taxinet why c'),
+    ([row(0, Outcome.INFRA_ERROR)], GateOptions(min_satisfaction=0.1, max_infra=0), ''),
+])
+def test_given_an_answer_then_the_next_command_fits_it(runs, options, command):
+    first, *_, last = gate_result(runs, options, folder='c').criteria
+    if command:
+        assert first.next == command
+        assert last.next == ''
+    else:
+        assert (last.verdict, last.next) == (Verdict.FAIL, 'taxinet doctor c')
 
 
 def test_given_an_open_criterion_then_it_is_skipped_only_where_that_passes():

@@ -159,6 +159,12 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
             f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
             "campaign's folder"
         )
+    timings = set(frame['timing'].dropna()) - {''} if 'timing' in frame.columns else set()
+    if timings:
+        raise UsageError(
+            f'{path}: runs with timing {min(timings)}, which a table does not describe in full; '
+            "name the campaign's folder"
+        )
     outcomes = dict(zip(frame['index'].tolist(), frame['outcome'].tolist(), strict=True))
     judged = frame[frame['outcome'].isin([Outcome.PASS, Outcome.FAIL])].sort_values('index')
     scenes = [
@@ -350,9 +356,13 @@ class SharedTrials:
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
+        return table_of(self.rows(network), (self.scenes.judging.headline,))
+
+    def rows(self, network: str) -> list[RunRow]:
+        """Results of a network, by scene; runs that were not judged are among them."""
         fingerprint = check_perception(network)
         spec = self.scenes.judging.headline
-        rows = []
+        rows: list[RunRow] = []
         for place, scene in enumerate(self.scenes.scenes):
             trial = self.results.get(fingerprint, {}).get(scene.row.run_id)
             if trial is not None:
@@ -360,7 +370,7 @@ class SharedTrials:
                 # Gaps would say that runs are missing; these scenes are all that were asked for.
                 row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
                 rows.append(row)
-        return table_of(rows, (spec,))
+        return rows
 
 
 def _until(tasks: Sequence[Task], interrupted: Callable[[], bool]) -> Iterator[Task]:

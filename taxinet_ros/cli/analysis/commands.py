@@ -348,7 +348,13 @@ def doctor(
 
 
 def gate(
-    campaign: CampaignArgument,
+    campaign: Annotated[
+        Path,
+        typer.Argument(
+            metavar='CAMPAIGN|NETWORK', help="a campaign's folder; with --baseline also a network, "
+            'word or file, which is then driven through its scenes'
+        ),
+    ],
     min_satisfaction: Annotated[
         float | None,
         typer.Option(metavar='SHARE', help='minimum share of runs that satisfy their formulas'),
@@ -356,6 +362,20 @@ def gate(
     max_off_runway: Annotated[
         float | None, typer.Option(metavar='SHARE', help='maximum share of runs that leave the '
         'runway')
+    ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='CAMPAIGN|TABLE', help='runs of the same scenes, which these must not be worse '
+            'than'
+        ),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='with --baseline: loss of satisfied scenes up to which it is no '
+            'worse (default 0.05)'
+        ),
     ] = None,
     max_infra: Annotated[
         int, typer.Option(help='maximum number of runs with an infrastructure error')
@@ -390,7 +410,15 @@ def gate(
     ] = 'report',
     junit: Annotated[
         Path | None, typer.Option(metavar='FILE', help='JUnit XML file to write, one test case per '
-        'run')
+        'criterion; the table of the runs is written beside it')
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='folder for the runs of a NETWORK; finished runs in it are kept'),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help='of a NETWORK: worker processes; same results (default 2)'),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -399,21 +427,68 @@ def gate(
     PASS (exit code 0) only if the one-sided bound of each share clears its threshold, FAIL (1) if
     the whole interval of one violates it, else INCONCLUSIVE (3) with an estimate of the additional
     runs needed. Runs with an infrastructure error are excluded and counted separately.
+
+    With --baseline, the scenes are paired with those of another campaign or table, which have to be
+    the same: FAIL if satisfaction falls (McNemar's exact test), PASS if it falls by no more than
+    the margin, else INCONCLUSIVE. A network in place of the campaign is driven through these scenes
+    in the closed loop without ROS; after an interrupt, the same command continues.
     """
+    from taxinet_ros.analysis.campaign.baseline import DEFAULT_MARGIN
     from taxinet_ros.analysis.gate import GateOptions, Look
-    from taxinet_ros.cli.analysis.gate import run_gate
+    from taxinet_ros.cli.analysis.gate import GateInput, run_gate
     from taxinet_ros.errors import UsageError
 
     if planned and sequential:
         raise UsageError('gate: --planned and --sequential do not go together; leave one out')
+    if margin is not None and baseline is None:
+        raise UsageError('--margin: only with --baseline')
+    if baseline is not None and margin is None:
+        margin = DEFAULT_MARGIN
     look = Look.PLANNED if planned else Look.SEQUENTIAL if sequential else Look.ANY
     options = GateOptions(
         min_satisfaction=min_satisfaction, max_off_runway=max_off_runway, max_infra=max_infra,
-        confidence=confidence, look=look, design=design,
+        confidence=confidence, look=look, design=design, margin=margin,
     )
-    raise typer.Exit(
-        run_gate(campaign, options, inconclusive=inconclusive, junit=junit, as_json=as_json)
-    )
+    raise typer.Exit(run_gate(
+        GateInput(
+            campaign=campaign, baseline=baseline, out=out, workers=workers,
+            inconclusive=inconclusive, junit=junit, as_json=as_json,
+        ), options,
+    ))
+
+
+def check(
+    networks: Annotated[
+        list[str],
+        typer.Argument(
+            metavar='NETWORK...', help='words or files: .safetensors, .onnx, or FILE.py:NAME'
+        ),
+    ],
+    runs: Annotated[
+        int, typer.Option(min=1, help='so many of the fixed scenes, from the first')
+    ] = 50,
+    allow: Annotated[
+        int, typer.Option(min=0, metavar='SCENES', help='accepted number of violated scenes')
+    ] = 0,
+    workers: ProcessesCountOption = 2,
+    quiet: Annotated[
+        bool, typer.Option('--quiet', help='print a line for a network that is not good, else '
+        'nothing')
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Drive networks through 50 fixed scenes, as a quick check before a commit.
+
+    The scenes are the same for everybody: drawn from s_falsif with a fixed seed, driven in the
+    closed loop without ROS. Exit code 0 if no more scenes violate phi_eventually than allowed, 1 if
+    more do, 3 if runs without a verdict leave it open. A smoke test; for a statement about all
+    scenes use gate.
+    """
+    from taxinet_ros.cli.analysis.check import run_check
+
+    raise typer.Exit(run_check(
+        networks, runs=runs, allowed=allow, workers=workers, quiet=quiet, as_json=as_json,
+    ))
 
 
 def plan(
