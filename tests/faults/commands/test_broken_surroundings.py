@@ -46,7 +46,8 @@ DOES_NOTHING = {
     'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],
     'plugins': ['nothing'], 'run': ['nothing'], 'setup-messages': ['nothing'],
     'shrink': ['nowhere'],
-    'spec': ['nothing('], 'train': ['nothing'], 'tune': ['nothing'], 'up': ['--perception', 'nothing'],
+    'spec': ['nothing('], 'train': ['nothing'], 'tune': ['nothing'],
+    'up': ['--perception', 'nothing'],
     'why': ['nowhere'], 'xplane': ['nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')
