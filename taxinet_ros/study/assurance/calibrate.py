@@ -48,7 +48,10 @@ REQUIREMENT = 'phi_eventually'
 _EVERY = 5
 """Steps from one picture taken for the distribution to the next."""
 _LEAST_FITTED = 5
-_T, _R = TypeVar('_T'), TypeVar('_R')
+_LEAST = 0.1
+"""Least threshold: where paint is always found, all scores are 0."""
+_T = TypeVar('_T')
+_R = TypeVar('_R')
 Progress = Callable[[str, int, int], None]
 
 
@@ -135,7 +138,7 @@ def calibrate(options: CalibrateOptions, progress: Progress) -> Calibration:
         seed=options.seed, runs=len(largest), rate=options.rate, familiar=familiar,
         kinematics=kinematics,
         thresholds={
-            name: conformal_threshold([one[number] for one in largest], each)
+            name: max(conformal_threshold([one[number] for one in largest], each), _LEAST)
             for number, name in enumerate(CHECKS)
         },
     )
