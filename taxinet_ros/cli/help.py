@@ -20,7 +20,9 @@ SECTIONS = {
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
-    'Judge': ('plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'assure', 'spec', 'evaluate'),
+    'Judge': (
+        'plan', 'gate', 'forecast', 'compare', 'bisect', 'monitor', 'assure', 'spec', 'evaluate',
+    ),
     'Train': ('dataset', 'train', 'improve', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'plugins', 'bench'),
@@ -67,6 +69,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'assure judge': (
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
+    'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
     'compare': ('taxinet compare original taxinet s_falsif', 'taxinet compare bags/old bags/new'),
     'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),

@@ -26,6 +26,7 @@ from typer.exceptions import TyperException
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
+    assure_app,
     bisect,
     compare,
     doctor,
@@ -63,7 +64,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import assure_app, case_study, improve, why
+from taxinet_ros.cli.study.commands import case_study, improve, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words

@@ -202,7 +202,7 @@ class Assured(Controller):
             scores = self._monitor.scores(
                 Seen(image=image, estimate=estimate, command=self._last)
             )
-            self.alarm = _alarm(scores, self._step)
+            self.alarm = alarm_of(scores, self._step)
         if self.alarm is not None and self._second is not None:
             estimate = self._second.estimate(image, None)
         command = self._inner.command(estimate)
@@ -215,8 +215,8 @@ class Assured(Controller):
         return command
 
 
-def _alarm(scores: Mapping[str, float], step: int) -> Alarm | None:
-    """The alarm of the largest score, if it is one."""
+def alarm_of(scores: Mapping[str, float], step: int) -> Alarm | None:
+    """The alarm of the largest score of a control step; None if that is below 1."""
     reason = max(scores, key=lambda name: scores[name])
     return Alarm(step=step, reason=reason, score=scores[reason]) if scores[reason] >= 1 else None
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.cli.study.assure import judged_lines, run_judge
+from taxinet_ros.cli.analysis.assure import judged_lines, run_judge
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.assurance.calibrate import (
     CalibrateOptions,

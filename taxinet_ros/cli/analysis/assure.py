@@ -1,17 +1,22 @@
-"""``taxinet assure``: calibrate run-time monitors, and print how they fare in the loop."""
+"""``taxinet assure``: calibrate run-time monitors, say how they fare, and what they said."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.assurance.monitor import SUSTAINED
-from taxinet_ros.errors import ExitCode
+from taxinet_ros.core.assurance.monitor import SUSTAINED, make_monitor, monitor_names
+from taxinet_ros.core.assurance.switch import parts_of
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.study.assurance.calibrate import CalibrateOptions, calibrate
 from taxinet_ros.study.assurance.judge import (
     RESULT_NAME,
@@ -23,6 +28,7 @@ from taxinet_ros.study.assurance.judge import (
     judge,
     plain_result,
 )
+from taxinet_ros.study.assurance.recorded import judge_recording
 
 _PAGE_WIDTH = 100
 
@@ -76,6 +82,50 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     for name, one in judged.with_fallback.items():
         console.print(f'{name}: {_ratio_words(one.off_ratio)}', soft_wrap=True)
     console.print(f'{options.out}: {TRIALS_NAME}, {RESULT_NAME}', soft_wrap=True)
+    return ExitCode.OK
+
+
+def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: bool) -> int:
+    """Print what a monitor says of a recorded run.
+
+    Args:
+        bag: the bag.
+        run_id: which run, if there are several.
+        monitor: word of the monitor; None: that of the run.
+        as_json: print JSON.
+
+    Raises:
+        UsageError: the run has no monitor of a known path, or cannot be judged again.
+    """
+    with readable_run(bag, run_id) as recording:
+        parts = parts_of(recording.run.controller)
+        if monitor is None and parts is None:
+            raise UsageError(
+                f'{bag}: its controller {recording.run.controller or STEERING} has no monitor; '
+                'name one with --monitor'
+            )
+        word = monitor or (parts.monitor if parts is not None else '')
+        if monitor is None and word not in monitor_names():
+            raise UsageError(
+                f'{bag}: its monitor is a file or function of unknown path; name it with --monitor'
+            )
+        found = judge_recording(recording, make_monitor(word))
+    if as_json:
+        alarm = None if found.alarm is None else {
+            **dataclasses.asdict(found.alarm), 'at_s': found.alarm.at_s
+        }
+        largest = {name: x if math.isfinite(x) else None for name, x in found.largest.items()}
+        print(json.dumps(
+            {'monitor': word, 'alarm': alarm, 'largest': largest, 'steps': found.steps}, indent=2,
+        ))
+        return ExitCode.OK
+    console = _console()
+    console.print(
+        f'monitor {word}: {found.alarm or "no alarm"}, {found.steps:,} steps judged',
+        soft_wrap=True,
+    )
+    for name, score in found.largest.items():
+        console.print(f'  {name}: at most {score:.2f} times its threshold', soft_wrap=True)
     return ExitCode.OK
 
 
