@@ -1,12 +1,16 @@
 """How a monitor is judged: known answers of counts, times, rates and bounds, and a small study."""
 
+import dataclasses
 import json
 import math
 
 import numpy as np
 import pytest
 
-from taxinet_ros.cli.analysis.assure import judged_lines, run_judge
+import taxinet_ros as tx
+from taxinet_ros.cli.analysis.assure import judged_lines, run_judge, run_show
+from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.assurance.calibrate import (
     CalibrateOptions,
@@ -125,9 +129,6 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path
     assert not (tmp_path / 'a.npz').exists()
     made = CalibrateOptions(**few, runs=3, rate=0.9, out=tmp_path / 'b.npz')
     assert calibrate(made, no_progress).runs == 3
-    again = CalibrateOptions(**few, runs=3, rate=0.9, out=tmp_path / 'c.npz')
-    calibrate(again, no_progress)
-    assert (tmp_path / 'b.npz').read_bytes() == (tmp_path / 'c.npz').read_bytes()
     judging = {
         **few, 'controller': 'steering', 'monitor': str(tmp_path / 'b.npz'),
         'fallbacks': ('stop', 'slow'), 'runs': 2,
@@ -141,6 +142,32 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path
     assert len((tmp_path / 'out' / 'trials.csv').read_text().splitlines()) == 7
     with pytest.raises(UsageError, match='exists'):
         JudgeOptions(**judging, out=tmp_path / 'out')
+
+
+def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, capsys):
+    (tmp_path / 'mon.py').write_text(
+        'def far(seen):\n    return abs(seen.estimate.cte_m) / 0.9 + seen.image.mean() * 1e-9\n'
+    )
+    controller = make_controller(f'steering+{tmp_path}/mon.py:far+slow', SteeringGains())
+    run = tx.run(
+        tx.Scenario(cross_track_m=0.4, heading_rad=0.3, duration_s=2.0),
+        perception='taxinet', controller=controller,
+    )
+    assert controller.alarm is not None
+    assert controller.alarm.step > 3
+    bag = run.save_bag(tmp_path / 'bag')
+    with pytest.raises(UsageError, match='unknown path; name it with --monitor'):
+        run_show(bag, None, None, as_json=False)
+    assert run_show(bag, None, f'{tmp_path}/mon.py:far', as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['alarm'] == {
+        **dataclasses.asdict(controller.alarm), 'at_s': controller.alarm.at_s
+    }
+    plain = tx.run(tx.Scenario(duration_s=0.3), perception='truth').save_bag(tmp_path / 'plain')
+    with pytest.raises(UsageError, match='controller steering has no monitor; name one'):
+        run_show(plain, None, None, as_json=False)
+    assert run_show(plain, None, 'taxinet', as_json=False) == 0
+    assert 'monitor taxinet: no alarm, 4 steps judged' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('changed', 'said'), [
