@@ -43,6 +43,7 @@ from taxinet_ros.arguments import (
 from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, node_words, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
+from taxinet_ros.core.assurance.switch import Assured, make_controller
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.faults import unseen_faults
 from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
@@ -53,7 +54,6 @@ from taxinet_ros.core.motion.controller import (
     SteeringGains,
     SteeringLaw,
     UserController,
-    make_controller,
     read_command,
 )
 from taxinet_ros.core.mtl import check_read, offline, signal_names
@@ -636,7 +636,7 @@ def asked_controller(given: str | Controller | Steer) -> Controller:
     """Controller of a word, a file, or a function, as for :func:`run`."""
     if isinstance(given, str):
         return make_controller(given, SteeringGains())
-    if isinstance(given, SteeringLaw | UserController):
+    if isinstance(given, SteeringLaw | UserController | Assured):
         return given
     _check_answering('controller', given, 'command', 1)
     _check_starting('controller', given, 1)

@@ -39,7 +39,8 @@ from taxinet_ros.campaign.samplers.splitting import RareEstimate
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_estimate_options, make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
-from taxinet_ros.core.motion.controller import STEERING, check_controller
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.registry import KMWH

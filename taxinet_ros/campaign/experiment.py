@@ -48,7 +48,8 @@ from taxinet_ros.campaign.scenes.overrides import check_overrides
 from taxinet_ros.campaign.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.search_options import SearchOptions, check_workers_or_cluster
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key, by_value
 from taxinet_ros.core.verdict.judging import Judging

@@ -21,9 +21,10 @@ from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES, RunBag, RunEnding, node_
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.facts import program_attachment
 from taxinet_ros.core import topics
+from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.motion.controller import Controller, SteeringGains, make_controller
+from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
@@ -302,10 +303,14 @@ class _Hands(Controller):
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self.word, self.fingerprint = controller.word, controller.fingerprint
+        self.needs_image = controller.needs_image
 
     def begin(self, scenario: Scenario | None = None) -> None:
         with _blamed(topics.STEERING_CONTROLLER):
             self._controller.begin(scenario)
+
+    def see(self, image: NDArray[np.uint8]) -> None:
+        self._controller.see(image)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         with _blamed(topics.STEERING_CONTROLLER):

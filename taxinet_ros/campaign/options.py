@@ -22,14 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
+from taxinet_ros.core.assurance.switch import check_controller, parts_of
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.motion.aircraft import checked_aircraft
-from taxinet_ros.core.motion.controller import (
-    STEERING,
-    SteeringGains,
-    check_controller,
-    typed_gain,
-)
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -285,6 +281,7 @@ def make_options(
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
         raise UsageError('--processes: no effect with --free, which always uses processes')
+    check_not_free(timing, controller)
     if timing.free and judging.stop_on is not StopOn.NEVER:
         raise UsageError(
             f'--stop-on {judging.stop_on}: not with --free, which does not wait for the monitor'
@@ -409,6 +406,19 @@ def check_timing(
         return free_timing(factor or '1') if free else parse_latency(latency)
     except UsageError as error:
         raise UsageError(f'--{error}') from None
+
+
+def check_not_free(timing: Timing, controller: str) -> None:
+    """Refuse a monitored controller in a free run.
+
+    Raises:
+        UsageError: one line that names the option.
+    """
+    if timing.free and parts_of(controller) is not None:
+        raise UsageError(
+            f'--free: not with --controller {controller}: its monitor needs the frame of each '
+            'estimate, and a free run may lose frames'
+        )
 
 
 def check_assumptions(

@@ -21,8 +21,8 @@ SECTIONS = {
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
     'Judge': (
-        'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'spec',
-        'evaluate',
+        'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'assure',
+        'spec', 'evaluate',
     ),
     'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
@@ -78,6 +78,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
     'forecast check': ('taxinet forecast check bound.json bags/other',),
     'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),
+    'assure calibrate': (
+        'taxinet assure calibrate training_original --perception original --out mine.npz',
+    ),
+    'assure judge': (
+        'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
+    ),
+    'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
     'compare': ('taxinet compare original taxinet s_falsif', 'taxinet compare bags/old bags/new'),
     'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),

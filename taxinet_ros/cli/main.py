@@ -26,6 +26,7 @@ from typer.exceptions import TyperException
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
+    assure_app,
     bisect,
     check,
     compare,
@@ -160,6 +161,7 @@ for command in (
 app.add_typer(camera_app, name='camera')
 app.add_typer(forecast_app, name='forecast')
 app.add_typer(odd_app, name='odd')
+app.add_typer(assure_app, name='assure')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')

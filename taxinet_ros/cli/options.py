@@ -155,6 +155,18 @@ def word_of(context: typer.Context, role: str) -> str:
     return f'{COMMAND}{command}'
 
 
+def controller_of(context: typer.Context) -> str:
+    """Word of the controller, under its monitor if one is named.
+
+    Raises:
+        UsageError: options exclude each other, or one has no effect.
+    """
+    from taxinet_ros.core.assurance.switch import monitored
+
+    params = context.params
+    return monitored(word_of(context, 'controller'), params['monitor'], params['fallback'])
+
+
 ScenarioArgument = Annotated[
     str,
     typer.Argument(
@@ -214,6 +226,22 @@ ControllerOption = Annotated[
 ControllerCommandOption = Annotated[
     str | None,
     typer.Option('--controller-cmd', metavar='COMMAND', help='the same for the controller'),
+]
+MonitorOption = Annotated[
+    str | None,
+    typer.Option(
+        '--monitor', metavar='MONITOR',
+        help='judge each estimate as it comes: original, taxinet, a file of `taxinet assure '
+        'calibrate`, or a function, FILE.py:NAME',
+    ),
+]
+FallbackOption = Annotated[
+    str | None,
+    typer.Option(
+        '--fallback', metavar='WHAT',
+        help="after the monitor's first alarm: stop (default), slow, second:PERCEPTION, or watch, "
+        'which changes nothing',
+    ),
 ]
 WorldOption = Annotated[
     str,

@@ -254,8 +254,13 @@ class ReplayedController(Controller):
     def __init__(self, after: Controller, recorded: Sequence[TaxiCommand], *, same: bool) -> None:
         """Begin with the first command; arguments as for :class:`ReplayedPerception`."""
         self.word, self.fingerprint = after.word, after.fingerprint
+        self.needs_image = after.needs_image
         self._after, self._recorded, self._same = after, recorded, same
         self._seq = 0
+
+    def see(self, image: NDArray[np.uint8]) -> None:
+        """Pass the frame on."""
+        self._after.see(image)
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Reset."""

@@ -110,7 +110,8 @@ def run_closed_loop(
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
     controller.begin(scenario)
-    with closing(make_world(scenario, pictures=perception.needs_image)) as world:
+    pictures = perception.needs_image or controller.needs_image
+    with closing(make_world(scenario, pictures=pictures)) as world:
         commands = LateCommands(timing, *draws, scenario)
         horizon_ns = world.last_seq * CONTROL_PERIOD_NS
         judge = Judge(
@@ -123,6 +124,10 @@ def run_closed_loop(
                 check_picture(now, f'perception {perception.word}')
             along_m, cte_m, he_rad = now.on_track
             estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
+            if controller.needs_image:
+                check_picture(now, f'controller {controller.word}')
+                assert now.image is not None
+                controller.see(now.image)
             command = controller.command(estimate)
             clearance_m = clearance.of_state(now.stamp_ns, now.state)
             sample = signals(

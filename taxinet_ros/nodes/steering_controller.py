@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from numpy.typing import NDArray
 from taxinet_msgs.msg import Scenario
 
+from taxinet_ros.bag.cdr.image import frame_of_cdr
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import command_cdr
-from taxinet_ros.core.motion.controller import (
-    GAIN_RANGES,
-    STEERING,
-    SteeringGains,
-    check_controller,
-    gains_text,
-    make_controller,
-)
+from taxinet_ros.core.assurance.switch import Assured, check_controller, make_controller
+from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, gains_text
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
@@ -36,8 +35,8 @@ from taxinet_ros.registry import CONTROLLERS, names, origin_words
 _OPTIONS = (
     Parameter(
         name='controller', default=STEERING,
-        takes=f'{", ".join(names(CONTROLLERS))} or FILE.py:NAME',
-        description='the shipped law, or a function',
+        takes=f'{", ".join(names(CONTROLLERS))} or FILE.py:NAME, and +MONITOR+FALLBACK behind it',
+        description='the shipped law, or a function, under a monitor if one is named',
     ),
     Parameter(
         name='controller_sha256', default='', takes='64 hexadecimal digits, or empty',
@@ -88,11 +87,49 @@ class SteeringController(Participant):
         self.fingerprint = self._controller.fingerprint
         self.origin = origin_words(CONTROLLERS, self._controller.word)
         self._commands = self.speak(interface.COMMAND)
-        self.listen(interface.ESTIMATE, self._answer, newest=True)
+        self._frame: tuple[int, NDArray[np.uint8]] | None = None
+        self._waiting: StepMessage | None = None
+        if self._controller.needs_image:
+            self.listen(interface.ESTIMATE, self._wait)
+            self.listen(interface.IMAGE, self._see, raw=True)
+        else:
+            self.listen(interface.ESTIMATE, self._answer, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
         self._controller.begin(scenario_of(scenario))
+        self.clear()
+
+    def clear(self) -> None:
+        """See :class:`Participant`."""
+        self._frame = self._waiting = None
+
+    def health(self) -> Health:
+        """See :class:`Participant`; an alarm of the monitor is a warning."""
+        health = super().health()
+        alarm = self._controller.alarm if isinstance(self._controller, Assured) else None
+        if alarm is None or health.level != DiagnosticStatus.OK:
+            return health
+        line = f'run {self.run_id}: monitor: {alarm}'
+        return replace(health, level=DiagnosticStatus.WARN, message=line)
+
+    def _see(self, cdr: bytes) -> None:
+        self._frame = frame_of_cdr(cdr)
+        self._answer_both()
+
+    def _wait(self, estimate: StepMessage) -> None:
+        self._waiting = estimate
+        self._answer_both()
+
+    def _answer_both(self) -> None:
+        """Answer once frame and estimate of a step are there; either may come first."""
+        if self._frame is None or self._waiting is None:
+            return
+        estimate, (stamp_ns, image) = self._waiting, self._frame
+        if estimate.stamp_ns == stamp_ns:
+            self._waiting = None
+            self._controller.see(image)
+            self._answer(estimate)
 
     def _answer(self, estimate: StepMessage) -> None:
         command = self._controller.command(estimate.value)

@@ -19,11 +19,12 @@ import numpy as np
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Estimator, Frame, Moment, misled_rad
 from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains, make_controller
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario

@@ -177,7 +177,10 @@ def node_words(
             node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
             implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
             detail=origin_words(CONTROLLERS, hands.word),
-            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
+            listens=(
+                topics.SCENARIO.name, topics.ESTIMATE.name,
+                *((topics.IMAGE.name,) if hands.needs_image else ()),
+            ),
         ),
         NodeWords(
             node=topics.MTL_MONITOR,

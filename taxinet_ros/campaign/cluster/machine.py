@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import taxinet_ros
-from taxinet_ros.core.motion.controller import check_controller
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.provenance import COMMIT, NAMES, provenance

@@ -29,14 +29,9 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.assurance.switch import check_controller, make_controller
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.motion.controller import (
-    STEERING,
-    Controller,
-    SteeringGains,
-    check_controller,
-    make_controller,
-)
+from taxinet_ros.core.motion.controller import STEERING, Controller, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception

@@ -33,7 +33,8 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
-from taxinet_ros.core.motion.controller import STEERING, check_controller
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free

@@ -13,7 +13,7 @@ from typing import Any
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import SUFFIX, program_digest, program_text
-from taxinet_ros.core.motion.controller import check_controller
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key, by_value

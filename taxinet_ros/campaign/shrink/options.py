@@ -28,7 +28,8 @@ from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.scenes.overrides import WEATHER
 from taxinet_ros.campaign.search_options import check_workers_or_cluster
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
-from taxinet_ros.core.motion.controller import STEERING, check_controller
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human

@@ -793,3 +793,110 @@ def export_odd(
     from taxinet_ros.cli.analysis.odd import export_odd
 
     raise typer.Exit(export_odd(odd, out))
+
+
+assure_app = typer.Typer(
+    rich_markup_mode=None,
+    help='Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
+)
+
+
+@assure_app.callback(invoke_without_command=True)
+def _assure(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@assure_app.command('calibrate')
+def assure_calibrate(
+    program: Annotated[
+        str, typer.Argument(metavar='SCENARIO', help='program whose scenes the perception is used '
+        'to, such as that of its training')
+    ],
+    perception: Annotated[str, typer.Option(help='network: word or file')],
+    out: Annotated[Path, typer.Option(metavar='FILE.npz', help='calibration; must be new')],
+    runs: Annotated[
+        int, typer.Option(min=1, max=100_000, help='runs that set the thresholds; a quarter as '
+        'many more say what is usual')
+    ] = 320,
+    rate: Annotated[
+        float, typer.Option(help='largest share of satisfied runs with an alarm, in these scenes')
+    ] = 0.01,
+    seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 1,
+    workers: Annotated[
+        int, typer.Option(min=1, max=64, help='worker processes; same results')
+    ] = 2,
+) -> None:
+    """Calibrate the shipped monitor for a network, on runs without ROS.
+
+    Its three checks ask whether the picture is familiar, whether the estimates follow from each
+    other, and whether there is paint where they say that the line is. Thresholds are conformal.
+    """
+    from taxinet_ros.cli.analysis.assure import run_calibrate
+    from taxinet_ros.study.assurance.calibrate import CalibrateOptions
+
+    raise typer.Exit(run_calibrate(CalibrateOptions(
+        perception=perception, program=program, runs=runs, rate=rate, seed=seed, workers=workers,
+        out=out,
+    )))
+
+
+@assure_app.command('judge')
+def assure_judge(
+    program: Annotated[
+        str, typer.Argument(metavar='SCENARIO', help='program whose scenes are driven')
+    ],
+    perception: Annotated[str, typer.Option(help='network: word or file')],
+    monitor: Annotated[
+        str, typer.Option(help='original, taxinet, a file of calibrate, or FILE.py:NAME')
+    ],
+    fallback: Annotated[
+        list[str] | None,
+        typer.Option(metavar='WHAT', help='stop, slow or second:PERCEPTION; repeatable'),
+    ] = None,
+    controller: Annotated[str, typer.Option(help='steering, a name, or FILE.py:NAME')] = 'steering',
+    runs: Annotated[int, typer.Option(min=1, max=100_000, help='scenes')] = 100,
+    seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 0,
+    workers: Annotated[
+        int, typer.Option(min=1, max=64, help='worker processes; same results')
+    ] = 2,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for runs and summary; must be new')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge a monitor and its fallbacks in the loop: alarms, misses, lead times, and what it saves.
+
+    Drives the same scenes without ROS: once with the monitor only watching, and once more for each
+    fallback where it raised an alarm.
+    """
+    from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
+    from taxinet_ros.cli.analysis.assure import run_judge
+    from taxinet_ros.core.user_code import short_word
+    from taxinet_ros.study.assurance.judge import JudgeOptions
+
+    name = f'assure-{Path(program).stem}-{short_word(perception)}-seed{seed}'
+    raise typer.Exit(run_judge(
+        JudgeOptions(
+            program=program, perception=perception, controller=controller, monitor=monitor,
+            fallbacks=tuple(fallback or ('stop',)), runs=runs, seed=seed, workers=workers,
+            out=out or new_folder(DEFAULT_ROOT / name),
+        ),
+        as_json=as_json,
+    ))
+
+
+@assure_app.command('show')
+def assure_show(
+    bag: Annotated[Path, typer.Argument(metavar='BAG', help='the bag of a run')],
+    run: RunOption = None,
+    monitor: Annotated[
+        str | None, typer.Option(help="original, taxinet, a file of calibrate, or FILE.py:NAME "
+        "(default: the run's own)")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say when and why a monitor raises the alarm in a recorded run, to the bit as in the run."""
+    from taxinet_ros.cli.analysis.assure import run_show
+
+    raise typer.Exit(run_show(bag, run, monitor, as_json=as_json))

@@ -16,7 +16,8 @@ from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
-from taxinet_ros.core.motion.controller import STEERING, check_controller
+from taxinet_ros.core.assurance.switch import check_controller, named_parts
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
 from taxinet_ros.errors import ExitCode, UsageError
@@ -148,7 +149,7 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
     if asked:
         check_controller(asked, graph=graph)
         return asked
-    if run.controller in names(CONTROLLERS):
+    if run.controller in names(CONTROLLERS) or named_parts(run.controller):
         check_controller(run.controller, graph=graph)
         return run.controller
     if run.controller:

@@ -18,6 +18,7 @@ from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
 from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_words, readable_bags
+from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.user_code import short_word
@@ -104,6 +105,11 @@ def run_replay(options: ReplayOptions) -> int:
         controller = STEERING
         if options.target == interface.STEERING_CONTROLLER:
             controller = controller_of(run, options.controller)
+            if parts_of(controller) is not None:
+                raise UsageError(
+                    f'--controller {controller}: its monitor needs the frames too, which are not '
+                    'replayed into it; `taxinet run --from` drives the whole run again'
+                )
         answers = replay(
             options.recording, run, target=options.target, perception=word, controller=controller
         )

@@ -31,8 +31,8 @@ from taxinet_ros.campaign.summary import (
     summary_json,
 )
 from taxinet_ros.cli.progress import print_rows_if_lost
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.camera import camera
-from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of

@@ -22,12 +22,13 @@ from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
     IMAGES,
     check_new,
+    check_not_free,
     check_timing,
     new_folder,
     recorded_images,
     split_settings,
 )
-from taxinet_ros.core.motion.controller import check_controller
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.world import find_world
@@ -197,6 +198,8 @@ def make_up_options(
             'steering.<gain>=value'
         )
     check_controller(controller, gains, graph=True)
+    timing = check_timing(latency, free=free, factor=real_time_factor)
+    check_not_free(timing, controller)
     chosen = find_world(world)
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
@@ -210,7 +213,7 @@ def make_up_options(
             gains=gains,
             controller=controller,
             alone=False,
-            timing=check_timing(latency, free=free, factor=real_time_factor),
+            timing=timing,
             world=chosen.name,
         ),
         record=record,

@@ -18,6 +18,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from taxinet_ros.arguments import a, check_fields, takes
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
@@ -170,10 +173,12 @@ class Controller(Protocol):
         word: :data:`STEERING`, the name given by a package, or ``python`` for a file.
         fingerprint: SHA-256 of the Python file and the files it lists, or of the package; empty for
             the law.
+        needs_image: whether :meth:`see` is called with each frame, ahead of its estimate.
     """
 
     word: str
     fingerprint: str
+    needs_image: bool = False
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Reset; called before each run.
@@ -181,6 +186,10 @@ class Controller(Protocol):
         Args:
             scenario: scenario of the run, if any.
         """
+        return
+
+    def see(self, image: NDArray[np.uint8]) -> None:
+        """Take the frame of the next estimate, (H, W, 3) uint8 RGB."""
         return
 
     def command(self, estimate: TrackingError) -> TaxiCommand:

@@ -35,8 +35,9 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.shrink.algorithm import End
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.motion.controller import SteeringGains, check_controller
+from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE

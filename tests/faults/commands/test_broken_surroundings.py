@@ -30,6 +30,7 @@ Ask = Callable[[list[str], str], Answer]
 
 DOES_NOTHING = {
     'aircraft': ['show', 'nowhere'], 'analyze': ['nowhere'],
+    'assure': ['judge', 'nothing', '--perception', 'nothing', '--monitor', 'nothing'],
     'bag': ['info', 'nowhere'], 'bench': ['nothing'],
     'bisect': ['nothing', 'nowhere', '--scene', 'nowhere'],
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],

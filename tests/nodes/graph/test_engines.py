@@ -11,9 +11,11 @@ import yaml
 from own_place import OWN_PLACE
 from plugins import lay_down
 
+from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.audit import bag_difference, result_difference
 from taxinet_ros.campaign.loop_run import Loop, LoopOptions
-from taxinet_ros.core.motion.controller import check_controller
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
@@ -164,6 +166,46 @@ def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
     )
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'node_error')
     assert result.last_seq == (5 if broken == 'perception' else 3)
+
+
+MONITORS = """
+class Late:
+    def __init__(self):
+        self.steps = 0
+    def __call__(self, seen):
+        self.steps += 1
+        return float(self.steps > 4 and seen.image.mean() > 0 and seen.command.speed_mps > 0)
+
+def falls(seen):
+    raise ValueError('fell')
+"""
+
+
+@pytest.mark.parametrize('fallback', ['stop', 'second:taxinet'])
+def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp_path):
+    (tmp_path / 'mon.py').write_text(MONITORS)
+    scene = Scenario(cross_track_m=2.0, duration_s=1.5)
+    (result,) = check_same(
+        [request(0, scene)], tmp_path, perception='original',
+        controller=f'steering+{tmp_path}/mon.py:Late+{fallback}',
+    )
+    assert result.outcome.judged
+    folder = tmp_path / 'loop' / 'run-0'
+    recorded = open_recording(folder).messages(('taxi_command',))
+    commands = [decode_of(folder, one, count).speed for count, (_, one) in enumerate(recorded)]
+    assert len(commands) == 16
+    assert commands[:4] == [5.0] * 4
+    assert commands[4:] == [0.0 if fallback == 'stop' else 5.0] * 12
+
+
+def test_given_a_monitor_that_fails_then_both_engines_name_the_controller(tmp_path):
+    (tmp_path / 'mon.py').write_text(MONITORS)
+    (result,) = check_same(
+        [request(0, Scenario(duration_s=1.0))], tmp_path, perception='truth',
+        controller=f'steering+{tmp_path}/mon.py:falls+stop',
+    )
+    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, 'steering_controller')
+    assert result.last_seq == 0
 
 
 PACKAGE = """

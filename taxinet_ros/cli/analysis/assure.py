@@ -1,0 +1,172 @@
+"""``taxinet assure``: calibrate run-time monitors, say how they fare, and what they said."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.cli.bag.input import readable_run
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.assurance.monitor import SUSTAINED, make_monitor, monitor_names
+from taxinet_ros.core.assurance.switch import parts_of
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.study.assurance.calibrate import CalibrateOptions, calibrate
+from taxinet_ros.study.assurance.judge import (
+    RESULT_NAME,
+    TRIALS_NAME,
+    WANTED_RATIO,
+    Bounded,
+    Judged,
+    JudgeOptions,
+    judge,
+    plain_result,
+)
+from taxinet_ros.study.assurance.recorded import judge_recording
+
+_PAGE_WIDTH = 100
+
+
+def run_calibrate(options: CalibrateOptions) -> int:
+    """Calibrate and print the thresholds.
+
+    Raises:
+        UsageError: there are too few satisfied runs, or bad input.
+    """
+    with stage_bars(Console(stderr=True)) as show:
+        found = calibrate(options, show)
+    console = _console()
+    console.print(
+        f'{options.out}: thresholds of {found.runs:,} satisfied runs of {options.program}, seed '
+        f'{options.seed}; at most {100 * found.rate:g} % of such runs raise an alarm',
+        soft_wrap=True,
+    )
+    for name, threshold in found.thresholds.items():
+        console.print(f'  {name}: above {threshold:.3g} for {SUSTAINED} frames', soft_wrap=True)
+    return ExitCode.OK
+
+
+def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
+    """Judge a monitor and print how it fares.
+
+    Raises:
+        UsageError: bad input.
+    """
+    with stage_bars(Console(stderr=True)) as show:
+        judged = judge(options, show)
+    if as_json:
+        print(json.dumps(plain_result(options, judged), indent=2, allow_nan=False))
+        return ExitCode.OK
+    console = _console()
+    for line in judged_lines(judged):
+        console.print(line, soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    table.add_column('fallback')
+    for heading in ('satisfied', 'off the runway', 'rho 10, 50, 90 % [m]', 'mended', 'broken'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    table.add_row(
+        'none', _share(judged.satisfied), _share(judged.off), _numbers(judged.rho_m), '', ''
+    )
+    for name, one in judged.with_fallback.items():
+        table.add_row(
+            name, _share(one.satisfied), _share(one.off), _numbers(one.rho_m),
+            str(one.mended), str(one.broken),
+        )
+    console.print(table)
+    for name, one in judged.with_fallback.items():
+        console.print(f'{name}: {_ratio_words(one.off_ratio)}', soft_wrap=True)
+    console.print(f'{options.out}: {TRIALS_NAME}, {RESULT_NAME}', soft_wrap=True)
+    return ExitCode.OK
+
+
+def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: bool) -> int:
+    """Print what a monitor says of a recorded run.
+
+    Args:
+        bag: the bag.
+        run_id: which run, if there are several.
+        monitor: word of the monitor; None: that of the run.
+        as_json: print JSON.
+
+    Raises:
+        UsageError: the run has no monitor of a known path, or cannot be judged again.
+    """
+    with readable_run(bag, run_id) as recording:
+        parts = parts_of(recording.run.controller)
+        if monitor is None and parts is None:
+            raise UsageError(
+                f'{bag}: its controller {recording.run.controller or STEERING} has no monitor; '
+                'name one with --monitor'
+            )
+        word = monitor or (parts.monitor if parts is not None else '')
+        if monitor is None and word not in monitor_names():
+            raise UsageError(
+                f'{bag}: its monitor is a file or function of unknown path; name it with --monitor'
+            )
+        found = judge_recording(recording, make_monitor(word))
+    if as_json:
+        alarm = None if found.alarm is None else {
+            **dataclasses.asdict(found.alarm), 'at_s': found.alarm.at_s
+        }
+        largest = {name: x if math.isfinite(x) else None for name, x in found.largest.items()}
+        print(json.dumps(
+            {'monitor': word, 'alarm': alarm, 'largest': largest, 'steps': found.steps}, indent=2,
+        ))
+        return ExitCode.OK
+    console = _console()
+    console.print(
+        f'monitor {word}: {found.alarm or "no alarm"}, {found.steps:,} steps judged',
+        soft_wrap=True,
+    )
+    for name, score in found.largest.items():
+        console.print(f'  {name}: at most {score:.2f} times its threshold', soft_wrap=True)
+    return ExitCode.OK
+
+
+def judged_lines(judged: Judged) -> list[str]:
+    """Lines on the alarms of a monitor."""
+    passed, per_h = judged.runs - judged.failed, judged.false_per_h
+    reasons = ', '.join(f'{name} {count}' for name, count in judged.reasons.items()) or 'none'
+    return [
+        f'{judged.runs:,} scenes; first alarms by check: {reasons}',
+        f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
+        f'{judged.late:,} later, {judged.missed:,} none; lead time {_numbers(judged.lead_s)} s '
+        '(10, 50, 90 %)',
+        f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
+        f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
+        f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: {per_h.value:.3g} '
+        f'per hour (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
+    ]
+
+
+def _ratio_words(ratio: Bounded) -> str:
+    if math.isnan(ratio.value):
+        return 'no run leaves the runway, with it or without'
+    times = 'never, so infinitely' if math.isinf(ratio.value) else f'{ratio.value:.3g} times'
+    high = 'no upper bound' if math.isinf(ratio.high) else f'{ratio.high:.3g}'
+    holds = 'shown' if ratio.low >= WANTED_RATIO else 'not shown'
+    return (
+        f'leaves the runway {times} less often (95 %: {ratio.low:.3g} to {high}); '
+        f'{WANTED_RATIO:g} times is {holds}'
+    )
+
+
+def _share(share: Rate) -> str:
+    return f'{100 * share.rate:.1f} % ({100 * share.low:.1f}-{100 * share.high:.1f})'
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return ', '.join('-' if math.isnan(x) else f'{x:.2f}' for x in values)
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = _PAGE_WIDTH
+    return console

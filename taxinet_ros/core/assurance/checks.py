@@ -1,0 +1,276 @@
+"""Three checks of a perception at run time, from the picture and its estimate alone.
+
+Each gives a score, larger where it is less plausible that the estimate is right. None knows the
+truth or the scene: what they use is the camera's frame, the estimate, the command that has been in
+effect, and what the aircraft knows of itself (mounting and lens of the camera, own height).
+
+* ``unfamiliar``: is the picture like those that the network is used to? Mahalanobis distance of
+  mean colours and edge strengths of blocks.
+* ``inconsistent``: do the last estimates follow from each other by the aircraft's kinematics?
+* ``unseen``: is there a painted line where the estimate says that the centreline is? The estimated
+  line is projected into the picture and compared with lines beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera.airframe import drawing
+from taxinet_ros.core.camera.camera import pose
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.motion.aircraft import measured_model
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+
+UNFAMILIAR: Final = 'unfamiliar'
+INCONSISTENT: Final = 'inconsistent'
+UNSEEN: Final = 'unseen'
+CHECKS: Final = (UNFAMILIAR, INCONSISTENT, UNSEEN)
+"""Names of the checks, in the order of their scores."""
+
+Vector = NDArray[np.float64]
+
+_BLOCKS = (6, 4)
+"""Columns and rows of blocks of the picture."""
+FEATURES: Final = 4 * _BLOCKS[0] * _BLOCKS[1]
+"""Number of features of a picture."""
+_FINE = (72, 40)
+"""Columns and rows of the reduced picture in which edges are measured."""
+_PERIOD_S = CONTROL_PERIOD_NS / NS_PER_S
+MEMORY: Final = 10
+"""Steps over which estimates are compared: 1 s."""
+
+_AHEAD_M = np.arange(7.0, 37.0, 1.5)
+"""Distances along the estimated line at which the picture is read [m]."""
+_STEP_M = 0.25
+_HALF_M = 7.5
+_ASIDE_M = np.arange(-_HALF_M, _HALF_M + _STEP_M / 2, _STEP_M)
+"""Offsets from the estimated line, left positive [m]."""
+_PAINT = 1
+"""Half the width of a line of paint in offsets: together 0.75 m."""
+_FLANK = 5
+"""Reach of its surroundings in offsets: 1.25 m."""
+_NEAR_M = 0.75
+"""Within this of the estimated line its paint is taken for found [m]."""
+_NEAR = np.abs(_ASIDE_M) <= _NEAR_M
+_GREY = np.full(3, 1 / 3)
+_LEAST_SEEN = 6
+"""Distances at which an offset must be visible to be judged."""
+
+
+def features(image: NDArray[np.uint8]) -> Vector:
+    """Features of a picture: mean colours and edge strength of its blocks.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+
+    Returns:
+        (:data:`FEATURES`,) in display codes.
+    """
+    colours = cv2.resize(image, _BLOCKS, interpolation=cv2.INTER_AREA).astype(np.float64)
+    fine = cv2.resize(image, _FINE, interpolation=cv2.INTER_AREA).astype(np.float64).mean(axis=2)
+    edges = np.abs(np.diff(fine, axis=1, append=fine[:, -1:]))
+    rows, columns = _BLOCKS[1], _BLOCKS[0]
+    strength = edges.reshape(rows, _FINE[1] // rows, columns, _FINE[0] // columns).mean(axis=(1, 3))
+    return np.concatenate([colours.ravel(), strength.ravel()])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Familiar:
+    """Distribution of the features of familiar pictures.
+
+    Attributes:
+        mean: (n,).
+        whitening: (n, n); it makes the features uncorrelated, of variance 1.
+    """
+
+    mean: Vector
+    whitening: Vector
+
+    def distance(self, image: NDArray[np.uint8]) -> float:
+        """Mahalanobis distance of a picture over the root of the number of features.
+
+        It is about 1 for familiar pictures.
+        """
+        off = self.whitening @ (features(image) - self.mean)
+        return math.sqrt(float(off @ off) / len(off))
+
+
+def fit_familiar(pictures: Vector) -> Familiar:
+    """Fit the distribution of features.
+
+    The covariance is shrunk towards its diagonal by a tenth, and each variance is raised by that of
+    half a code, so that features which hardly vary do not decide alone.
+
+    Args:
+        pictures: (N, n) features of N pictures.
+    """
+    mean = pictures.mean(axis=0)
+    spread = np.cov(pictures, rowvar=False)
+    spread = 0.9 * spread + 0.1 * np.diag(np.diag(spread)) + 0.25 * np.eye(len(mean))
+    return Familiar(mean=mean, whitening=np.linalg.inv(np.linalg.cholesky(spread)))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kinematics:
+    """What estimates do from step to step while taxiing.
+
+    Attributes:
+        turn_per_m: change of heading per metre and tangent of the nose-wheel angle [rad/m].
+        cte_spread_m, he_spread_rad: usual deviation from that within :data:`MEMORY` steps.
+    """
+
+    turn_per_m: float
+    cte_spread_m: float
+    he_spread_rad: float
+
+
+class Consistency:
+    """Compares the change of the estimates in a second with the one that kinematics gives.
+
+    Model: the heading error grows by the path times ``turn_per_m`` tan(steering), the cross-track
+    error by the path times the sine of the estimated heading error (kinematic bicycle).
+    """
+
+    def __init__(self) -> None:
+        """Nothing is remembered."""
+        self._seen: deque[tuple[float, float, float, float]] = deque(maxlen=MEMORY + 1)
+
+    def deviations(
+        self, estimate: TrackingError, command: TaxiCommand
+    ) -> tuple[float, float, float] | None:
+        """Deviations of the last second.
+
+        Args:
+            estimate: a usable estimate.
+            command: command in effect since the last step.
+
+        Returns:
+            Change of CTE less that expected [m]; change of HE [rad]; and the path times tan of the
+            steering that explains it [m]. None in the first second.
+        """
+        path_m = command.speed_mps * _PERIOD_S
+        self._seen.append((
+            estimate.cte_m, estimate.he_rad, path_m * math.sin(estimate.he_rad),
+            path_m * math.tan(command.steering_rad),
+        ))
+        if len(self._seen) <= MEMORY:
+            return None
+        seen = np.array(self._seen)
+        change = seen[-1, :2] - seen[0, :2]
+        return (
+            float(change[0] - seen[1:, 2].sum()), float(change[1]), float(seen[1:, 3].sum()),
+        )
+
+    def score(
+        self, estimate: TrackingError, command: TaxiCommand, usual: Kinematics
+    ) -> float:
+        """Largest deviation of the last second in usual ones; 0 in the first second."""
+        found = self.deviations(estimate, command)
+        if found is None:
+            return 0.0
+        cte_m, turned_rad, steered_m = found
+        he_rad = turned_rad - usual.turn_per_m * steered_m
+        return max(abs(cte_m) / usual.cte_spread_m, abs(he_rad) / usual.he_spread_rad)
+
+
+class Reprojection:
+    """Looks for paint along the estimated centreline and along lines beside it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Take the camera's mounting and lens and the aircraft's height, not the scene.
+
+        Args:
+            scenario: names camera and aircraft.
+        """
+        self._camera = camera = scenario.camera_model
+        settled = measured_model(scenario.aircraft_model).settled
+        assert settled is not None
+        self._settled = settled
+        hidden = np.zeros(camera.shape[:2], np.bool_)
+        parts = drawing(scenario.aircraft_model, camera, camera.shape[:2])
+        if parts is not None and not camera.distorts:
+            hidden[parts.rows, parts.columns] = (parts.behind < 255).any(axis=2)
+        self._hidden = hidden
+        ahead, aside = np.meshgrid(_AHEAD_M, _ASIDE_M, indexing='ij')
+        self._points = np.stack([ahead.ravel(), aside.ravel(), np.zeros(ahead.size)], axis=1)
+
+    def profile(self, image: NDArray[np.uint8], estimate: TrackingError) -> Vector:
+        """How much brighter lines parallel to the estimated one are than their surroundings.
+
+        Args:
+            image: (H, W, 3) uint8 RGB.
+            estimate: a usable estimate.
+
+        Returns:
+            For each of the offsets, left positive, the mean contrast [display codes]; NaN where
+            too little of it is visible.
+        """
+        state = AircraftState(
+            x_m=0.0, y_m=float(estimate.cte_m), z_m=self._settled.z_m,
+            roll_rad=self._settled.roll_rad, pitch_rad=self._settled.pitch_rad,
+            yaw_rad=float(estimate.he_rad), speed_mps=0.0, yaw_rate_radps=0.0,
+        )
+        _, to_optical, place = pose(state, self._camera)
+        seen = (self._points - place) @ to_optical.T
+        height, width = self._camera.shape[:2]
+        with np.errstate(invalid='ignore'):
+            at = np.rint(self._camera.pixels(seen))
+            inside = (
+                (seen[:, 2] > 1.0) & (at[:, 0] >= 0) & (at[:, 0] < width)
+                & (at[:, 1] >= 0) & (at[:, 1] < height)
+            )
+        u, v = np.where(inside[:, None], at, 0).astype(np.intp).T
+        inside &= ~self._hidden[v, u]
+        grey = image[v, u] @ _GREY
+        grid = np.where(inside, grey, np.nan).reshape(len(_AHEAD_M), len(_ASIDE_M))
+        contrast = _contrast(grid)
+        known = np.isfinite(contrast)
+        count = known.sum(axis=0)
+        total = np.where(known, contrast, 0.0).sum(axis=0)
+        return np.where(count >= _LEAST_SEEN, total / np.maximum(count, 1), np.nan)
+
+    def score(self, image: NDArray[np.uint8], estimate: TrackingError) -> float:
+        """How much better a line aside is seen than the estimated one, in usual variations.
+
+        0 if the best line is within :data:`_NEAR_M`, or if too little is visible.
+        """
+        profile = self.profile(image, estimate)
+        seen = np.isfinite(profile)
+        here = profile[seen & _NEAR]
+        if seen.sum() < len(profile) // 3 or not len(here):
+            return 0.0
+        known = profile[seen]
+        spread = np.median(np.abs(known - np.median(known)))
+        return float((known.max() - here.max()) / max(spread, 0.5))
+
+
+def _contrast(grid: Vector) -> Vector:
+    """Mean of the paint's width less the mean of what is beside it, along the rows; NaN at ends."""
+    known = np.isfinite(grid)
+    sums = np.cumsum(np.pad(np.where(known, grid, 0.0), ((0, 0), (1, 0))), axis=1)
+    counts = np.cumsum(np.pad(known, ((0, 0), (1, 0))), axis=1)
+    size = grid.shape[1]
+    inner = np.arange(_FLANK, size - _FLANK)
+
+    def mean(low: int, high: int) -> Vector:
+        """Mean of columns c + low to c + high, both included, for each inner column c."""
+        first, last = inner + low, inner + high + 1
+        whole = counts[:, last] - counts[:, first] == high - low + 1
+        found: Vector = np.where(
+            whole, (sums[:, last] - sums[:, first]) / (high - low + 1), np.nan
+        )
+        return found
+
+    paint = mean(-_PAINT, _PAINT)
+    beside = np.maximum(mean(-_FLANK, -_PAINT - 1), mean(_PAINT + 1, _FLANK))
+    out = np.full(grid.shape, np.nan)
+    out[:, _FLANK:size - _FLANK] = paint - beside
+    return out

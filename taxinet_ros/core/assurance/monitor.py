@@ -1,0 +1,332 @@
+"""Monitors of a perception at run time: the shipped one with its calibration, and your own.
+
+A monitor sees each picture with the estimate made from it and the command that has been in effect,
+and gives scores relative to their thresholds: 1 or more raises the alarm.
+
+The thresholds of the shipped monitor are conformal (Vovk, Gammerman and Shafer, *Algorithmic
+Learning in a Random World*, 2005, chapter 2): of n satisfied runs, the largest score of each run is
+taken, and the threshold is the ceil((n + 1)(1 - a))-th smallest. A further satisfied run of the
+same distribution exceeds it with probability a at most, whatever the distribution. With a third of
+the chosen rate for each of the three checks, their union keeps to the rate.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.assurance.checks import (
+    CHECKS,
+    FEATURES,
+    Consistency,
+    Familiar,
+    Kinematics,
+    Reprojection,
+)
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.user_code import RunCode, UserCode, find_user_code, names_user_code
+from taxinet_ros.errors import UsageError
+
+SUFFIX: Final = '.npz'
+"""Suffix of calibration files."""
+SUSTAINED: Final = 5
+"""Steps (0.5 s) for which a score has to stay above its threshold: a single frame is no alarm."""
+NO_ESTIMATE: Final = 'no estimate'
+"""Reason of an alarm where there is no usable estimate."""
+_FOLDER = Path(__file__).parent / 'calibrations'
+_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Seen:
+    """What a monitor sees in a control step.
+
+    Attributes:
+        image: the camera's frame, (H, W, 3) uint8 RGB.
+        estimate: the perception's estimate for it.
+        command: command since the last step.
+    """
+
+    image: NDArray[np.uint8]
+    estimate: TrackingError
+    command: TaxiCommand
+
+
+class RuntimeMonitor(Protocol):
+    """Judges each estimate of a run.
+
+    Attributes:
+        word: how it is named in bags.
+        fingerprint: SHA-256 of what determines its scores.
+    """
+
+    word: str
+    fingerprint: str
+
+    def begin(self, scenario: Scenario) -> None:
+        """Reset, before each run.
+
+        Args:
+            scenario: names camera and aircraft; a monitor uses nothing else of it.
+        """
+        ...
+
+    def scores(self, seen: Seen) -> Mapping[str, float]:
+        """Scores by check, over their thresholds; 1 or more raises the alarm."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """What the shipped monitor knows of a perception, made by ``taxinet assure calibrate``.
+
+    Attributes:
+        perception, perception_sha256: the perception.
+        program, seed: the scenes of the runs.
+        runs: number of satisfied runs that set the thresholds.
+        rate: largest share of satisfied runs with an alarm.
+        thresholds: by check.
+        familiar, kinematics: see :mod:`taxinet_ros.core.assurance.checks`.
+    """
+
+    perception: str
+    perception_sha256: str
+    program: str
+    seed: int
+    runs: int
+    rate: float
+    thresholds: Mapping[str, float]
+    familiar: Familiar
+    kinematics: Kinematics
+
+    def to_bytes(self) -> bytes:
+        """Content of a calibration file; equal calibrations give equal bytes."""
+        told = {
+            'version': _VERSION, 'perception': self.perception,
+            'perception_sha256': self.perception_sha256, 'program': self.program,
+            'seed': self.seed, 'runs': self.runs, 'rate': self.rate,
+            'thresholds': dict(self.thresholds),
+            'kinematics': dataclasses.asdict(self.kinematics),
+        }
+        packed = io.BytesIO()
+        np.savez(
+            packed, about=np.array(json.dumps(told, sort_keys=True)), mean=self.familiar.mean,
+            whitening=self.familiar.whitening.astype(np.float32),
+        )
+        return packed.getvalue()
+
+
+def read_calibration(path: Path) -> tuple[Calibration, str]:
+    """Read a calibration and the SHA-256 of its file.
+
+    Raises:
+        UsageError: the file cannot be read, or is no calibration.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f'monitor {path}: {error.strerror}') from error
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as packed:
+            told: dict[str, Any] = json.loads(str(packed['about']))
+            familiar = Familiar(
+                mean=packed['mean'].astype(np.float64),
+                whitening=packed['whitening'].astype(np.float64),
+            )
+        if told.pop('version') != _VERSION:
+            raise UsageError(f'monitor {path}: made by another version; calibrate it again')
+        kinematics = Kinematics(**told.pop('kinematics'))
+        found = Calibration(**told, familiar=familiar, kinematics=kinematics)
+        _check(found)
+    except UsageError:
+        raise
+    except Exception as error:  # zipfile, zlib, numpy and json have one of their own each
+        raise UsageError(
+            f'monitor {path}: no calibration: {error}; `taxinet assure calibrate` makes one'
+        ) from error
+    return found, hashlib.sha256(content).hexdigest()
+
+
+def _check(found: Calibration) -> None:
+    numbers = [*found.thresholds.values(), *dataclasses.asdict(found.kinematics).values()]
+    spreads = found.kinematics.cte_spread_m, found.kinematics.he_spread_rad
+    if set(found.thresholds) != set(CHECKS):
+        raise ValueError(f'thresholds of {sorted(found.thresholds)}')
+    if found.familiar.mean.shape != (FEATURES,) or (
+        found.familiar.whitening.shape != (FEATURES, FEATURES)
+    ):
+        raise ValueError(f'its pictures have {found.familiar.mean.shape} features')
+    if not (all(map(math.isfinite, numbers)) and np.isfinite(found.familiar.mean).all()
+            and np.isfinite(found.familiar.whitening).all()):
+        raise ValueError('a number is not finite')
+    if min(*found.thresholds.values(), *spreads) <= 0:
+        raise ValueError('a threshold is not positive')
+
+
+def conformal_threshold(largest: Sequence[float], rate: float) -> float:
+    """Threshold that a further exchangeable value exceeds with probability ``rate`` at most.
+
+    Args:
+        largest: one value per run.
+        rate: in (0, 1).
+
+    Raises:
+        UsageError: there are too few values for this rate.
+    """
+    n = len(largest)
+    rank = math.ceil((n + 1) * (1 - rate) - 1e-9)
+    if rank > n:
+        needed = math.ceil(1 / rate - 1 - 1e-9)
+        raise UsageError(
+            f'a rate of {rate:g} per check needs {needed:,} satisfied runs, there are {n:,}; '
+            'use more --runs or a larger --rate'
+        )
+    return sorted(largest)[rank - 1]
+
+
+class RawChecks:
+    """The unscaled scores of the three checks, sustained over :data:`SUSTAINED` steps."""
+
+    def __init__(self, familiar: Familiar, kinematics: Kinematics, scenario: Scenario) -> None:
+        """Begin a run."""
+        self._familiar, self._kinematics = familiar, kinematics
+        self._consistency, self._reprojection = Consistency(), Reprojection(scenario)
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=SUSTAINED)
+
+    def scores(self, seen: Seen) -> tuple[float, ...] | None:
+        """Least score of the last steps, by check; None if they all lacked an estimate.
+
+        0 in the first steps. A step without a usable estimate counts as implausible in both checks
+        of the estimate.
+        """
+        picture = self._familiar.distance(seen.image)
+        if seen.estimate.usable:
+            now = (
+                picture,
+                self._consistency.score(seen.estimate, seen.command, self._kinematics),
+                self._reprojection.score(seen.image, seen.estimate),
+            )
+        else:
+            self._consistency = Consistency()
+            now = (picture, math.inf, math.inf)
+        self._recent.append(now)
+        if len(self._recent) < SUSTAINED:
+            return (0.0,) * len(CHECKS)
+        found = tuple(min(values) for values in zip(*self._recent, strict=True))
+        return None if math.isinf(found[1]) else found
+
+
+class CalibratedMonitor(RuntimeMonitor):
+    """The shipped monitor: three checks with calibrated thresholds."""
+
+    def __init__(self, word: str, calibration: Calibration, fingerprint: str) -> None:
+        """``word`` and ``fingerprint``: see :class:`RuntimeMonitor`."""
+        self.word, self.fingerprint = word, fingerprint
+        self.calibration = calibration
+        self._checks: RawChecks | None = None
+
+    def begin(self, scenario: Scenario) -> None:
+        """Reset."""
+        self._checks = RawChecks(
+            self.calibration.familiar, self.calibration.kinematics, scenario
+        )
+
+    def scores(self, seen: Seen) -> Mapping[str, float]:
+        """Scores over their thresholds, by check; infinity without an estimate."""
+        assert self._checks is not None
+        found = self._checks.scores(seen)
+        if found is None:
+            return {NO_ESTIMATE: math.inf}
+        limits = self.calibration.thresholds
+        # An alarm is a score beyond the threshold, which itself was seen in a satisfied run.
+        return {
+            name: math.nextafter(value / limits[name], -math.inf)
+            for name, value in zip(CHECKS, found, strict=True)
+        }
+
+
+class UserMonitor(RuntimeMonitor):
+    """A user's function of :class:`Seen`: a score, 1 or more raises the alarm."""
+
+    def __init__(self, code: UserCode) -> None:
+        """Load the function.
+
+        Raises:
+            UsageError: the file's code fails.
+        """
+        self.word, self.fingerprint = code.word, code.sha256
+        self._name, self._run = code.name, RunCode(code)
+
+    def begin(self, scenario: Scenario) -> None:
+        """Reset to the initial state."""
+        self._run.begin()
+
+    def scores(self, seen: Seen) -> Mapping[str, float]:
+        """The function's score, by its name."""
+        own = dataclasses.replace(seen, image=seen.image.copy())
+        return {self._name: self._run.answer(own, _read_score, 'a number that is not NaN')}
+
+
+def _read_score(answer: Any) -> float | None:
+    if isinstance(answer, bool | np.bool_ | str | bytes):
+        return None
+    try:
+        number = float(answer)
+    except (TypeError, ValueError):
+        return None
+    return None if math.isnan(number) else number
+
+
+def monitor_names() -> list[str]:
+    """Perceptions with a shipped calibration."""
+    return sorted(path.stem for path in _FOLDER.glob(f'*{SUFFIX}'))
+
+
+def make_monitor(word: str) -> RuntimeMonitor:
+    """Create a monitor.
+
+    Args:
+        word: a name of :func:`monitor_names`, a calibration file, or ``FILE.py:NAME``.
+
+    Raises:
+        UsageError: unknown, or it cannot be used.
+    """
+    if names_user_code(word):
+        return UserMonitor(find_user_code(word, 'monitor'))
+    path = _calibration_path(word)
+    calibration, sha256 = read_calibration(path)
+    shipped = path.parent == _FOLDER
+    return CalibratedMonitor(word if shipped else 'calibrated', calibration, sha256)
+
+
+def check_monitor(word: str) -> str:
+    """Fingerprint of a monitor, without running user code.
+
+    Raises:
+        UsageError: as :func:`make_monitor`.
+    """
+    if names_user_code(word):
+        return find_user_code(word, 'monitor').sha256
+    return read_calibration(_calibration_path(word))[1]
+
+
+def _calibration_path(word: str) -> Path:
+    if word in monitor_names():
+        return _FOLDER / f'{word}{SUFFIX}'
+    if word.endswith(SUFFIX):
+        return Path(word)
+    known = ', '.join([*monitor_names(), f'a {SUFFIX} file of `taxinet assure calibrate`',
+                       'or FILE.py:NAME'])
+    raise UsageError(f'monitor: {word!r} is unknown; known: {known}')

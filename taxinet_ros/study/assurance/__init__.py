@@ -1,0 +1,1 @@
+"""Run-time monitors: calibrated on satisfied runs, and judged in the loop."""

@@ -1,0 +1,454 @@
+"""Judge a monitor in the closed loop: the same scenes without it, and with each of its fallbacks.
+
+Every scene is driven once with a monitor that only watches, which changes nothing, and once more
+for each fallback if the monitor raised an alarm; without one, the run with it is the same run.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.campaign.options import check_new, make_out
+from taxinet_ros.campaign.rates import Rate, rate, share_bounds
+from taxinet_ros.core.assurance.switch import (
+    WATCH,
+    Assured,
+    check_controller,
+    make_controller,
+    monitored,
+)
+from taxinet_ros.core.loop import Step, run_closed_loop
+from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M, parse_spec
+from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.study.assurance.calibrate import REQUIREMENT
+from taxinet_ros.training.data.dataset import draw_scenes
+
+WITHOUT = 'without'
+"""What a run without monitor is called."""
+REACH_S = 10.0
+"""Time within which the requirement lets the aircraft reach the line."""
+TRIALS_NAME, RESULT_NAME = 'trials.csv', 'assurance.json'
+WANTED_RATIO = 10.0
+"""How many times less often a monitored aircraft should leave the runway."""
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgeOptions:
+    """Options of a judgement.
+
+    Attributes:
+        program: scenes.
+        perception, controller, monitor: words.
+        fallbacks: words, each driven.
+        runs: number of scenes.
+        seed: of the scenes.
+        workers: processes; same results.
+        out: new folder.
+
+    Raises:
+        UsageError: a word is unknown, or the folder exists.
+    """
+
+    program: str
+    perception: str
+    controller: str
+    monitor: str
+    fallbacks: tuple[str, ...]
+    runs: int
+    seed: int
+    workers: int
+    out: Path
+
+    def __post_init__(self) -> None:
+        check_perception(self.perception)
+        check_controller(self.controller)
+        if len(set(self.fallbacks)) != len(self.fallbacks) or WATCH in self.fallbacks:
+            raise UsageError(
+                f'--fallback: each once, and without {WATCH}, which is driven in any case'
+            )
+        for word in self.words.values():
+            check_controller(word)
+        check_new(self.out)
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """Words of the controllers, by fallback; that which only watches first."""
+        return {
+            fallback: monitored(self.controller, self.monitor, fallback)
+            for fallback in (WATCH, *self.fallbacks)
+        }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """One run of a scene.
+
+    Attributes:
+        scene: number of the scene.
+        fallback: :data:`WITHOUT`, or the fallback.
+        satisfied: whether it satisfies the requirement.
+        rho_m: robustness [m].
+        left_runway: whether it left the runway.
+        duration_s: length of the run [s].
+        due_s: until when an alarm is in time [s]: when a failed run leaves the 1.5 m for the
+            stretch that violates the requirement; 10 s if it never was within them; NaN if it is
+            satisfied.
+        off_s: when it leaves the runway [s]; NaN if it does not.
+        alarm_s: when the monitor first raises an alarm [s]; NaN if never.
+        reason: the check that did.
+    """
+
+    scene: int
+    fallback: str
+    satisfied: bool
+    rho_m: float
+    left_runway: bool
+    duration_s: float
+    due_s: float
+    off_s: float
+    alarm_s: float
+    reason: str
+
+
+def due_s(times_s: Sequence[float], cte_m: Sequence[float]) -> float:
+    """Until when an alarm is in time: see :attr:`Trial.due_s`.
+
+    Args:
+        times_s: of the steps, from 0.
+        cte_m: true cross-track errors.
+
+    Returns:
+        NaN if the error stays within the tolerance from 10 s on.
+    """
+    outside = [abs(cte) > CENTRELINE_TOLERANCE_M for cte in cte_m]
+    for step, (time_s, out) in enumerate(zip(times_s, outside, strict=True)):
+        if not out or time_s < REACH_S:
+            continue
+        while step > 0 and outside[step - 1]:
+            step -= 1
+        return times_s[step] if step else REACH_S
+    return math.nan
+
+
+def drive(
+    number: int, fallback: str, scene: Scenario, perception: Perception, controller: Assured
+) -> Trial:
+    """Make one run.
+
+    Raises:
+        InfraError: it could not be judged.
+    """
+    times_s: list[float] = []
+    cte_m: list[float] = []
+
+    def take(step: Step) -> None:
+        times_s.append(step.observation.stamp_ns / NS_PER_S)
+        cte_m.append(step.observation.on_track.cte_m)
+
+    judged = run_closed_loop(
+        scene, perception, specs=[parse_spec(REQUIREMENT)], controller=controller, on_step=take
+    )
+    outcome = outcome_of(judged)
+    if not outcome.judged:
+        raise InfraError(InfraKind.SIM, 'judge', -1, f'scene {number} could not be judged')
+    off = [t for t, cte in zip(times_s, cte_m, strict=True) if abs(cte) > scene.line.half_width_m]
+    alarm = controller.alarm
+    return Trial(
+        scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
+        rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
+        due_s=due_s(times_s, cte_m), off_s=off[0] if off else math.nan,
+        alarm_s=math.nan if alarm is None else alarm.at_s,
+        reason='' if alarm is None else alarm.reason,
+    )
+
+
+def drive_scene(
+    number: int, scene: Scenario, perception: Perception, controllers: Mapping[str, Assured]
+) -> list[Trial]:
+    """All runs of a scene: without a fallback, then with each."""
+    watched = drive(number, WITHOUT, scene, perception, controllers[WATCH])
+    trials = [watched]
+    for fallback, controller in controllers.items():
+        if fallback == WATCH:
+            continue
+        if math.isnan(watched.alarm_s):
+            trials.append(dataclasses.replace(watched, fallback=fallback))
+        else:
+            trials.append(drive(number, fallback, scene, perception, controller))
+    return trials
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Bounded:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """How a monitor fares.
+
+    Attributes:
+        runs: number of scenes.
+        satisfied, off: shares without monitor.
+        failed: number of failed runs without monitor.
+        in_time, late, missed: of these, those with an alarm in time, later, or never.
+        false_alarms: number of satisfied runs with an alarm.
+        false_per_h: false alarms per hour of satisfied runs, counted until the alarm.
+        lead_s: quantiles 10, 50 and 90 % of the time from the alarm until it is due, over failed
+            runs with an alarm; negative is late.
+        off_missed: runs that leave the runway without an alarm before.
+        off_lead_s: the same quantiles before leaving the runway.
+        reasons: alarms by check.
+        with_fallback: by fallback.
+    """
+
+    runs: int
+    satisfied: Rate
+    off: Rate
+    rho_m: tuple[float, float, float]
+    failed: int
+    in_time: int
+    late: int
+    missed: int
+    false_alarms: int
+    false_per_h: Bounded
+    lead_s: tuple[float, float, float]
+    off_missed: int
+    off_lead_s: tuple[float, float, float]
+    reasons: Mapping[str, int]
+    with_fallback: Mapping[str, Guarded]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guarded:
+    """The same scenes with a fallback.
+
+    Attributes:
+        satisfied, off: shares.
+        rho_m: quantiles 10, 50 and 90 % of the robustness [m].
+        mended, broken: scenes satisfied only with it, and only without it.
+        off_ratio: how many times less often the aircraft leaves the runway; the interval is that of
+            two Clopper-Pearson bounds of 97.5 % each, so it holds however the runs depend.
+    """
+
+    satisfied: Rate
+    off: Rate
+    rho_m: tuple[float, float, float]
+    mended: int
+    broken: int
+    off_ratio: Bounded
+
+
+def summarize(trials: Sequence[Trial]) -> Judged:
+    """Summarize the runs of all scenes.
+
+    Args:
+        trials: for each scene one :data:`WITHOUT`, and one for each fallback.
+    """
+    plain = [one for one in trials if one.fallback == WITHOUT]
+    failed = [one for one in plain if not one.satisfied]
+    passed = [one for one in plain if one.satisfied]
+    lost = [one for one in plain if one.left_runway]
+    alarmed = [one for one in failed if not math.isnan(one.alarm_s)]
+    in_time = sum(one.alarm_s <= one.due_s for one in alarmed)
+    false = sum(not math.isnan(one.alarm_s) for one in passed)
+    hours = sum(
+        one.duration_s if math.isnan(one.alarm_s) else one.alarm_s for one in passed
+    ) / 3600
+    reasons: dict[str, int] = {}
+    for one in plain:
+        if one.reason:
+            reasons[one.reason] = reasons.get(one.reason, 0) + 1
+    others = dict.fromkeys(one.fallback for one in trials if one.fallback != WITHOUT)
+    return Judged(
+        runs=len(plain), satisfied=rate(len(passed), len(plain)), off=rate(len(lost), len(plain)),
+        rho_m=_quantiles([one.rho_m for one in plain]), failed=len(failed), in_time=in_time,
+        late=len(alarmed) - in_time, missed=len(failed) - len(alarmed), false_alarms=false,
+        false_per_h=per_hour(false, hours),
+        lead_s=_quantiles([one.due_s - one.alarm_s for one in alarmed]),
+        off_missed=sum(not one.alarm_s <= one.off_s for one in lost),
+        off_lead_s=_quantiles([
+            one.off_s - one.alarm_s for one in lost if not math.isnan(one.alarm_s)
+        ]),
+        reasons=dict(sorted(reasons.items())),
+        with_fallback={
+            name: _guarded(plain, [one for one in trials if one.fallback == name])
+            for name in others
+        },
+    )
+
+
+def _guarded(plain: Sequence[Trial], guarded: Sequence[Trial]) -> Guarded:
+    pairs = list(zip(plain, guarded, strict=True))
+    lost = sum(one.left_runway for one in guarded)
+    return Guarded(
+        satisfied=rate(sum(one.satisfied for one in guarded), len(guarded)),
+        off=rate(lost, len(guarded)), rho_m=_quantiles([one.rho_m for one in guarded]),
+        mended=sum(now.satisfied and not before.satisfied for before, now in pairs),
+        broken=sum(before.satisfied and not now.satisfied for before, now in pairs),
+        off_ratio=off_ratio(sum(one.left_runway for one in plain), lost, len(plain)),
+    )
+
+
+def off_ratio(before: int, after: int, runs: int) -> Bounded:
+    """Ratio of two shares of the same number of runs, with its 95 % interval.
+
+    Each share has its one-sided Clopper-Pearson bound of 97.5 %, so by Bonferroni the interval
+    holds for dependent runs too.
+
+    Args:
+        before: hits of the first.
+        after: hits of the second.
+        runs: runs of each.
+    """
+    low_before, high_before = share_bounds(before, runs - before, 0.0125)
+    low_after, high_after = share_bounds(after, runs - after, 0.0125)
+    value = before / after if after else (math.inf if before else math.nan)
+    return Bounded(
+        value=value, low=low_before / high_after,
+        high=high_before / low_after if low_after else math.inf,
+    )
+
+
+def per_hour(count: int, hours: float) -> Bounded:
+    """Rate of a Poisson process with its exact 95 % interval (Garwood, Biometrika 28, 1936)."""
+    if hours <= 0:
+        return Bounded(value=math.nan, low=0.0, high=math.inf)
+    from scipy.special import gammaincinv
+
+    low = float(gammaincinv(count, 0.025)) if count else 0.0
+    high = float(gammaincinv(count + 1, 0.975))
+    return Bounded(value=count / hours, low=low / hours, high=high / hours)
+
+
+def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:
+    if not values:
+        return math.nan, math.nan, math.nan
+    low, middle, high = np.quantile(np.array(values), (0.1, 0.5, 0.9))
+    return float(low), float(middle), float(high)
+
+
+def judge(options: JudgeOptions, progress: Progress) -> Judged:
+    """Make all runs and write their table and the summary.
+
+    Args:
+        options: what to judge.
+        progress: called with the stage, the scenes done and their number.
+
+    Raises:
+        UsageError: the perception sees no pictures, or the program cannot be used.
+        InfraError: a run broke.
+    """
+    if not make_perception(options.perception).needs_image:
+        raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
+    scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
+    make_out(options.out)
+    trials: list[Trial] = []
+    for done, found in enumerate(_runs(options, scenes), 1):
+        trials += found
+        progress('scenes', done, len(scenes))
+    judged = summarize(trials)
+    write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
+    write_atomically(
+        options.out / RESULT_NAME,
+        json.dumps(plain_result(options, judged), indent=2, allow_nan=False) + '\n',
+    )
+    return judged
+
+
+def trials_csv(trials: Sequence[Trial]) -> str:
+    """The runs as a table; an empty field is NaN."""
+    text = io.StringIO()
+    names = [field.name for field in dataclasses.fields(Trial)]
+    writer = csv.DictWriter(text, names, lineterminator='\n')
+    writer.writeheader()
+    for one in trials:
+        values = dataclasses.asdict(one)
+        writer.writerow({
+            name: '' if isinstance(x, float) and math.isnan(x) else x for name, x in values.items()
+        })
+    return text.getvalue()
+
+
+def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
+    """Options, results and provenance for JSON; null is not known, or not bounded."""
+    told = dataclasses.asdict(options)
+    told['out'] = str(options.out)
+    told['fingerprints'] = {
+        name: check_controller(word) for name, word in options.words.items()
+    } | {'perception': check_perception(options.perception)}
+    result: dict[str, Any] = _finite({'options': told, 'judged': _plain(judged)})
+    return {**result, 'stack': dict(provenance())}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Rate):
+        return value._asdict()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {
+            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    return value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_worker: list[tuple[Perception, Mapping[str, Assured]]] = []
+"""The parts of a worker process."""
+
+
+def _start_worker(perception: str, words: Mapping[str, str]) -> None:
+    controllers: dict[str, Assured] = {}
+    for fallback, word in words.items():
+        made = make_controller(word, SteeringGains())
+        assert isinstance(made, Assured)
+        controllers[fallback] = made
+    _worker.append((make_perception(perception), controllers))
+
+
+def _scene(given: tuple[int, Scenario]) -> list[Trial]:
+    return drive_scene(*given, *_worker[-1])
+
+
+def _runs(options: JudgeOptions, scenes: Sequence[Scenario]) -> Iterator[list[Trial]]:
+    """Runs of each scene, in order, whatever the number of processes."""
+    words = dict(options.words)
+    if options.workers == 1:
+        _start_worker(options.perception, words)
+        yield from map(_scene, enumerate(scenes))
+        return
+    with process_pool(
+        options.workers, 'judging worker', _start_worker, options.perception, words
+    ) as pool:
+        yield from pool.map(_scene, enumerate(scenes), chunksize=2)

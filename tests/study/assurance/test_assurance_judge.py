@@ -1,0 +1,183 @@
+"""How a monitor is judged: known answers of counts, times, rates and bounds, and a small study."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.cli.analysis.assure import judged_lines, run_judge, run_show
+from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.assurance.calibrate import (
+    CalibrateOptions,
+    calibrate,
+    fit_kinematics,
+)
+from taxinet_ros.study.assurance.judge import (
+    WITHOUT,
+    JudgeOptions,
+    Trial,
+    due_s,
+    off_ratio,
+    per_hour,
+    summarize,
+)
+
+
+def no_progress(stage, done, total):
+    pass
+
+
+@pytest.mark.parametrize(('outside', 'due'), [
+    ([(0, 4)], math.nan),                # on the line in time, and stays
+    ([(0, 4), (6, 9)], math.nan),        # away again, but back before 10 s
+    ([(0, 30)], 10.0),                   # never on the line
+    ([(12, 30)], 12.0), ([(0, 4), (8, 11)], 8.0), ([(12, 13), (20, 21)], 12.0),
+])
+def test_given_a_run_then_an_alarm_is_due_when_it_leaves_the_line_for_its_violation(outside, due):
+    times = [k / 10 for k in range(301)]
+    cte = [2.0 if any(a <= t < b for a, b in outside) else -1.0 for t in times]
+    found = due_s(times, cte)
+    assert found == pytest.approx(due, nan_ok=True)
+
+
+def test_given_counts_then_rates_per_hour_have_the_exact_poisson_interval():
+    none = per_hour(0, 2.0)
+    assert (none.value, none.low) == (0, 0)
+    assert none.high == pytest.approx(3.6889 / 2, abs=1e-4)
+    ten = per_hour(10, 1.0)
+    assert (ten.low, ten.high) == pytest.approx((4.7954, 18.3904), abs=1e-4)
+    assert math.isnan(per_hour(0, 0.0).value)
+
+
+def test_given_counts_then_the_ratio_has_an_interval_that_covers_at_its_rate():
+    assert off_ratio(90, 9, 300).value == pytest.approx(10)
+    never = off_ratio(90, 0, 300)
+    assert math.isinf(never.value)
+    assert math.isinf(never.high)
+    assert never.low == pytest.approx(0.2412 / 0.0145, rel=0.02)
+    rng = np.random.default_rng(5)
+    covered = [
+        (found := off_ratio(*rng.binomial(200, (0.3, 0.03)), 200)).low <= 10 <= found.high
+        for _ in range(400)
+    ]
+    assert np.mean(covered) >= 0.95
+
+
+def trial(scene, fallback=WITHOUT, **values):
+    return Trial(**{
+        'scene': scene, 'fallback': fallback, 'satisfied': True, 'rho_m': 1.0,
+        'left_runway': False, 'duration_s': 30.0, 'due_s': math.nan, 'off_s': math.nan,
+        'alarm_s': math.nan, 'reason': '', **values,
+    })
+
+
+def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false():
+    bad = {'satisfied': False, 'rho_m': -9.0, 'due_s': 12.0}
+    off = {**bad, 'left_runway': True, 'off_s': 20.0}
+    plain = [
+        trial(0), trial(1, alarm_s=6.0, reason='unseen'),
+        trial(2, **bad, alarm_s=2.0, reason='unseen'), trial(3, **bad, alarm_s=15.0, reason='odd'),
+        trial(4, **bad), trial(5, **off, alarm_s=15.0, reason='odd'), trial(6, **off),
+    ]
+    stopped = [
+        trial(one.scene, 'stop', satisfied=one.scene in (0, 2), left_runway=one.scene == 6)
+        for one in plain
+    ]
+    found = summarize([*plain, *stopped])
+    assert (found.runs, found.failed) == (7, 5)
+    assert (found.in_time, found.late, found.missed, found.false_alarms) == (1, 2, 2, 1)
+    assert found.false_per_h.value == pytest.approx(3600 / 36)
+    assert found.off_missed == 1
+    assert found.off_lead_s == (5.0, 5.0, 5.0)
+    assert found.lead_s[1] == -3.0
+    assert found.reasons == {'odd': 2, 'unseen': 2}
+    guarded = found.with_fallback['stop']
+    assert (guarded.mended, guarded.broken) == (1, 1)
+    assert guarded.off_ratio.value == 2
+    assert 'of 5 failed runs 1 have an alarm in time, 2 later, 2 none' in judged_lines(found)[1]
+
+
+def test_given_deviations_by_the_model_then_the_turn_per_metre_is_found():
+    rng = np.random.default_rng(2)
+    steered = rng.normal(0, 0.2, 4000)
+    noise = rng.normal(0, (0.1, 0.01), (4000, 2))
+    found = fit_kinematics(np.column_stack([noise[:, 0], 0.21 * steered + noise[:, 1], steered]))
+    assert found.turn_per_m == pytest.approx(0.21, abs=0.002)
+    assert found.cte_spread_m == pytest.approx(0.1, rel=0.06)
+    assert found.he_spread_rad == pytest.approx(0.01, rel=0.06)
+
+
+SCENE = """
+model runway_world
+param duration_s = 2
+param time_of_day_h = Range(9, 11)
+ego = new Plane at (Range(-0.5, 0.5), Range(1700, 2000))
+"""
+
+
+def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path, capsys):
+    program = tmp_path / 'near.scenic'
+    program.write_text(SCENE)
+    few = {'perception': 'taxinet', 'program': str(program), 'seed': 1, 'workers': 1}
+    with pytest.raises(UsageError, match='needs 29 satisfied runs, there are 3'):
+        calibrate(CalibrateOptions(**few, runs=3, rate=0.1, out=tmp_path / 'a.npz'), no_progress)
+    assert not (tmp_path / 'a.npz').exists()
+    made = CalibrateOptions(**few, runs=3, rate=0.9, out=tmp_path / 'b.npz')
+    assert calibrate(made, no_progress).runs == 3
+    judging = {
+        **few, 'controller': 'steering', 'monitor': str(tmp_path / 'b.npz'),
+        'fallbacks': ('stop', 'slow'), 'runs': 2,
+    }
+    assert run_judge(JudgeOptions(**judging, out=tmp_path / 'out'), as_json=False) == 0
+    told = capsys.readouterr().out
+    assert '2 scenes; first alarms by check:' in told
+    assert 'no run leaves the runway, with it or without' in told
+    kept = json.loads((tmp_path / 'out' / 'assurance.json').read_text())
+    assert kept['judged']['runs'] == 2
+    assert len((tmp_path / 'out' / 'trials.csv').read_text().splitlines()) == 7
+    with pytest.raises(UsageError, match='exists'):
+        JudgeOptions(**judging, out=tmp_path / 'out')
+
+
+def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, capsys):
+    (tmp_path / 'mon.py').write_text(
+        'def far(seen):\n    return abs(seen.estimate.cte_m) / 0.9 + seen.image.mean() * 1e-9\n'
+    )
+    controller = make_controller(f'steering+{tmp_path}/mon.py:far+slow', SteeringGains())
+    run = tx.run(
+        tx.Scenario(cross_track_m=0.4, heading_rad=0.3, duration_s=2.0),
+        perception='taxinet', controller=controller,
+    )
+    assert controller.alarm is not None
+    assert controller.alarm.step > 3
+    bag = run.save_bag(tmp_path / 'bag')
+    with pytest.raises(UsageError, match='unknown path; name it with --monitor'):
+        run_show(bag, None, None, as_json=False)
+    assert run_show(bag, None, f'{tmp_path}/mon.py:far', as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['alarm'] == {
+        **dataclasses.asdict(controller.alarm), 'at_s': controller.alarm.at_s
+    }
+    plain = tx.run(tx.Scenario(duration_s=0.3), perception='truth').save_bag(tmp_path / 'plain')
+    with pytest.raises(UsageError, match='controller steering has no monitor; name one'):
+        run_show(plain, None, None, as_json=False)
+    assert run_show(plain, None, 'taxinet', as_json=False) == 0
+    assert 'monitor taxinet: no alarm, 4 steps judged' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('changed', 'said'), [
+    ({'rate': 0.0}, '--rate 0'), ({'out': 'x.json'}, 'has to end in .npz'),
+    ({'out': 'nowhere/x.npz'}, 'is not a folder'),
+])
+def test_given_bad_options_then_they_are_named(changed, said, tmp_path):
+    given = {
+        'perception': 'taxinet', 'program': 'nominal', 'runs': 9, 'rate': 0.1, 'seed': 1,
+        'workers': 1, 'out': 'x.npz', **changed,
+    }
+    with pytest.raises(UsageError, match=said):
+        CalibrateOptions(**{**given, 'out': tmp_path / given['out']})
