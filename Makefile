@@ -14,8 +14,9 @@
 #   HASHES=yes          of what is pinned, install the very files of hashes.txt, tools included
 #
 # On Linux the default index serves torch with CUDA, some GB. Without a GPU, make adds the index of
-# PyTorch's CPU wheels, where it answers and PIP_EXTRA_INDEX_URL names no other: the pinned version is
-# the same, and pip then prefers the small build. TORCH=any leaves the choice to pip.
+# PyTorch's CPU wheels, where it answers and neither PIP_EXTRA_INDEX_URL nor pip's configuration names
+# another: the pinned version is the same, and pip then prefers the small build. TORCH=any leaves the
+# choice to pip.
 
 PYTHON ?= python3 python3.13 python3.12 python3.11
 VENV ?= .venv
@@ -36,7 +37,8 @@ VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
 CPU_TORCH := https://download.pytorch.org/whl/cpu
 ASK := import sys, urllib.request; urllib.request.urlopen(sys.argv[1] + "/torch/", timeout=10)
 CHOOSE_TORCH = if [ -z "$(TORCH)$(HASHES)$${PIP_EXTRA_INDEX_URL:-}" ] && [ "$$(uname)" = Linux ] && \
-  [ ! -e /dev/nvidiactl ] && [ ! -e /dev/kfd ]; then \
+  [ ! -e /dev/nvidiactl ] && [ ! -e /dev/kfd ] && \
+  ! $(PIP) config list 2>/dev/null | grep -Eq 'index|find-links'; then \
     if $(BIN)/python -c '$(ASK)' '$(CPU_TORCH)' 2>/dev/null; then \
       echo 'make: no GPU here: torch for CPUs, from $(CPU_TORCH) (TORCH=any: the default index)'; \
       export PIP_EXTRA_INDEX_URL='$(CPU_TORCH)'; \
