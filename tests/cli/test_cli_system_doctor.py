@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import taxinet_ros
+import taxinet_ros.nodes
 from taxinet_ros.cli.main import main
 from taxinet_ros.cli.system import Check, system_checks
 
@@ -106,6 +108,8 @@ def test_given_no_ros_when_a_graph_is_asked_for_then_one_line_says_what_to_do(
         monkeypatch.delitem(sys.modules, name)
     for name in [name for name in sys.modules if name.startswith('taxinet_ros.nodes')]:
         monkeypatch.delitem(sys.modules, name)
+    # What the parent knows is put back too: it would keep the modules that are imported here.
+    monkeypatch.setattr(taxinet_ros, 'nodes', taxinet_ros.nodes)
     monkeypatch.setattr(sys, 'meta_path', [_WithoutRos(), *sys.meta_path])
     with pytest.raises(SystemExit) as end:
         main()
