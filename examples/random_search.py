@@ -1,8 +1,9 @@
 """Custom search: draw scenes, run them, keep the worst."""
 
-import numpy as np
+import taxinet_ros as tx  # first, so that numpy computes the same bits on every processor
 
-import taxinet_ros as tx
+# isort: split
+import numpy as np
 
 draw = np.random.default_rng(seed=1)
 network = tx.load_perception('original')

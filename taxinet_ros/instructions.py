@@ -9,6 +9,8 @@ package's compiled code rounds identically on every processor.
 from __future__ import annotations
 
 import os
+import sys
+import warnings
 from functools import cache
 from pathlib import Path
 
@@ -27,13 +29,33 @@ def pin() -> None:
     """Restrict the libraries that are loaded later, in this process and its children.
 
     A processor without AVX2 and FMA is left alone: libraries would fail there.
+
+    Warns:
+        UserWarning: numpy or OpenCV was loaded before, with newer instructions.
     """
     if lacking():
         return
+    if early := _loaded_early():
+        # Frames: this, the package, the module that imports it.
+        warnings.warn(
+            f'{early} was imported before taxinet_ros, and uses AVX-512: results may differ from '
+            'those of the command line and of other machines; import taxinet_ros first '
+            '(docs/determinism.md)', stacklevel=3)
     for name, value in PINS.items():
         # OpenCV prints a line about a feature to disable that the processor lacks.
         if name != 'OPENCV_CPU_DISABLE' or processor_flags() >= _NEWER:
             os.environ.setdefault(name, value)
+
+
+def _loaded_early() -> str:
+    """Libraries that chose newer instructions before they could be restricted; '' if none."""
+    if not processor_flags() >= _NEWER:
+        return ''
+    variables = {'numpy': 'NPY_DISABLE_CPU_FEATURES', 'cv2': 'OPENCV_CPU_DISABLE'}
+    return ' and '.join(
+        name for name, variable in variables.items()
+        if name in sys.modules and variable not in os.environ
+    )
 
 
 def lacking() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
@@ -39,6 +40,32 @@ def test_given_the_package_then_libraries_loaded_after_it_use_avx2_and_nothing_n
 @here
 def test_given_a_users_own_restriction_then_it_is_kept() -> None:
     assert 'X86_V3' not in tell(NPY_DISABLE_CPU_FEATURES='X86_V3').stdout
+
+
+def test_given_numpy_loaded_before_the_package_then_the_importing_line_is_warned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    newest = frozenset({'fma', 'avx2', 'avx512f', 'avx512cd', 'avx512bw', 'avx512dq', 'avx512vl'})
+    monkeypatch.setattr(instructions, 'processor_flags', lambda: newest)
+    monkeypatch.setattr(instructions, 'machine', lambda: 'x86_64')
+    monkeypatch.setattr(sys, 'modules', {**sys.modules, 'numpy': os, 'cv2': os})
+    monkeypatch.setattr(os, 'environ', {'OPENCV_CPU_DISABLE': 'AVX2'})
+    with pytest.warns(UserWarning, match=r'^numpy was imported before taxinet_ros, and uses AVX-5'):
+        instructions.pin()
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        instructions.pin()  # the environment is told: as in a child process
+
+
+@pytest.mark.skipif(
+    'avx512f' not in instructions.processor_flags(), reason='processor without AVX-512')
+def test_given_a_script_that_imports_numpy_first_then_its_own_line_is_named(tmp_path) -> None:
+    script = tmp_path / 'mine.py'
+    script.write_text('import numpy\n\nimport taxinet_ros\n')
+    kept = {name: value for name, value in os.environ.items() if name not in instructions.PINS}
+    done = subprocess.run(
+        [sys.executable, script], env=kept, capture_output=True, text=True, check=True)
+    assert f'{script}:3: UserWarning: numpy was imported before' in done.stderr
 
 
 def test_given_a_processor_without_avx2_then_nothing_is_asked_of_it(

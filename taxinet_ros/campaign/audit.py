@@ -16,9 +16,12 @@ from typing import Self
 
 from taxinet_ros.bag.check.compare import TopicComparison, compare_bags
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.campaign.options import AUDIT, AUDIT_FOLDER, LOOP
 from taxinet_ros.campaign.record.facts import FACTS_NAME
 from taxinet_ros.campaign.worker_pool import WorkerPool, encode_line, result_to_json
+from taxinet_ros.core.provenance import differences
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import file_sha256
@@ -127,9 +130,12 @@ def bag_difference(one: Path, other: Path) -> str:
         topics = [topic for topic in compare_bags(one, other) if not topic.equal]
     except (BagError, UsageError) as error:
         return f'a bag cannot be read: {error}'
-    if not topics:
-        return 'the bags have the same messages, but not the same bytes'
-    return _first_difference(topics)
+    if topics:
+        return _first_difference(topics)
+    if code := differences(*(made_on(read_info(bag)) for bag in (one, other))):
+        return f'the same messages, but their workers loaded different code: {code}'
+    files = sorted({name for name, _ in digests[0].items() ^ digests[1].items()})
+    return f'the bags have the same messages, but not the same bytes: {", ".join(files)}'
 
 
 def _first_difference(topics: Sequence[TopicComparison]) -> str:

@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.api.run import run
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.campaign.audit import bag_difference, is_audited, result_difference
 from taxinet_ros.campaign.options import check_engine
 from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.provenance import COMMIT
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
@@ -76,8 +79,19 @@ def test_given_bags_then_the_first_difference_is_the_earliest_in_simulated_time(
     other = run(short).save_bag(tmp_path / 'short' / 'run', images=False)
     assert bag_difference(bag, other).startswith('/scenario, step 0, duration_s: ')
 
-    (same / 'metadata.yaml').write_text('other')
-    assert bag_difference(bag, same) != ''
+
+
+def test_given_code_that_was_edited_meanwhile_then_the_difference_says_so(bag, tmp_path):
+    same = shutil.copytree(bag, tmp_path / 'same' / 'run')
+    told = same / 'metadata.yaml'
+    commit = made_on(read_info(bag))[COMMIT]
+    told.write_text(told.read_text().replace(commit, 'f' * 12))
+    assert bag_difference(bag, same) == (
+        'the same messages, but their workers loaded different code: '
+        f'commit {commit} | {"f" * 12}')
+
+    told.write_text(told.read_text().replace('f' * 12, commit) + '\n')
+    assert bag_difference(bag, same).endswith('not the same bytes: metadata.yaml')
 
 
 def test_given_results_then_all_but_their_time_is_compared():
