@@ -193,7 +193,8 @@ CONTAINER = """\
 FROM docker.io/library/none
 WORKDIR /opt/it
 COPY . .
-RUN mkdir -p .venv/bin && printf '#!/bin/sh\\necho said "$@"\\n' > .venv/bin/it && chmod +x .venv/bin/it
+RUN mkdir -p .venv/bin && printf '#!/bin/sh\\necho said "$@"\\n' > .venv/bin/it
+RUN chmod +x .venv/bin/it
 RUN cat; ls; echo one > made
 ENV PATH=/opt/it/.venv/bin:$PATH
 WORKDIR /work

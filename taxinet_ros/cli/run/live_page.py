@@ -61,7 +61,8 @@ def live_page_of(search: Search) -> Iterator[None]:
             ended = _INTERRUPTED
             raise
         finally:
-            server.tell_end(lambda after: _values(search, after, ended))
+            with interrupts(server.give_up):
+                server.tell_end(lambda after: _values(search, after, ended))
 
 
 def _page(search: Search) -> tuple[str, str]:
@@ -127,17 +128,16 @@ class LiveServer:
     def tell_end(self, values: Callable[[int], dict[str, Any]]) -> None:
         """Serve the last values until every page that is being looked at has them.
 
-        Waits for pages that have asked a moment ago, and not for long; for none if none has. An
-        interrupt ends the waiting only.
+        Waits for pages that have asked a moment ago, and not for long; for none if none has.
 
         Args:
             values: as before, now of the ended campaign.
         """
-        def give_up() -> None:
-            self._server.given_up = True
+        self._server.end(values)
 
-        with interrupts(give_up):
-            self._server.end(values)
+    def give_up(self) -> None:
+        """Let :meth:`tell_end` wait no longer; safe to call from a signal handler."""
+        self._server.given_up = True
 
     def __exit__(self, *_: object) -> None:
         """Close the port; answers that are under way are dropped."""

@@ -189,7 +189,8 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert len(lines) == 1 + 2 * 2
     assert taxinet('doctor', 'l', cwd=folder).returncode == 0
     worst = frame.loc[frame['rho'].idxmin(), 'run_id']
-    first_screen = (folder / 'l' / 'localize.html').read_text().partition('<section id="section-')[0]
+    page = (folder / 'l' / 'localize.html').read_text()
+    first_screen, _, _ = page.partition('<section id="section-')
     assert re.search(rf'<h3>The worst run, [^<]*: <a href="#run={worst}">', first_screen)
     assert 'class="worst-path"' in first_screen
     assert pages_of(folder / 'c')['../l/localize.html'] == 'Network or controller'
