@@ -118,19 +118,21 @@ ASKED := import os, sys, sysconfig; \
   os.path.exists(header) or sys.exit(", has no C headers: " + header + " (python3-dev)")
 
 asked-python:
-	@if [ -x $(BIN)/python ] && [ "$$($(BIN)/python -V)" != "$$($(PYTHON) -V)" ]; then \
+	@$(if $(word 2,$(PYTHON)),exit 0;) \
+	told=$$($(PYTHON) -c '$(ASKED)' 2>&1); code=$$?; \
+	case "$$code $$told" in '0 Python 3.'*) ;; *) \
+	  case "$$told" in Traceback*) told=$$(printf '%s' "$$told" | tail -1);; esac; \
+	  echo 'make: $(PYTHON) ended with exit code' "$$code:" \
+	    "$$(printf '%s' "$${told:-it says nothing}" | tr -s '[:space:]' ' ');" \
+	    'name a Python 3.11 to 3.13: make PYTHON=/path/to/python3.12' >&2; \
+	  exit 2;; \
+	esac
+	@$(if $(word 2,$(PYTHON)),exit 0;) \
+	if [ -x $(BIN)/python ] && [ "$$($(BIN)/python -V)" != "$$($(PYTHON) -V)" ]; then \
 	  echo 'make: $(VENV) holds' "$$($(BIN)/python -V), not $(PYTHON);" \
 	    'say make distclean first, or VENV=another' >&2; \
 	  exit 2; \
 	fi
-	@$(if $(word 2,$(PYTHON)),exit 0;) \
-	told=$$($(PYTHON) -c '$(ASKED)' 2>&1); code=$$?; \
-	case "$$code $$told" in '0 Python 3.'*) ;; *) \
-	  echo 'make: $(PYTHON) ended with exit code' "$$code:" \
-	    "$$(printf '%s\n' "$${told:-it says nothing}" | tail -1);" \
-	    'name a Python 3.11 to 3.13: make PYTHON=/path/to/python3.12' >&2; \
-	  exit 2;; \
-	esac
 
 $(DONE)/venv:
 	@for compiler in cc c++; do command -v $$compiler >/dev/null || { \

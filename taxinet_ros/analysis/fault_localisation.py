@@ -29,6 +29,7 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
 from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
@@ -211,6 +212,10 @@ def _suffices(heading: bool | None, cte: bool | None) -> Suffices:
 
 
 CSV_NAME, PARQUET_NAME, JSON_NAME = 'localize.csv', 'localize.parquet', 'localize.json'
+_FAULT = {
+    Blame.PERCEPTION: "the network's fault", Blame.CONTROLLER: 'not the fault of the network',
+    Blame.NOT_REPRODUCED: 'which was not reproduced', Blame.UNKNOWN: 'of unknown fault',
+}
 _UNBIASED = ('', 'random', 'halton', 'sobol')
 _MEANINGS = {
     AS_RECORDED: 'as recorded (control)',
@@ -220,8 +225,36 @@ _MEANINGS = {
 }
 
 
-def localisation_report(found: Localisation) -> Report:
-    """Report on a localisation."""
+def worst_cases(found: Localisation, folder: Path) -> tuple[Case, ...]:
+    """The worst counterexample with a bag of each cause of failure, the worst first.
+
+    Args:
+        found: the localisation.
+        folder: folder of the campaign, with a folder of each run that has a bag.
+    """
+    rho = {case.row.run_id: _rho(case) for case in found.cases}
+    there = [
+        case for case in found.cases if case.row.bag and holds_bag(folder / case.row.bag)
+    ]
+    ordered = sorted(there, key=lambda case: (rho[case.row.run_id], case.row.run_id))
+    first = {case.blame: case for case in reversed(ordered)}
+    return tuple(case for case in ordered if first[case.blame] is case)
+
+
+def _rho(case: Case) -> float:
+    return case.row.headline[1] if case.row.headline else math.inf
+
+
+def localisation_report(
+    found: Localisation, worst: Sequence[Case] = (), folder: Path = Path()
+) -> Report:
+    """Report on a localisation.
+
+    Args:
+        found: the localisation.
+        worst: counterexamples to show step by step, the first of them on the first screen.
+        folder: folder of their campaign.
+    """
     sentences = tuple(localisation_sentences(found))
     return Report(
         title=f'Fault localisation: {len(found.cases)} counterexamples of {found.perception}',
@@ -231,6 +264,10 @@ def localisation_report(found: Localisation) -> Report:
             'examined': str(len(found.cases)),
         },
         summary=sentences, sections=(localisation_section(found),),
+        runs={case.row.run_id: folder / case.row.bag for case in worst},
+        worst=worst[0].row.run_id if worst else '',
+        worst_words=f'The worst run, {_FAULT[worst[0].blame]}' if worst else '',
+        rho={case.row.run_id: _rho(case) for case in worst if case.row.headline},
     )
 
 

@@ -3,6 +3,7 @@
 A page is made when its command runs, and some pages of the same campaign come later. So each page
 has an empty place for links, and the campaign's folder a list of its pages (:data:`PAGES_NAME`).
 Whoever writes a page adds it to the list, and fills the places of all pages on it that still exist.
+A page that compares campaigns is on the list of each, and has a line of links for each.
 Checksums of pages leave that place out: :func:`page_sha256`.
 """
 
@@ -18,7 +19,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 from taxinet_ros.files.atomic import write_atomically
 
@@ -28,6 +29,7 @@ PLACE = '<!--pages of this campaign--><!--end of pages-->'
 """Where the links will be; text and data of a page are escaped and cannot contain it."""
 _BEGIN, _END = (f'{part}-->'.encode() for part in PLACE.split('-->')[:2])
 _FILLED = re.compile(re.escape(_BEGIN) + b'.*?' + re.escape(_END), re.DOTALL)
+_LISTS = re.compile('<nav class="pages" data-of="([^"]*)".*?<ul>(.*?)</ul></nav>', re.DOTALL)
 
 
 def page_sha256(path: Path) -> str:
@@ -97,24 +99,51 @@ def _read(folder: Path) -> dict[str, str]:
 
 
 def _fill(folder: Path, page: Path, pages: dict[str, str]) -> None:
-    """Write the links to all other pages into a page that has a place for them."""
+    """Write the links to all other pages into a page that has a place for them.
+
+    Links of other campaigns stay while these have a list of pages.
+    """
     if page.suffix != '.html':
         return
     before = page.read_bytes()
-    if _FILLED.search(before) is None:
+    place = _FILLED.search(before)
+    if place is None:
         return
+    lists = {
+        of: items for of, items in _LISTS.findall(place[0].decode())
+        if (page.parent / unquote(of) / PAGES_NAME).is_file()
+    }
+    ours = _address(folder, page)
+    lists[ours] = _items(folder, page, pages)
+    if len(pages) < 2:
+        del lists[ours]
+    links = ''.join(
+        f'<nav class="pages" data-of="{of}" aria-label="Pages of {words}">'
+        f'<span>{words[0].upper()}{words[1:]}:</span><ul>{items}</ul></nav>'
+        for of, items in sorted(lists.items())
+        for words in [_campaign_words(of, page, alone=len(lists) == 1)]
+    )
+    after = _FILLED.sub(lambda _: _BEGIN + links.encode() + _END, before, count=1)
+    if after != before:
+        write_atomically(page, after)
+
+
+def _items(folder: Path, page: Path, pages: dict[str, str]) -> str:
     items = []
     for path, title in pages.items():
         words = html.escape(title)
         if (folder / path).resolve() == page.resolve():
             items.append(f'<li><b aria-current="page">{words}</b></li>')
         else:
-            address = quote(f'./{os.path.relpath(folder / path, page.parent)}', safe='/')
-            items.append(f'<li><a href="{address}">{words}</a></li>')
-    links = (
-        '<nav class="pages" aria-label="Pages of this campaign"><span>This campaign:</span>'
-        f'<ul>{"".join(items)}</ul></nav>' if len(items) > 1 else ''
-    )
-    after = _FILLED.sub(lambda _: _BEGIN + links.encode() + _END, before, count=1)
-    if after != before:
-        write_atomically(page, after)
+            items.append(f'<li><a href="{_address(folder / path, page)}">{words}</a></li>')
+    return ''.join(items)
+
+
+def _address(path: Path, page: Path) -> str:
+    """Relative address of a file or folder, as a page has it."""
+    return quote(f'./{os.path.relpath(path, page.parent)}', safe='/')
+
+
+def _campaign_words(of: str, page: Path, *, alone: bool) -> str:
+    name = (page.parent / unquote(of)).resolve().name
+    return 'this campaign' if alone else f'campaign {html.escape(name)}'

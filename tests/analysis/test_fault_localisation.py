@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -16,6 +17,7 @@ from taxinet_ros.analysis.fault_localisation import (
     localisation_json,
     localisation_report,
     localisation_sentences,
+    worst_cases,
     write_cases,
 )
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
@@ -144,3 +146,30 @@ def test_given_a_localisation_then_json_table_and_picture_hold_it(tmp_path):
         image = png_bytes(section.pictures[0], theme)
         assert image == png_bytes(section.pictures[0], theme)
         assert len(image) > 5000
+
+
+def test_given_counterexamples_with_bags_then_the_worst_of_each_fault_is_shown_the_worst_first(
+    tmp_path,
+):
+    answers = [(True,), (False,), (True,), (False,), (True,)]
+    rhos = (-2.0, -5.0, -9.0, -3.0, -30.0)
+    cases = [
+        judge_case(
+            dataclasses.replace(row(index, rho), bag=f'run-{index}'),
+            trials(index, *given, control=rho),
+        )
+        for index, (given, rho) in enumerate(zip(answers, rhos, strict=True))
+    ]
+    one = dataclasses.replace(found(answers), cases=tuple(cases))
+    assert worst_cases(one, tmp_path) == (), 'no bag, no picture'
+    for index in range(4):  # the bag of the worst run of all is gone
+        (tmp_path / f'run-{index}').mkdir()
+        (tmp_path / f'run-{index}' / f'run-{index}_0.mcap').touch()
+    worst = worst_cases(one, tmp_path)
+    assert [case.row.run_id for case in worst] == ['run-2', 'run-1']
+    report = localisation_report(one, worst, tmp_path)
+    assert (report.worst, list(report.runs), report.rho) == (
+        'run-2', ['run-2', 'run-1'], {'run-2': -9.0, 'run-1': -5.0})
+    assert report.worst_words == "The worst run, the network's fault"
+    blamed = localisation_report(one, worst[1:], tmp_path)
+    assert blamed.worst_words == 'The worst run, not the fault of the network'

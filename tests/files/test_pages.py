@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -103,3 +104,27 @@ def test_given_no_campaign_when_a_page_is_added_then_it_is_as_it_was(tmp_path: P
     alone = page(tmp_path / 'a.html')
     add_page(tmp_path / 'gone', alone, 'a')
     assert [path.name for path in tmp_path.iterdir()] == ['a.html']
+
+
+def test_given_a_page_on_two_campaigns_then_it_has_the_links_of_each_and_each_links_to_it(
+    campaign: Path, tmp_path: Path,
+) -> None:
+    other = tmp_path / 'before & after'
+    other.mkdir()
+    ours, theirs = page(campaign / 'a.html'), page(other / 'b.html')
+    both = page(tmp_path / 'compared' / 'compare.html')
+    for folder, one in ((campaign, ours), (campaign, both), (other, theirs), (other, both)):
+        add_page(folder, one, one.stem)
+    assert links(both) == {'a': './../found/a.html', 'b': './../before%20%26%20after/b.html'}
+    assert (links(ours), links(theirs)) == (
+        {'compare': './../compared/compare.html'}, {'compare': './../compared/compare.html'})
+    text = both.read_text()
+    assert text.count('<nav ') == 2
+    assert '<span>Campaign found:</span>' in text
+    assert '<span>Campaign before &amp; after:</span>' in text
+    assert '<span>This campaign:</span>' in ours.read_text()
+    before = page_sha256(both)
+    shutil.rmtree(other)
+    add_page(campaign, page(campaign / 'c.html'), 'c')
+    assert links(both) == {'a': './../found/a.html', 'c': './../found/c.html'}, 'the other is gone'
+    assert page_sha256(both) == before

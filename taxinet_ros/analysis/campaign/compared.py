@@ -39,6 +39,7 @@ from taxinet_ros.analysis.report.parts import (
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.errors import UsageError
 
 _SIGNIFICANT = 0.05
@@ -60,6 +61,8 @@ class Compared:
         tested: whether a test is valid: the scenes were chosen without regard to results, in a
             number fixed beforehand.
         differing: settings that differ beside the network, or are not recorded.
+        uncounted: number of further common scenes that were not drawn by the program itself, or
+            after the number fixed beforehand.
     """
 
     before: CampaignRuns
@@ -71,11 +74,13 @@ class Compared:
     worse: Causes
     tested: bool
     differing: tuple[str, ...]
+    uncounted: int = 0
 
     @property
     def unpaired(self) -> int:
         """Number of runs of either network without a counterpart."""
-        return len(self.before.frame) + len(self.after.frame) - 2 * len(self.scenes)
+        common = len(self.scenes) + self.uncounted
+        return len(self.before.frame) + len(self.after.frame) - 2 * common
 
     @property
     def clear(self) -> bool:
@@ -131,6 +136,7 @@ def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) 
             np.where(exact, frame['rho_after'], math.nan).tolist(),
         ),
         better=better, worse=worse, differing=differing_settings(after, before),
+        uncounted=len(common_scenes(after, before, all_runs=True)) - len(both),
     )
 
 
@@ -206,9 +212,9 @@ def _cause_sentences(word: str, causes: Causes, number: int) -> Iterator[str]:
     if not number:
         return
     if not causes.found:
-        why = ', as they are too few' if number < LEAST_FAILURES else ''
+        why = ': too few' if number < LEAST_FAILURES else ''
         scenes = 'scene' if number == 1 else 'scenes'
-        yield f'What the {number:,} {scenes} that got {word} have in common was not found{why}.'
+        yield f'No cause of the {number:,} {scenes} that got {word} was found{why}.'
     for cause in causes.found:
         inside = cause.inside
         yield (
@@ -220,7 +226,14 @@ def _cause_sentences(word: str, causes: Causes, number: int) -> Iterator[str]:
 
 def _reservations(found: Compared) -> Iterator[str]:
     if found.unpaired:
-        yield f'{found.unpaired:,} runs have no counterpart and are not compared.'
+        have = 'run has' if found.unpaired == 1 else 'runs have'
+        yield f'Not compared: {found.unpaired:,} {have} no counterpart.'
+    if found.uncounted:
+        which = 'scene' if found.uncounted == 1 else 'scenes'
+        yield (
+            f'In no figure: {found.uncounted:,} more {which} that both were run in. A test is '
+            'valid for scenes that the program itself drew, in a number fixed beforehand.'
+        )
     if found.differing:
         yield f'Not known to be the same: {", ".join(found.differing)}.'
 
@@ -246,7 +259,7 @@ def changed_table(found: Compared) -> Table:
         rows.append((
             got, str(line['run_id'].iloc[0]), words,
             float(line['rho_before'].iloc[0]), float(line['rho_after'].iloc[0]),
-            *(line[name].iloc[0] for name in _SHOWN),
+            clock_words(line['time_of_day_h'].iloc[0]), *(line[name].iloc[0] for name in _SHOWN),
         ))
     return Table(
         name='changed', title='Scenes that changed',
@@ -256,12 +269,13 @@ def changed_table(found: Compared) -> Table:
             Column(name='cause', title='cause of the change'),
             Column(name='rho_before', title=f'ρ, {found.before.label}', decimals=2),
             Column(name='rho_after', title=f'ρ, {found.after.label}', decimals=2),
-            Column(name='time_of_day_h', title='hour', decimals=2),
+            Column(name='time_of_day', title='time'),
+            Column(name='time_of_day_h', title='hour', decimals=2, on_page=False),
             Column(name='clouds', title='clouds'),
             Column(name='rain_percent', title='rain [%]', decimals=0),
-            Column(name='cross_track_m', title='cross track [m]', decimals=1),
-            Column(name='distance_m', title='distance [m]', decimals=0),
-            Column(name='heading_deg', title='heading [°]', decimals=1),
+            Column(name='cross_track_m', title='left of the line [m]', decimals=1),
+            Column(name='distance_m', title='along the track [m]', decimals=0),
+            Column(name='heading_deg', title='nose left [°]', decimals=0),
         ), rows=tuple(rows),
     )
 
@@ -321,7 +335,8 @@ def compared_json(found: Compared) -> dict[str, Any]:
     names = [column.name for column in table.columns]
     return plain_values({
         'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
-        'scenes': rates.pairs, 'unpaired': found.unpaired, 'tested': found.tested,
+        'scenes': rates.pairs, 'unpaired': found.unpaired,
+        'uncounted': found.uncounted, 'tested': found.tested,
         'satisfied': {
             'before': rates.first, 'after': rates.second, 'better': rates.only_second,
             'worse': rates.only_first, 'both': rates.both, 'neither': rates.neither,

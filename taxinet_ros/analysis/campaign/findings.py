@@ -138,16 +138,19 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
     )
 
 
-def common_scenes(runs: CampaignRuns, baseline: CampaignRuns) -> pd.DataFrame:
+def common_scenes(
+    runs: CampaignRuns, baseline: CampaignRuns, *, all_runs: bool = False
+) -> pd.DataFrame:
     """Scenes that both were run in, each once; of the runs that count, where both have rates.
 
-    Scenes are the same if all keys are, numbers to the last stored digit.
+    Scenes are the same if all keys are, numbers to the last stored digit. With ``all_runs``, those
+    of runs that do not count are among them.
 
     Returns:
         The scene by key, and ``row`` and ``failed`` of either, the baseline's as ``row_there`` and
         ``failed_there``; rows are those of the campaigns' frames.
     """
-    rated = runs.weighting.rated and baseline.weighting.rated
+    rated = runs.weighting.rated and baseline.weighting.rated and not all_runs
     keys = list(HUMAN_KEYS)
     one, other = (
         some.scenes.assign(failed=some.failed, row=np.arange(len(some.frame)))[

@@ -45,7 +45,7 @@ def live_page(title: str, facts: dict[str, str], data: str) -> tuple[str, str]:
 
 
 def live_values(
-    rows: Sequence[RunRow], planned: Planned, *, runs: int, after: int
+    rows: Sequence[RunRow], planned: Planned, *, runs: int, after: int, ended: str = ''
 ) -> dict[str, Any]:
     """What the page shows, as JSON values.
 
@@ -55,6 +55,7 @@ def live_values(
             to be valid at every look, as in the terminal.
         runs: number of runs asked for.
         after: number of rows that the page already has.
+        ended: how the campaign ended, or '' while it runs.
 
     Returns:
         Counts and rates of all rows; ``rows`` after those that the page has, ``first`` is the
@@ -67,7 +68,7 @@ def live_values(
     first = max(0, min(after, len(rows)), len(rows) - MOST_ROWS)
     known = [row.headline[1] for row in judged if row.headline]
     return plain_values({
-        'done': len(rows), 'runs': runs, 'judged': len(judged),
+        'done': len(rows), 'runs': runs, 'ended': ended, 'judged': len(judged),
         'failed': sum(row.outcome is Outcome.FAIL for row in judged),
         'without_verdict': len(rows) - len(judged),
         'failing': _rate_words(failure_rate(rows, any_time)),

@@ -17,6 +17,7 @@ from taxinet_ros.campaign.samplers.splitting import RareEstimate, Splitting, Sta
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.pages import add_page
 
 JSON_NAME = 'estimate.json'
 
@@ -80,7 +81,9 @@ def write_estimate(found: RareEstimate, search: Search) -> tuple[Path, Path | No
         return out / JSON_NAME, None
     title = f'{search.options.campaign.program}, {search.perception}: tail of the robustness'
     picture = tail_picture(found, title, search.options.campaign.judging.headline)
-    return out / JSON_NAME, write_png(picture, out, LIGHT)
+    written = write_png(picture, out, LIGHT)
+    add_page(out, written, 'Tail of the robustness')
+    return out / JSON_NAME, written
 
 
 def probability_words(value: float) -> str:

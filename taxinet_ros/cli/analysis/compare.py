@@ -38,12 +38,13 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of,
     scenes_of_program,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, record_beside
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.pages import add_page
 from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
@@ -99,6 +100,7 @@ def run_compare(options: CompareOptions) -> int:
         first = read_runs(Path(options.before))
         runs = first, read_runs(Path(options.after), first.spec)
         found = compared(*distinct_labels(runs))
+        campaigns = [Path(options.before), Path(options.after)]
     else:
         if any(named):
             raise UsageError(
@@ -120,7 +122,8 @@ def run_compare(options: CompareOptions) -> int:
             return ExitCode.INTERRUPTED
         # Nothing but the network differs between these runs.
         found = replace(compared(*distinct_labels(done)), differing=())
-    _write(found, out)
+        campaigns = [path for path in [Path(options.scenes)] if path.exists()]
+    _write(found, out, campaigns)
     if options.as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
     for sentence in compared_sentences(found):
@@ -187,7 +190,7 @@ def _driven(
     return tables
 
 
-def _write(found: Compared, out: Path) -> None:
+def _write(found: Compared, out: Path, campaigns: Sequence[Path]) -> None:
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 
@@ -200,6 +203,10 @@ def _write(found: Compared, out: Path) -> None:
     text = json.dumps(compared_json(found), indent=2, allow_nan=False)
     write_atomically(out / JSON_NAME, text + '\n')
     write_report_page(report, out / PAGE_NAME)
+    title = f'Comparison of {found.before.label} with {found.after.label}'
+    for record in dict.fromkeys(map(record_beside, campaigns)):
+        if record is not None:
+            add_page(record, out / PAGE_NAME, title)
 
 
 @dataclass(frozen=True, kw_only=True)

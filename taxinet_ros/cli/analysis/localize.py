@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -14,9 +15,13 @@ from taxinet_ros.analysis.fault_localisation import (
     localisation_json,
     localisation_report,
     localisation_sentences,
+    worst_cases,
     write_cases,
 )
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
@@ -55,7 +60,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         chosen_by=campaign.sampler,
     )
     unfinished = len(trials) < options.wanted
-    written = _write(found, options.out)
+    written = _write(found, campaign, options.out)
     add_page(campaign.folder, written[0], 'Network or controller')
     if as_json:
         print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
@@ -77,11 +82,15 @@ def _heading(options: LocalizeOptions) -> str:
     )
 
 
-def _write(found: Localisation, out: Path) -> list[Path]:
+def _write(found: Localisation, campaign: RecordedCampaign, out: Path) -> list[Path]:
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 
-    report = localisation_report(found)
+    worst = worst_cases(found, campaign.folder)
+    for case in worst:
+        with contextlib.suppress(BagError):  # the page reports a damaged one
+            open_recording(campaign.folder / case.row.bag).check_is(case.row.run_id)
+    report = localisation_report(found, worst, campaign.folder)
     path, tables = out / JSON_NAME, write_cases(found, out)
     write_sealed(path, localisation_json(found), tables, [out / TRIALS_NAME])
     pictures = [

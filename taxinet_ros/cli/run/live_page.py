@@ -11,6 +11,7 @@ import hmac
 import json
 import secrets
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -21,12 +22,18 @@ from urllib.parse import parse_qs, urlsplit
 from rich.console import Console
 
 from taxinet_ros.campaign.search import Search
+from taxinet_ros.processes.interrupts import interrupts
 
 ADDRESS = '127.0.0.1'
 _TOKEN_BYTES = 24
 _MOST_AT_ONCE = 8
+_MOST_PAGES, _LONGEST_WORD = 64, 32
 _SILENT_S = 10.0
+_LOOKED_S = 6.0
+"""A page asks every 2 s while somebody looks; one that has not for so long is closed or hidden."""
+_LOOK_AGAIN_S = 0.05
 _DATA = 'values.json'
+_INTERRUPTED = 'was interrupted; the same command with --resume continues it'
 _HTML, _JSON = 'text/html; charset=utf-8', 'application/json'
 
 
@@ -46,7 +53,16 @@ def live_page_of(search: Search) -> Iterator[None]:
         return
     with server:
         console.print(f'live page: {server.address}', soft_wrap=True, markup=False)
-        yield
+        ended = 'was ended by an error, which the terminal names'
+        try:
+            yield
+            ended = _end(search)
+        except KeyboardInterrupt:
+            ended = _INTERRUPTED
+            raise
+        finally:
+            with interrupts(server.give_up):
+                server.tell_end(lambda after: _values(search, after, ended))
 
 
 def _page(search: Search) -> tuple[str, str]:
@@ -62,11 +78,18 @@ def _page(search: Search) -> tuple[str, str]:
     return live_page(title, {name: word for name, word in facts.items() if word}, _DATA)
 
 
-def _values(search: Search, after: int) -> dict[str, Any]:
+def _values(search: Search, after: int, ended: str = '') -> dict[str, Any]:
     from taxinet_ros.analysis.report.live import live_values
 
     return live_values(
-        list(search.rows), search.first_planned, runs=search.options.runs, after=after)
+        list(search.rows), search.first_planned, runs=search.options.runs, after=after, ended=ended)
+
+
+def _end(search: Search) -> str:
+    """How a search ended that was not ended by an error."""
+    if search.interrupted and len(search.rows) < search.options.runs:
+        return _INTERRUPTED
+    return f'has ended: {search.stopped}' if search.stopped else 'has ended'
 
 
 class LiveServer:
@@ -102,6 +125,20 @@ class LiveServer:
         self._thread.start()
         return self
 
+    def tell_end(self, values: Callable[[int], dict[str, Any]]) -> None:
+        """Serve the last values until every page that is being looked at has them.
+
+        Waits for pages that have asked a moment ago, and not for long; for none if none has.
+
+        Args:
+            values: as before, now of the ended campaign.
+        """
+        self._server.end(values)
+
+    def give_up(self) -> None:
+        """Let :meth:`tell_end` wait no longer; safe to call from a signal handler."""
+        self._server.given_up = True
+
     def __exit__(self, *_: object) -> None:
         """Close the port; answers that are under way are dropped."""
         self._server.shutdown()
@@ -127,6 +164,30 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.slots = threading.BoundedSemaphore(_MOST_AT_ONCE)
+        self._lock = threading.Lock()
+        self._asked: dict[str, float] = {}  # when a page has last asked, by its own word
+        self._waited_for: set[str] = set()
+        self.given_up = False
+
+    def answered(self, page: str, values: Callable[[int], dict[str, Any]]) -> None:
+        """Note that a page has got values of this source."""
+        now = time.monotonic()
+        with self._lock:
+            if values is self.values:  # not those of before the end
+                self._waited_for.discard(page)
+            recent = {one: at for one, at in self._asked.items() if now - at < _LOOKED_S}
+            if page and len(recent) < _MOST_PAGES:
+                recent[page] = now
+            self._asked = recent
+
+    def end(self, values: Callable[[int], dict[str, Any]]) -> None:
+        """Serve other values, and wait until the pages have them."""
+        now = time.monotonic()
+        with self._lock:
+            self.values = values
+            self._waited_for = {page for page, at in self._asked.items() if now - at < _LOOKED_S}
+        while self._waited_for and not self.given_up and time.monotonic() < now + _LOOKED_S:
+            time.sleep(_LOOK_AGAIN_S)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A broken request ends no campaign and prints nothing into its output."""
@@ -162,18 +223,23 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, self.server.page, _HTML)
         elif hmac.compare_digest(path, root + _DATA.encode()):
             try:
-                values = self._values(parts.query)
+                after, page = self._asked(parts.query)
+                source = self.server.values
+                values = json.dumps(source(after), allow_nan=False).encode()
             except Exception:  # the page says that there is no answer; the campaign goes on
                 self._answer(HTTPStatus.INTERNAL_SERVER_ERROR)
                 return
             self._answer(HTTPStatus.OK, values, _JSON)
+            self.server.answered(page, source)
         else:
             self._answer(HTTPStatus.NOT_FOUND)
 
-    def _values(self, query: str) -> bytes:
-        word = parse_qs(query).get('after', ['0'])[0]
-        after = int(word) if word.isascii() and word.isdecimal() and len(word) < 10 else 0
-        return json.dumps(self.server.values(after), allow_nan=False).encode()
+    def _asked(self, query: str) -> tuple[int, str]:
+        """Number of the rows that a page has, and the page's own word."""
+        asked = parse_qs(query)
+        word, page = asked.get('after', ['0'])[0], asked.get('page', [''])[0]
+        number = int(word) if word.isascii() and word.isdecimal() and len(word) < 10 else 0
+        return number, page[:_LONGEST_WORD]
 
     def _answer(self, status: HTTPStatus, body: bytes = b'', kind: str = 'text/plain') -> None:
         self.send_response(status)

@@ -321,6 +321,8 @@ def _report(
         for picture in section.pictures
     ]
     write_report_page(report, out / PAGE_NAME)
+    for name in rows:
+        add_page(out / name, out / PAGE_NAME, f'Experiment {experiment.name}')
     if as_json:
         print(json.dumps(values, indent=2))
         return

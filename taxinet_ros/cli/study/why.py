@@ -11,6 +11,7 @@ from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.campaign.cluster.connection import check_cluster
+from taxinet_ros.campaign.experiment import PAGE_NAME as EXPERIMENT_PAGE
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, record_beside
@@ -22,7 +23,7 @@ from taxinet_ros.study.stages.log import LOG_NAME, StageLog
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
-from taxinet_ros.study.why.plan import Budget, explain_name
+from taxinet_ros.study.why.plan import Budget, confirm_name, explain_name
 from taxinet_ros.study.why.report import (
     JSON_NAME,
     PAGE_NAME,
@@ -31,7 +32,15 @@ from taxinet_ros.study.why.report import (
     why_report,
     worst_run,
 )
-from taxinet_ros.study.why.verdict import Action, Evidence, Fault, Verdict, actions, judge
+from taxinet_ros.study.why.verdict import (
+    Action,
+    CauseEvidence,
+    Evidence,
+    Fault,
+    Verdict,
+    actions,
+    judge,
+)
 
 _SUBJECT = 'subject.json'
 
@@ -117,6 +126,10 @@ def run_why(options: WhyOptions) -> int:
         if (record := record_beside(path)) is not None:
             what = '' if kind == 'campaign' else f' ({path.name})'
             add_page(record, out / PAGE_NAME, f'Why it failed{what}')
+            for cause in evidence.causes:
+                page = out / confirm_name(cause.rank) / EXPERIMENT_PAGE
+                if page.is_file():
+                    add_page(record, page, f'Experiment on {_subject(cause)}{what}')
         values = why_json(evidence, verdict, todo)
         write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if options.as_json:
@@ -125,6 +138,10 @@ def run_why(options: WhyOptions) -> int:
         _print(show, verdict, todo, out)
     unclear = verdict.fault in (Fault.UNCLEAR, Fault.BENCH)
     return ExitCode.INCOMPLETE if unclear else ExitCode.OK
+
+
+def _subject(cause: CauseEvidence) -> str:
+    return f'cause {cause.rank}' if cause.rank else 'the failures'
 
 
 def _print(

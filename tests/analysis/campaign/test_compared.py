@@ -123,3 +123,16 @@ def test_given_no_common_scene_or_another_requirement_then_one_line_says_so(tmp_
     table = planted_table(200, 5, rate, **PLAIN).rename(columns={'rho_phi': 'rho_psi'})
     with pytest.raises(UsageError, match=r'judged by phi, .* by psi'):
         compared(other, planted_runs(table, tmp_path / 'psi'))
+
+
+def test_given_scenes_that_a_sampler_chose_too_then_only_the_drawn_ones_count_and_it_is_said(
+    tmp_path,
+):
+    def always(table):
+        return 0.0 * table['rain_percent']
+
+    chosen = [number % 2 == 0 for number in range(200)]
+    found = compared(*pair(tmp_path, always, always, sampler='active', drawn=chosen))
+    assert (found.satisfied.pairs, found.uncounted, found.unpaired) == (100, 100, 0)
+    assert any(line.startswith('In no figure: 100 more scenes that both were run in')
+               for line in compared_sentences(found))

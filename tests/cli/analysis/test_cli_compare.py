@@ -13,6 +13,8 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.files.pages import PAGES_NAME
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 WET = """
@@ -77,12 +79,22 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
 
 @pytest.mark.filterwarnings('ignore')
 def test_given_two_shipped_tables_then_they_are_paired_by_scene(tmp_path, taxinet):
-    tables = [BAGS / f's_falsif_{name}_400.parquet' for name in ('generic', 'specialised')]
+    tables = [tmp_path / name / 'runs.parquet' for name in ('generic', 'specialised')]
+    for table in tables:
+        table.parent.mkdir()
+        shutil.copyfile(BAGS / f's_falsif_{table.parent.name}_400.parquet', table)
+        (table.parent / LEDGER_NAME).touch()
     code, said, _ = taxinet('compare', *tables, '--out', 'out')
     assert code == 0
     assert 'No difference between generic and specialised is proven. Of 400 scenes' in said
     assert '13 got better (only specialised satisfies), 5 got worse' in said
-    assert len((tmp_path / 'out' / 'changed.csv').read_text().splitlines()) == 1 + 18
+    changed = pd.read_csv(tmp_path / 'out' / 'changed.csv')
+    assert len(changed) == 18
+    assert changed['time_of_day'].str.fullmatch(r'\d\d:\d\d').all(), 'as in all reports'
+    for table in tables:  # the page is one of either campaign
+        listed = json.loads((table.parent / PAGES_NAME).read_text())['pages']
+        assert [one['path'] for one in listed] == ['../out/compare.html']
+        assert listed[0]['title'].startswith('Comparison of ')
 
 
 @pytest.mark.filterwarnings('ignore')

@@ -5,8 +5,13 @@ from __future__ import annotations
 import http.client
 import json
 import re
-from collections.abc import Iterator
+import shutil
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -19,6 +24,7 @@ from taxinet_ros.analysis.report.live import MOST_ROWS, live_page, live_values
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.cli.run import live_page as served_page
 from taxinet_ros.cli.run.live_page import LiveServer
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
@@ -135,6 +141,34 @@ def test_given_a_closed_server_then_nobody_listens() -> None:
         asked(server.address)
 
 
+def test_given_pages_that_are_looked_at_when_the_campaign_ends_then_it_waits_until_they_know(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(served_page, '_LOOKED_S', 3600.0)  # only the answers can end the waiting
+    with served(rows(4)) as server:
+        path = f'{urlsplit(server.address).path}values.json?page='
+        for page in ('one', 'other'):
+            assert json.loads(asked(server.address, path + page)[1])['ended'] == ''
+        telling = threading.Thread(target=server.tell_end, args=[
+            lambda after: live_values(rows(5), range(5), runs=5, after=after, ended='has ended')])
+        telling.start()
+        wait_for(lambda: json.loads(asked(server.address, path + 'one')[1])['ended'])
+        assert telling.is_alive(), 'the other page does not know yet'
+        last = json.loads(asked(server.address, path + 'other')[1])
+        assert (last['ended'], last['done']) == ('has ended', 5)
+        telling.join()
+
+
+def test_given_nobody_who_looks_when_the_campaign_ends_then_nothing_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with served(rows(4)) as server:
+        asked(server.address)
+        asked(server.address, f'{urlsplit(server.address).path}values.json?page=gone')
+        monkeypatch.setattr(served_page, '_LOOKED_S', 0.0)  # it was long ago
+        server.tell_end(lambda after: {})
+
+
 def test_given_a_browser_when_runs_end_then_figures_failures_and_map_follow(browser: Any) -> None:
     known = rows(12)
     with served(known) as server:
@@ -160,41 +194,109 @@ def test_given_a_browser_when_runs_end_then_figures_failures_and_map_follow(brow
         assert tab.locator('#failures td').nth(3).inner_text() == hostile
         assert tab.evaluate('window.hacked') is None
         assert complaints == []
-        # The end is told, and the last figures stay.
+        # The command is gone without a word, and the last figures stay.
     tab.get_by_text('The command no longer answers').wait_for()
     assert tab.locator('#failed').inner_text() == '3 of 12 judged'
     tab.close()
 
 
-@pytest.mark.ros
-def test_given_a_campaign_with_web_then_its_page_is_there_while_it_runs_and_its_rows_are_its_own(
-    tmp_path: Any,
+def test_given_a_browser_when_the_campaign_ends_then_it_says_how_and_asks_no_more(
+    browser: Any,
 ) -> None:
-    out = tmp_path / 'found'
-    words = (
-        'falsify', 'nominal', '--runs', '3', '--perception', 'truth', '--set', 'duration=2',
-        '--sampler', 'random', '--engine', 'loop', '--audit', '0', '--images', 'none', '--quiet',
-        '--json', '--web', '--out', str(out), '--spec', 'near=always(abs(cte) <= 20)',
-    )
-    with open(tmp_path / 'stderr', 'wb') as stderr, begun(*words, stderr=stderr) as command:
-        told = tmp_path / 'stderr'
+    with served(rows(3), runs=12) as server:
+        tab = browser.new_page()
+        tab.set_default_timeout(0)
+        tab.goto(server.address)
+        tab.get_by_text('3 of at most 12 runs have ended.').wait_for()
+        telling = threading.Thread(target=server.tell_end, args=[
+            lambda after: live_values(
+                rows(4), None, runs=12, after=after, ended='was interrupted')])
+        telling.start()
+        tab.get_by_text('4 of at most 12 runs have ended. The campaign was interrupted.').wait_for()
+        assert 'This page is closed' in tab.locator('#state').inner_text()
+        assert tab.locator('#failures td:first-child').all_inner_texts() == ['3']
+        telling.join()
+        tab.close()
+
+
+SEARCH = (
+    'falsify', 'nominal', '--perception', 'truth', '--set', 'duration=2', '--sampler', 'random',
+    '--engine', 'loop', '--audit', '0', '--images', 'none', '--quiet', '--json', '--web', '--spec',
+    'near=always(abs(cte) <= 20)',
+)
+
+
+def watched(
+    folder: Path, *words: str, when: Callable[[subprocess.Popen[str]], None] = lambda _: None,
+) -> tuple[int, list[dict[str, Any]], str]:
+    """A search to its end: exit code, the values that its page had, and its address.
+
+    Args:
+        folder: where standard error is kept.
+        words: of the command, beside :data:`SEARCH`.
+        when: called once, when the page has its first row.
+    """
+    told = folder / 'stderr'
+    seen: list[dict[str, Any]] = []
+    with told.open('wb') as stderr, begun(*SEARCH, *words, stderr=stderr) as command:
         wait_for(lambda: re.search('live page: .*/\n', told.read_text()), told.read_text)
         address = re.findall('live page: (.*)\n', told.read_text())[0]
-        path = f'{urlsplit(address).path}values.json'
-        seen: dict[str, Any] = {}
+        path = f'{urlsplit(address).path}values.json?page=test'
 
         def look() -> bool:
-            try:
-                seen.update(json.loads(asked(address, path)[1]))
-            except OSError:  # it has ended meanwhile
-                return True
-            return bool(seen['rows'])
+            seen.append(json.loads(asked(address, path)[1]))
+            if seen[-1]['rows'] and not any(one['rows'] for one in seen[:-1]):
+                when(command)
+            return bool(seen[-1]['ended'])
 
         wait_for(look)
         command.wait()
-    assert command.returncode == 0
-    rho = read_table(out).set_index('run_id')['rho']
-    assert all(one['rho'] == rho[one['id']] for one in seen['rows'])
-    assert seen['runs'] == 3
     with pytest.raises(ConnectionRefusedError):
         asked(address)
+    return command.returncode, seen, address
+
+
+@pytest.mark.ros
+def test_given_a_shard_with_web_then_its_page_has_its_rows_and_tells_its_end(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'found'
+    code, seen, address = watched(
+        tmp_path, '--runs', '6', '--shard', '2/2', '--out', str(out))
+    assert code == 0
+    assert seen[-1]['ended'] == 'has ended'
+    assert (seen[-1]['done'], seen[-1]['runs']) == (3, 3)
+    rho = read_table(out).set_index('run_id')['rho']
+    assert {one['id']: one['rho'] for one in seen[-1]['rows']} == dict(rho)
+    assert urlsplit(address).path not in ''.join(
+        path.read_text(errors='replace') for path in out.rglob('*') if path.is_file())
+
+
+@pytest.mark.ros
+def test_given_ctrl_c_then_the_page_says_so_and_with_resume_it_begins_with_the_rows_of_before(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'found'
+    code, seen, _ = watched(
+        tmp_path, '--runs', '400', '--out', str(out),
+        when=lambda command: command.send_signal(signal.SIGINT))
+    assert code == 130
+    assert seen[-1]['ended'] == 'was interrupted; the same command with --resume continues it'
+    before = seen[-1]['done']
+    assert 0 < before < 400
+    code, seen, _ = watched(
+        tmp_path, '--runs', '400', '--out', str(out), '--resume', '--budget', '0.001')
+    assert code == 0
+    assert seen[-1]['ended'] == 'has ended: the budget of 0.001 min is spent'
+    assert [one['index'] for one in seen[-1]['rows']][:before] == list(range(before))
+
+
+@pytest.mark.ros
+def test_given_a_folder_that_is_lost_then_the_page_says_that_an_error_ended_the_campaign(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'found'
+    code, seen, _ = watched(
+        tmp_path, '--runs', '400', '--out', str(out), when=lambda _: shutil.rmtree(out))
+    assert code == 4
+    assert seen[-1]['ended'] == 'was ended by an error, which the terminal names'

@@ -11,7 +11,10 @@ const byId = (id) => document.getElementById(id);
 const points = [];
 let fields = [];
 let have = 0;
-let ended = false;
+let silent = false;
+let over = false;
+/** By this word the command knows which pages have its last figures. */
+const me = Math.random().toString(36).slice(2);
 
 /** A value of a scenario as the reports write it: clock times, groups of digits, a true minus. */
 function valueWords(field, value) {
@@ -129,6 +132,8 @@ function take(values) {
   byId('none').hidden = byId('failures').children.length > 0;
   const count = (number) => number.toLocaleString('en');
   byId('state').textContent = `${count(values.done)} of at most ${count(values.runs)} runs have ended.`;
+  over = values.ended !== '';
+  if (over) byId('state').textContent += ` The campaign ${values.ended}. This page is closed, and keeps its last figures.`;
   byId('bar').max = values.runs;
   byId('bar').value = values.done;
   byId('failed').textContent = `${count(values.failed)} of ${count(values.judged)} judged`;
@@ -144,17 +149,16 @@ function take(values) {
 async function ask() {
   if (!document.hidden) {
     try {
-      const answer = await fetch(`${document.body.dataset.values}?after=${have}`, { cache: 'no-store' });
+      const answer = await fetch(`${document.body.dataset.values}?after=${have}&page=${me}`, { cache: 'no-store' });
       if (!answer.ok) throw new Error(String(answer.status));
       take(await answer.json());
-      if (ended) byId('state').classList.remove('trouble');
-      ended = false;
+      silent = false;
     } catch {
-      if (!ended) byId('state').textContent += ' The command no longer answers: it has ended, or was interrupted. The figures are the last that it told.';
-      ended = true;
+      if (!silent) byId('state').textContent += ' The command no longer answers: it has ended, or was interrupted. The figures are the last that it told.';
+      silent = true;
     }
   }
-  setTimeout(ask, EVERY_MS);
+  if (!over) setTimeout(ask, EVERY_MS);
 }
 
 startThemeButton(byId('theme'));
@@ -164,5 +168,5 @@ for (const id of ['across', 'up']) {
     drawMap();
   });
 }
-document.addEventListener('visibilitychange', () => { if (!document.hidden && !ended) drawMap(); });
+document.addEventListener('visibilitychange', () => { if (!document.hidden && !silent) drawMap(); });
 ask();
