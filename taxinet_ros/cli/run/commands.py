@@ -84,6 +84,7 @@ def run(
     bag: FromOption = None,
     run_id: RunOption = None,
     runs: RunsOption = 1,
+    workers: WorkersOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
     perception_cmd: PerceptionCommandOption = None,
@@ -121,7 +122,7 @@ def run(
     rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
     from taxinet_ros.campaign.options import LOOP, make_options
-    from taxinet_ros.cli.run.campaign import run_campaign
+    from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
@@ -148,7 +149,10 @@ def run(
         engine=engine, audit=audit,
     )
     raise ended(
-        run_campaign(options, foxglove, quiet=quiet, as_json=as_json), exit_zero,
+        run_campaign(
+            options, foxglove, workers=check_run_workers(workers, options, foxglove),
+            quiet=quiet, as_json=as_json,
+        ), exit_zero,
     )
 
 
