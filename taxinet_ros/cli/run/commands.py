@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from taxinet_ros.cli.completion import complete_experiment, complete_gain, complete_perception
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -539,6 +540,7 @@ def up(
         typer.Option(
             '--set', metavar='KEY=VALUE',
             help='a controller gain (steering.heading_gain=1.2); repeatable',
+            autocompletion=complete_gain,
         ),
     ] = None,
     restart: Annotated[
@@ -670,7 +672,7 @@ def experiment(
         str,
         typer.Argument(
             metavar='FILE', help='shipped experiment (shadows, shadows_afternoon, crossing, '
-            'light) or a YAML file'
+            'light) or a YAML file', autocompletion=complete_experiment,
         ),
     ],
     out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,
@@ -678,7 +680,11 @@ def experiment(
         int | None, typer.Option(min=1, help="number of scenes (default: the file's)")
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
+        str | None,
+        typer.Option(
+            metavar='WORD|FILE', help="network (default: the file's)",
+            autocompletion=complete_perception,
+        ),
     ] = None,
     workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
     cluster: ClusterOption = None,

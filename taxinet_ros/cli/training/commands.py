@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.completion import complete_setting
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -176,6 +177,7 @@ SetOption = Annotated[
         help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
         'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
         'repeatable',
+        autocompletion=complete_setting,
     ),
 ]
 @camera_app.callback(invoke_without_command=True)
