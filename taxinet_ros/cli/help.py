@@ -22,7 +22,7 @@ SECTIONS = {
         'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'assure',
         'spec', 'evaluate',
     ),
-    'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
+    'Train': ('dataset', 'train', 'network', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'setup-messages', 'plugins', 'bench'),
 }
@@ -93,6 +93,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet train training_full --images 20000 --out mine.safetensors',
         'taxinet train s_falsif --start original --add-runs bags/found=4000 --out next.safetensors',
     ),
+    'network from-nnet': (
+        'taxinet network from-nnet TinyTaxiNet.nnet --out tiny.onnx --description tinytaxinet',
+    ),
+    'network see': ('taxinet network see tiny.onnx --set distance=400 --set cross_track=3',),
     'improve': ('taxinet improve s_falsif --start original --rounds 2 --out bags/improved',),
     'tune': (
         'taxinet tune s_falsif --perception taxinet --candidates 30 --out bags/tuned',

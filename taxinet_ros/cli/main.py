@@ -69,7 +69,7 @@ from taxinet_ros.cli.streams import (
     standard_streams,
 )
 from taxinet_ros.cli.study.commands import case_study, improve, tune, why
-from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
+from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, network_app, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
@@ -160,6 +160,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(network_app, name='network')
 app.add_typer(forecast_app, name='forecast')
 app.add_typer(odd_app, name='odd')
 app.add_typer(assure_app, name='assure')

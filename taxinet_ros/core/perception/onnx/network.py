@@ -171,6 +171,11 @@ class OnnxNetwork:
                 raise file_error(path, f'output {output} is {output.kind}; export the network with '
                                 'outputs of floating point')
 
+    @property
+    def sidecar(self) -> Sidecar:
+        """Its description."""
+        return self._sidecar
+
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
 

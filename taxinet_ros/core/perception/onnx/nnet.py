@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.perception.onnx.network import NetworkFiles, OnnxNetwork
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar, sidecar_path
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically
 
 MAX_NNET_BYTES = 64 << 20
 _MOST_SIDE, _MOST_LAYERS = 65_536, 100
@@ -196,11 +197,29 @@ class Converted:
     difference: float
 
 
-def converted(path: Path, data: bytes, out: Path, description: bytes, source: Path) -> Converted:
+def read_nnet(path: Path) -> bytes:
+    """Content of a .nnet file.
+
+    Raises:
+        UsageError: it is missing, unreadable, or far too large for one.
+    """
+    try:
+        if path.stat().st_size > MAX_NNET_BYTES:
+            raise UsageError(f'nnet: {path}: has more than {MAX_NNET_BYTES >> 20} MiB; is it the '
+                             'right file?')
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f'nnet: {path}: cannot be read ({error.strerror})') from error
+
+
+def converted(
+    path: Path, data: bytes, out: Path, description: bytes, source: Path
+) -> Converted:
     """Convert a .nnet file, and try the result.
 
     Args:
-        path, data: the .nnet file and its content.
+        path: the .nnet file.
+        data: its content.
         out: the ONNX file to be, for errors.
         description: content of the description.
         source: where the description is from, for errors.
@@ -348,7 +367,5 @@ def write_converted(found: Converted) -> None:
     Raises:
         OSError: one cannot be written.
     """
-    from taxinet_ros.files.atomic import write_atomically
-
     write_atomically(sidecar_path(found.files.path), found.files.description)
     write_atomically(found.files.path, found.files.model)
