@@ -69,7 +69,7 @@ def complete_sampler_option(context: typer.Context, incomplete: str) -> list[str
     """Options of the sampler that is named before, else of any, with ``=``."""
     from taxinet_ros.campaign.samplers.registry import SAMPLERS as BY_NAME
 
-    chosen = context.params.get('sampler')
+    chosen = str(context.params.get('sampler'))
     kinds = [BY_NAME[chosen]] if chosen in BY_NAME else BY_NAME.values()
     return _begin(dict.fromkeys(f'{key}=' for kind in kinds for key in kind.options), incomplete)
 

@@ -55,7 +55,7 @@ class Sample:
 
 
 def sample(sizes: tuple[int, ...] = TINY, seed: int = 0, *, plain: bool = False) -> Sample:
-    """A network with random weights; ``plain``: normalised as the public one, that is not at all."""
+    """A network with random weights; ``plain``: without normalisation, as the public one."""
     rng = np.random.default_rng(seed)
     inputs = sizes[0]
     pairs = list(zip(sizes[1:], sizes[:-1], strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nnet_samples import TINY, sample
 
+from taxinet_ros.api.run import render
 from taxinet_ros.core.perception.onnx.network import OnnxNetwork, prepare
 from taxinet_ros.core.perception.onnx.nnet import (
     DESCRIPTIONS,
@@ -24,7 +26,6 @@ from taxinet_ros.core.perception.onnx.nnet import (
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.api.run import render
 from taxinet_ros.errors import UsageError
 
 FILE = Path('net.nnet')
@@ -141,7 +142,7 @@ DAMAGE = {
     'swapped limits': (edited(7, '-9,' * 6), 'line 7: input 1 has its maximum -9 below'),
     'means without the output': (edited(8, '0,' * 6), 'line 8: means: expected 7 numbers, got 6'),
     'range 0': (edited(9, '1,1,1,0,1,1,1,'), 'line 9: range 4 is 0, which divides by 0'),
-    'nan': (edited(10, 'nan,' * 6), "line 10: weights of layer 1, row 1: expected a number, got"),
+    'nan': (edited(10, 'nan,' * 6), 'line 10: weights of layer 1, row 1: expected a number, got'),
     'infinite': (edited(10, '1e999,' * 6), 'line 10: weights of layer 1, row 1: 1e999 is beyond'),
     'beyond 32 bits': (edited(10, '1e39,' * 6), '1e39 is beyond the range of 32 bits'),
     'python number': (edited(10, '1_0,' * 6), "expected a number, got '1_0'"),
@@ -172,10 +173,8 @@ def test_given_any_cut_or_changed_byte_then_it_is_read_or_refused_and_nothing_el
     at = data.draw(st.integers(0, len(text) - 1))
     letter = data.draw(st.sampled_from('0,.-e\n x'))
     for broken in (text[:at], text[:at] + letter + text[at + 1:]):
-        try:
-            Nnet.parse(FILE, broken.encode())
-        except UsageError as error:
-            assert str(error).startswith('nnet: net.nnet: ')
+        with contextlib.suppress(UsageError):  # any other error fails the test
+            assert Nnet.parse(FILE, broken.encode()).sizes[-1] >= 1
 
 
 def test_given_a_description_of_another_network_then_the_line_says_what_differs():
@@ -183,7 +182,7 @@ def test_given_a_description_of_another_network_then_the_line_says_what_differs(
     with pytest.raises(UsageError, match=r'input is flat \(1, 128\), but net.nnet takes 6 numbers'):
         converted(FILE, text, Path('net.onnx'), *description_of('tinytaxinet'))
     wrong = sample((6, 4, 3)).text().encode()
-    with pytest.raises(UsageError, match='outputs has 2 entries, but net.nnet gives 3 numbers'):
+    with pytest.raises(UsageError, match=r'outputs has 2 entries, but net\.nnet gives 3 numbers'):
         converted(FILE, wrong, Path('net.onnx'), small_description(), Path('small.yaml'))
     with pytest.raises(UsageError, match='--description tiny: neither tinytaxinet nor a readable'):
         description_of('tiny')
