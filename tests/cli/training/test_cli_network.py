@@ -14,7 +14,8 @@ def test_given_a_network_then_it_is_converted_beside_its_description_and_sees_a_
     assert (code, err) == (0, '')
     assert 'net.nnet: 128 inputs, 16, 8, 8 hidden neurons, 2 outputs; SHA-256' in out
     assert 'written: net.onnx, net.yaml (description: tinytaxinet)' in out
-    code, out, err = taxinet('network', 'see', 'net.onnx', '--set', 'cross_track=3', '--out', 'p.png')
+    seen = taxinet('network', 'see', 'net.onnx', '--set', 'cross_track=3', '--out', 'p.png')
+    code, out, err = seen
     assert (code, err) == (0, '')
     assert 'truth CTE +3.00 m, HE +0.0 deg' in out
     assert (tmp_path / 'p.png').read_bytes().startswith(b'\x89PNG')
