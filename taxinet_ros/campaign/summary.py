@@ -40,10 +40,11 @@ _STYLES = {
 }
 
 
-def campaign_heading(options: CampaignOptions) -> str:
-    """Heading that describes the campaign."""
+def campaign_heading(options: CampaignOptions, workers: int = 1) -> str:
+    """Heading that describes the campaign, on so many workers."""
     runs = 'run' if options.runs == 1 else 'runs'
     layout = 'separate processes' if options.processes else 'one process'
+    layout = layout if workers == 1 else f'{workers} workers'
     graph = f'{participants_words(options)}, {layout}'
     return (
         f'{options.runs} {runs} of {options.program}, seed {options.seed}, '

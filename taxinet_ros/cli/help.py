@@ -6,13 +6,11 @@ that people can copy for each. Both are checked against the commands when the he
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
-
-from taxinet_ros.registry import PERCEPTIONS, SAMPLERS, names
 
 SECTIONS = {
     'Run scenes': ('demo', 'run', 'up', 'node', 'check-node'),
@@ -24,7 +22,7 @@ SECTIONS = {
         'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'assure',
         'spec', 'evaluate',
     ),
-    'Train': ('dataset', 'train', 'improve', 'tune', 'case-study'),
+    'Train': ('dataset', 'train', 'network', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
     'Recordings and tools': ('bag', 'doctor', 'setup-messages', 'plugins', 'bench'),
 }
@@ -95,6 +93,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet train training_full --images 20000 --out mine.safetensors',
         'taxinet train s_falsif --start original --add-runs bags/found=4000 --out next.safetensors',
     ),
+    'network from-nnet': (
+        'taxinet network from-nnet TinyTaxiNet.nnet --out tiny.onnx --description tinytaxinet',
+    ),
+    'network see': ('taxinet network see tiny.onnx --set distance=400 --set cross_track=3',),
     'improve': ('taxinet improve s_falsif --start original --rounds 2 --out bags/improved',),
     'tune': (
         'taxinet tune s_falsif --perception taxinet --candidates 30 --out bags/tuned',
@@ -161,43 +163,6 @@ def _sections(commands: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
         known = [name for name in words if name in commands]
         if known:
             yield title, known
-
-
-def complete_program(incomplete: str) -> list[str]:
-    """Shipped programs that begin so; the shell itself completes names of files."""
-    from taxinet_ros.campaign.scenes.programs import known_programs
-
-    return _begin(known_programs(), incomplete)
-
-
-def complete_perception(incomplete: str) -> list[str]:
-    """Perceptions by name that begin so."""
-    return _begin(names(PERCEPTIONS), incomplete)
-
-
-def complete_sampler(incomplete: str) -> list[str]:
-    """Samplers by name that begin so."""
-    return _begin(names(SAMPLERS), incomplete)
-
-
-def complete_setting(incomplete: str) -> list[str]:
-    """Keys of a scenario that begin so, with ``=``; behind it, the values that are words."""
-    from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, Kind
-
-    key, equals, value = incomplete.partition('=')
-    if not equals:
-        return [f'{name}=' for name in _begin((*HUMAN_KEYS, *SHORT_FORMS), key)]
-    field = BY_KEY.get(SHORT_FORMS.get(key, key))
-    if field is None:
-        return []
-    words = ('on', 'off') if field.kind is Kind.SWITCH else field.words
-    if field.catalogue is not None:
-        words = tuple(field.catalogue.shipped)
-    return [f'{key}={word}' for word in _begin(words, value)]
-
-
-def _begin(words: Iterable[str], incomplete: str) -> list[str]:
-    return [word for word in words if word.startswith(incomplete)]
 
 
 def add_examples(app: typer.Typer, above: str = '') -> None:

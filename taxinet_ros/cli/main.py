@@ -42,6 +42,7 @@ from taxinet_ros.cli.analysis.commands import (
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
+from taxinet_ros.cli.completion import ASKED_BY, answer_shell
 from taxinet_ros.cli.help import CommandSections, add_examples
 from taxinet_ros.cli.options import asks_for_study, given_options
 from taxinet_ros.cli.run.commands import (
@@ -68,7 +69,7 @@ from taxinet_ros.cli.streams import (
     standard_streams,
 )
 from taxinet_ros.cli.study.commands import case_study, improve, tune, why
-from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
+from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, network_app, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
@@ -106,7 +107,7 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
-_COMPLETION, _COMPLETING = '_TAXINET_COMPLETE', {'--install-completion', '--show-completion'}
+_COMPLETING = {'--install-completion', '--show-completion'}
 _FILES_OF_A_NODE = 12
 """File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: closed by its reader'
@@ -159,6 +160,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(network_app, name='network')
 app.add_typer(forecast_app, name='forecast')
 app.add_typer(odd_app, name='odd')
 app.add_typer(assure_app, name='assure')
@@ -356,11 +358,8 @@ def _command(output_closed: bool) -> object:
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
     refuse_special_files()
-    if _COMPLETION in os.environ or {*sys.argv[1:2]} & _COMPLETING:
-        try:  # these end the process
-            return app(standalone_mode=False, prog_name='taxinet')
-        except SystemExit as end:
-            return end.code
+    if ASKED_BY in os.environ or {*sys.argv[1:2]} & _COMPLETING:  # these end the process
+        return answer_shell(lambda: app(standalone_mode=False, prog_name='taxinet'), os.environ)
     return app(standalone_mode=False, prog_name='taxinet')
 
 

@@ -9,11 +9,22 @@ from typing import Annotated, Any
 
 import typer
 
-from taxinet_ros.cli.help import (
+from taxinet_ros.cli.completion import (
+    complete_aircraft,
+    complete_controller,
+    complete_fallback,
+    complete_mounted,
+    complete_odd,
     complete_perception,
     complete_program,
+    complete_renderer,
     complete_sampler,
+    complete_sampler_option,
     complete_setting,
+    complete_signal,
+    complete_spec,
+    complete_world,
+    one_of,
 )
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import ExitCode, UsageError
@@ -220,7 +231,8 @@ ControllerOption = Annotated[
     str,
     typer.Option(
         help='steering, the shipped law; a function in a Python file, FILE.py:NAME; a name that a '
-        'package adds; or external, a node you start yourself'
+        'package adds; or external, a node you start yourself',
+        autocompletion=complete_controller,
     ),
 ]
 ControllerCommandOption = Annotated[
@@ -233,6 +245,7 @@ MonitorOption = Annotated[
         '--monitor', metavar='MONITOR',
         help='judge each estimate as it comes: original, taxinet, a file of `taxinet assure '
         'calibrate`, or a function, FILE.py:NAME',
+        autocompletion=one_of('original', 'taxinet'),
     ),
 ]
 FallbackOption = Annotated[
@@ -241,6 +254,7 @@ FallbackOption = Annotated[
         '--fallback', metavar='WHAT',
         help="after the monitor's first alarm: stop (default), slow, second:PERCEPTION, or watch, "
         'which changes nothing',
+        autocompletion=complete_fallback,
     ),
 ]
 WorldOption = Annotated[
@@ -248,6 +262,7 @@ WorldOption = Annotated[
     typer.Option(
         metavar='NAME',
         help='where runs take place: kmwh, the simulated airport, or a name that a package adds',
+        autocompletion=complete_world,
     ),
 ]
 SetOption = Annotated[
@@ -276,7 +291,10 @@ AptDatOption = Annotated[
 ]
 AircraftOption = Annotated[
     str | None,
-    typer.Option(metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one'),
+    typer.Option(
+        metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one',
+        autocompletion=complete_aircraft,
+    ),
 ]
 CameraOption = Annotated[
     str | None,
@@ -284,6 +302,7 @@ CameraOption = Annotated[
         metavar='NAME|FILE',
         help='camera: wing, strut, nose, tail, or a YAML file of one; or who takes its pictures: '
         'ours, a name that a package adds, or FILE.py:NAME (then --set camera=NAME mounts it)',
+        autocompletion=complete_mounted,
     ),
 ]
 RendererOption = Annotated[
@@ -291,6 +310,7 @@ RendererOption = Annotated[
     typer.Option(
         '--camera', metavar='NAME|FILE',
         help='who takes the pictures: ours, a name that a package adds, or FILE.py:NAME',
+        autocompletion=complete_renderer,
     ),
 ]
 SpecOption = Annotated[
@@ -300,6 +320,7 @@ SpecOption = Annotated[
         help='phi_eventually (default), phi_always, on_runway, usable, NAME=FORMULA, a formula '
         'such as "always[10 s:inf](abs(steering) <= 3 deg)", or a YAML file of them; repeatable, '
         'the first is the headline',
+        autocompletion=complete_spec,
     ),
 ]
 StopOnOption = Annotated[
@@ -308,6 +329,7 @@ StopOnOption = Annotated[
         metavar='RULE',
         help='end a run early: never; violated, when the headline is; decided, when every formula '
         'is',
+        autocompletion=one_of('never', 'violated', 'decided'),
     ),
 ]
 BoundOption = Annotated[
@@ -316,6 +338,7 @@ BoundOption = Annotated[
         '--bound', metavar='SIGNAL=LOW:HIGH',
         help='assume that a signal stays in this range, e.g. cte=-25:25 [m], so that verdicts come '
         'earlier; dropped in a run that leaves the range; repeatable',
+        autocompletion=complete_signal,
     ),
 ]
 RateOption = Annotated[
@@ -324,6 +347,7 @@ RateOption = Annotated[
         '--rate', metavar='SIGNAL=CHANGE',
         help='assume that a signal changes by no more than this per second, e.g. cte=3; '
         'repeatable',
+        autocompletion=complete_signal,
     ),
 ]
 LatencyOption = Annotated[
@@ -332,6 +356,7 @@ LatencyOption = Annotated[
         metavar='NAME=LATENCY',
         help='latency of perception= or controller=: SECONDS, uniform(LOW,HIGH) or '
         'normal(MEAN,SD), drawn at each step, rounded up to 0.1 s; repeatable',
+        autocompletion=one_of('perception=', 'controller='),
     ),
 ]
 FreeOption = Annotated[
@@ -357,7 +382,8 @@ EngineOption = Annotated[
     typer.Option(
         metavar='ENGINE',
         help='what makes the runs: graph, the nodes on ROS topics; or loop, the closed loop in one '
-        'process without ROS, with the same rows and bags'
+        'process without ROS, with the same rows and bags',
+        autocompletion=one_of('graph', 'loop'),
     ),
 ]
 AuditOption = Annotated[
@@ -376,18 +402,21 @@ FoxgloveOption = Annotated[
         'is 8765); same results',
     ),
 ]
+_IMAGES = one_of('all', 'failures', 'none')
 ImagesOption = Annotated[
     str,
     typer.Option(
         help='runs whose camera frames are recorded (35 MB a run): all, failures or none; taxinet '
-        'bag render adds them later, bit for bit'
+        'bag render adds them later, bit for bit',
+        autocompletion=_IMAGES,
     ),
 ]
 RunImagesOption = Annotated[
     str | None,
     typer.Option(
         help='runs whose camera frames are recorded (35 MB a run): all, failures or none (default: '
-        'all for a single run, else failures); taxinet bag render adds them later, bit for bit'
+        'all for a single run, else failures); taxinet bag render adds them later, bit for bit',
+        autocompletion=_IMAGES,
     ),
 ]
 MostRunsOption = Annotated[
@@ -406,7 +435,8 @@ SamplerOption = Annotated[
 SamplerSettingOption = Annotated[
     list[str] | None,
     typer.Option(
-        '--sampler-option', metavar='KEY=VALUE', help='option of the sampler; repeatable'
+        '--sampler-option', metavar='KEY=VALUE', help='option of the sampler; repeatable',
+        autocompletion=complete_sampler_option,
     ),
 ]
 OddOption = Annotated[
@@ -414,6 +444,7 @@ OddOption = Annotated[
     typer.Option(
         metavar='NAME|FILE.yaml', help='with --sampler coverage: cover the cells of this '
         'operational design domain (docs/odd.md), not those of the program',
+        autocompletion=complete_odd,
     ),
 ]
 WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]
@@ -443,6 +474,9 @@ UntilOption = Annotated[
         help='stop early: failures=K; half-width=W of the interval of the failure rate; or as soon '
         'as a sequential test decides, min-satisfaction=SHARE or max-off-runway=SHARE with '
         ',design=SHARE and ,confidence=SHARE if wanted (then taxinet gate --sequential)',
+        autocompletion=one_of(
+            'failures=', 'half-width=', 'min-satisfaction=', 'max-off-runway=',
+        ),
     ),
 ]
 ShardOption = Annotated[
@@ -468,16 +502,23 @@ FailedRunArgument = Annotated[
     Path, typer.Argument(metavar='RUN', help='a failed run: <campaign>/<run>, the path of its bag')
 ]
 OwnPerceptionOption = Annotated[
-    str | None, typer.Option('--perception', help="default: the run's own")
+    str | None, typer.Option(
+        '--perception', help="default: the run's own",
+        autocompletion=complete_perception,
+    )
 ]
 OwnControllerOption = Annotated[
-    str | None, typer.Option('--controller', help="default: the run's own")
+    str | None, typer.Option(
+        '--controller', help="default: the run's own",
+        autocompletion=complete_controller,
+    )
 ]
 OwnSpecOption = Annotated[
     list[str] | None,
     typer.Option(
         '--spec', metavar='FORMULA',
         help="formulas instead of the run's; the first must stay violated",
+        autocompletion=complete_spec,
     ),
 ]
 NominalOption = Annotated[
@@ -485,6 +526,7 @@ NominalOption = Annotated[
     typer.Option(
         metavar='KEY=VALUE',
         help='nominal value of a scenario key (time_of_day_h=12, shadows=off, …); repeatable',
+        autocompletion=complete_setting,
     ),
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]
@@ -497,7 +539,10 @@ WebOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
 PicturesArgument = Annotated[
-    str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
+    str | None, typer.Argument(
+        metavar='SCENARIO', help='program to render pictures of',
+        autocompletion=complete_program,
+    )
 ]
 VariedOption = Annotated[
     bool, typer.Option('--varied', help='vary the appearance of the rendered world')

@@ -7,9 +7,10 @@ import pytest
 
 from taxinet_ros.cli.main import main
 
-_folder = str(Path(__file__).resolve().parents[1] / 'analysis')  # the browser
-if _folder not in sys.path:
-    sys.path.append(_folder)
+for _room in ('analysis', 'core'):  # the browser; small networks
+    _folder = str(Path(__file__).resolve().parents[1] / _room)
+    if _folder not in sys.path:
+        sys.path.append(_folder)
 
 
 @pytest.fixture

@@ -1,31 +1,19 @@
-"""``taxinet --help``, examples, completion: whatever lists commands knows them all."""
+"""``taxinet --help`` and examples: whatever lists commands knows them all."""
 
-import os
 import shlex
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import typer
 
 from taxinet_ros.campaign.scenes.programs import known_programs
 from taxinet_ros.cli import progress
-from taxinet_ros.cli.help import (
-    EXAMPLES,
-    SECTIONS,
-    complete_perception,
-    complete_program,
-    complete_sampler,
-    complete_setting,
-)
+from taxinet_ros.cli.help import EXAMPLES, SECTIONS
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 
 ROOT = typer.main.get_command(app)
-TAXINET = Path(sys.executable).with_name('taxinet')
 
 
 def commands(group=ROOT, above=''):
@@ -85,35 +73,6 @@ def test_given_wrong_words_then_the_error_names_the_help_of_its_command(words, h
         main()
     assert end.value.code == 2
     assert capsys.readouterr().err.rstrip().endswith(hint)
-
-
-def test_given_the_beginning_of_a_word_when_completed_then_all_that_fit_are_offered():
-    assert set(complete_program('s_falsif')) >= {'s_falsif', 's_falsif_ce'}
-    assert complete_perception('tax') == ['taxinet']
-    assert complete_sampler('ce') == ['ce', 'ce-verifai']
-    assert complete_setting('') == [f'{key}=' for key in (*HUMAN_KEYS, *SHORT_FORMS)]
-    assert complete_setting('time') == ['time_of_day_h=', 'time_of_day=']
-    assert complete_setting('clouds=s') == ['clouds=scattered', 'clouds=stratus']
-    assert complete_setting('crossing=') == ['crossing=on', 'crossing=off']
-    assert complete_setting('aircraft=c17') == ['aircraft=c172p']
-    assert complete_setting('fog=') == complete_setting('fog') == complete_setting('rain=3') == []
-
-
-@pytest.mark.parametrize(('words', 'environment', 'told'), [
-    (['--show-completion'], {'_TAXINET_COMPLETE_TEST_DISABLE_SHELL_DETECTION': '1'}, ''),
-    ([], {'_TAXINET_COMPLETE': 'complete_bash', 'COMP_WORDS': 'taxinet fals', 'COMP_CWORD': '1'},
-     'falsify\n'),
-    ([], {'_TAXINET_COMPLETE': 'source_zsh'}, '_taxinet_completion'),
-])
-def test_given_a_shell_that_asks_when_completed_then_nothing_else_is_printed(
-    words, environment, told
-):
-    done = subprocess.run(
-        [TAXINET, *words], env={**os.environ, **environment}, capture_output=True, text=True,
-        check=False,
-    )
-    assert told in done.stdout
-    assert 'taxinet: error' not in done.stderr
 
 
 def test_given_no_terminal_when_a_command_is_long_then_a_line_now_and_then_says_how_far(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.completion import complete_gain, complete_setting, complete_spec
 from taxinet_ros.cli.options import (
     BoundOption,
     CampaignArgument,
@@ -244,6 +245,7 @@ def fork(
             '--set', metavar='KEY=VALUE',
             help='scenario value (rain=0, clouds=clear, wind_speed=6, …) or gain '
             '(steering.heading_gain=1.2) from then on; repeatable',
+            autocompletion=complete_setting,
         ),
     ] = None,
     state: Annotated[
@@ -602,12 +604,16 @@ def spec(
         typer.Argument(
             metavar='FORMULA...',
             help='phi_eventually, usable, NAME=FORMULA, a formula, or a YAML file of them',
+            autocompletion=complete_spec,
         ),
     ],
     duration: Annotated[float, typer.Option(help='length of the runs to be judged [s]')] = 30,
     settings: Annotated[
         list[str] | None,
-        typer.Option('--set', metavar='steering.GAIN=VALUE', help='a controller gain'),
+        typer.Option(
+            '--set', metavar='steering.GAIN=VALUE', help='a controller gain',
+            autocompletion=complete_gain,
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:

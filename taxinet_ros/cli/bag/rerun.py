@@ -62,6 +62,8 @@ def check_options(given: Iterable[str]) -> None:
     for name in given:
         if name in ('engine', 'audit'):
             raise UsageError(f'--from: --{name}: a rerun is always made on the graph')
+        if name == 'workers':
+            raise UsageError('--from: --workers: no effect on the single run of a bag')
         if name not in _TAKEN_BESIDE_FROM:
             option = names.get(name, '--' + name.replace('_', '-'))
             raise UsageError(f'--from: {option} is taken from the bag')

@@ -1,4 +1,4 @@
-"""Run a campaign and show progress bar, one line per run, and a summary."""
+"""``taxinet run``: a campaign here or on workers, with a bar, one line per run, and a summary."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from taxinet_ros.campaign.loop_run import Loop, campaign_loop
 from taxinet_ros.campaign.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.samplers.sampler import MOST_LAG
 from taxinet_ros.campaign.summary import (
     campaign_heading,
     campaign_summary,
@@ -30,12 +31,13 @@ from taxinet_ros.campaign.summary import (
     row_line,
     summary_json,
 )
+from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
-from taxinet_ros.core.user_code import command_of
+from taxinet_ros.core.user_code import EXTERNAL, command_of
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -46,14 +48,15 @@ if TYPE_CHECKING:
 
 
 def run_campaign(
-    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
-    as_json: bool = False,
+    options: CampaignOptions, foxglove: int | None = None, *, workers: int = 1,
+    quiet: bool = False, as_json: bool = False,
 ) -> int:
     """Run the campaign and print the results.
 
     Args:
         options: what to run.
         foxglove: port on 127.0.0.1 for the Foxglove app.
+        workers: number of runs at a time; result of :func:`check_run_workers`.
         quiet: print warnings and the summary only.
         as_json: print the summary as JSON; all else goes to standard error.
 
@@ -65,15 +68,52 @@ def run_campaign(
         from taxinet_ros.nodes.graph.foxglove_view import check_port
 
         check_port(foxglove)
-    rows = campaign_rows(options, foxglove, quiet=quiet, as_json=as_json)
+    rows = campaign_rows(options, foxglove, workers=workers, quiet=quiet, as_json=as_json)
     return exit_code(rows)
 
 
+def check_run_workers(workers: int, options: CampaignOptions, foxglove: int | None) -> int:
+    """Check the number of workers of ``taxinet run``; return it.
+
+    Raises:
+        UsageError: out of range, without effect, or with something that there is only one of.
+    """
+    if not 1 <= workers <= MOST_LAG:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_LAG}')
+    if workers == 1:
+        return workers
+    if options.runs == 1:
+        raise UsageError(
+            f'--workers {workers}: no effect on a single run; ask for more with --runs, or leave '
+            '--workers out'
+        )
+    timing = options.timing
+    alone = {
+        '--free': (timing.free, 'whose timing runs beside it would change'),
+        '--processes': (options.processes, 'which starts one graph of processes'),
+        '--foxglove': (foxglove is not None, 'which shows one run at a time'),
+    }
+    for option, (given, why) in alone.items():
+        if given:
+            raise UsageError(f'--workers {workers}: not with {option}, {why}')
+    for role in ('perception', 'controller'):
+        if getattr(options, role) == EXTERNAL:
+            raise UsageError(
+                f'--workers {workers}: not with a {role} that you start yourself, which is in one '
+                'graph only; give its command'
+            )
+    if options.engine == GRAPH:
+        from taxinet_ros.nodes.running.domain import check_workers
+
+        check_workers(workers)
+    return workers
+
+
 def campaign_rows(
-    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
-    as_json: bool = False,
+    options: CampaignOptions, foxglove: int | None = None, *, workers: int = 1,
+    quiet: bool = False, as_json: bool = False,
 ) -> list[RunRow]:
-    """Run and print a campaign; return the rows of its table.
+    """Run and print a campaign; return the rows of its table, by the numbers of their runs.
 
     Raises:
         KeyboardInterrupt: interrupted with runs left.
@@ -87,32 +127,81 @@ def campaign_rows(
                 progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
+        here = _Graphs(options) if workers == 1 else None
+        campaign = Campaign(options, PARTICIPANTS, show, here.make_ahead if here else _nothing)
         at_hand = _Interruption()
-        graphs = _Graphs(options)
-        campaign = Campaign(options, PARTICIPANTS, show, graphs.make_ahead)
         with (
             print_rows_if_lost(progress.console, campaign.rows, shown=not quiet),
-            graphs, campaign, interrupts(at_hand.interrupt, at_hand.abort),
+            here or contextlib.nullcontext(), campaign,
         ):
-            graphs.check(campaign.book.facts)
+            if here:
+                here.check(campaign.book.facts)
             if not quiet:
-                lines = [campaign_heading(options), *campaign.notes]
+                lines = [campaign_heading(options, workers), *campaign.notes]
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in requirement_lines(campaign.check, quiet=quiet):
                 progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
-            while campaign.unfinished and not at_hand.interrupted:
-                with graphs.next() as graph, _view(foxglove, graph):
-                    at_hand.take(graph)
-                    graph.run(campaign.requests(), campaign.take)
-                    at_hand.graph = None
+            if here:
+                _run_here(campaign, here, at_hand, foxglove)
+            else:
+                _run_on_workers(campaign, workers, at_hand)
+        campaign.rows.sort(key=lambda row: row.index)
     console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
     if as_json:
         print(json.dumps(summary_json(campaign.rows, options, options.runs), allow_nan=False))
     if at_hand.interrupted and len(campaign.rows) < options.runs:
         raise ToldInterrupt if campaign.rows else KeyboardInterrupt
     return campaign.rows
+
+
+def _nothing() -> None:
+    """Nothing to do while the program's process starts."""
+
+
+def _run_here(
+    campaign: Campaign, graphs: _Graphs, at_hand: _Interruption, foxglove: int | None
+) -> None:
+    """Make the runs of an open campaign one by one."""
+    with interrupts(at_hand.interrupt, at_hand.abort):
+        while campaign.unfinished and not at_hand.interrupted:
+            with graphs.next() as graph, _view(foxglove, graph):
+                at_hand.take(graph)
+                graph.run(campaign.requests(), campaign.take)
+                at_hand.graph = None
+
+
+def _run_on_workers(campaign: Campaign, workers: int, at_hand: _Interruption) -> None:
+    """Make the runs of an open campaign on worker processes, as a search does."""
+    from taxinet_ros.nodes.graph.worker import campaign_worker_command
+
+    options = campaign.options
+    command = campaign_worker_command(options, campaign.book.facts)
+    with (
+        interrupts(at_hand.interrupt),
+        WorkerPool(command, workers, options.out / 'logs') as pool,
+    ):
+        run_search(_Scenes(campaign, at_hand), pool)
+
+
+class _Scenes:
+    """The scenes of a campaign in their order, as what a pool of workers runs."""
+
+    def __init__(self, campaign: Campaign, at_hand: _Interruption) -> None:
+        self._campaign, self._at_hand = campaign, at_hand
+        self._requests = campaign.requests()
+
+    @property
+    def interrupted(self) -> bool:
+        return self._at_hand.interrupted
+
+    def next(self) -> RunRequest | None:
+        more = self._campaign.unfinished and not self.interrupted
+        return next(self._requests, None) if more else None
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        self._campaign.take(request, result)
 
 
 def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:

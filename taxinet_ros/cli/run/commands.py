@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from taxinet_ros.cli.completion import complete_experiment, complete_gain, complete_perception
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -84,6 +85,7 @@ def run(
     bag: FromOption = None,
     run_id: RunOption = None,
     runs: RunsOption = 1,
+    workers: WorkersOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
     perception_cmd: PerceptionCommandOption = None,
@@ -121,7 +123,7 @@ def run(
     rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
     from taxinet_ros.campaign.options import LOOP, make_options
-    from taxinet_ros.cli.run.campaign import run_campaign
+    from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
 
@@ -148,7 +150,10 @@ def run(
         engine=engine, audit=audit,
     )
     raise ended(
-        run_campaign(options, foxglove, quiet=quiet, as_json=as_json), exit_zero,
+        run_campaign(
+            options, foxglove, workers=check_run_workers(workers, options, foxglove),
+            quiet=quiet, as_json=as_json,
+        ), exit_zero,
     )
 
 
@@ -535,6 +540,7 @@ def up(
         typer.Option(
             '--set', metavar='KEY=VALUE',
             help='a controller gain (steering.heading_gain=1.2); repeatable',
+            autocompletion=complete_gain,
         ),
     ] = None,
     restart: Annotated[
@@ -666,7 +672,7 @@ def experiment(
         str,
         typer.Argument(
             metavar='FILE', help='shipped experiment (shadows, shadows_afternoon, crossing, '
-            'light) or a YAML file'
+            'light) or a YAML file', autocompletion=complete_experiment,
         ),
     ],
     out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,
@@ -674,7 +680,11 @@ def experiment(
         int | None, typer.Option(min=1, help="number of scenes (default: the file's)")
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(metavar='WORD|FILE', help="network (default: the file's)")
+        str | None,
+        typer.Option(
+            metavar='WORD|FILE', help="network (default: the file's)",
+            autocompletion=complete_perception,
+        ),
     ] = None,
     workers: Annotated[int, typer.Option(help='graphs run in parallel; same results')] = 1,
     cluster: ClusterOption = None,

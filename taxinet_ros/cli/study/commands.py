@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.completion import complete_gain
 from taxinet_ros.cli.options import (
     AuditOption,
     ClusterOption,
@@ -207,7 +208,10 @@ def tune(
     ] = None,
     initial: Annotated[
         list[str] | None,
-        typer.Option('--set', metavar='steering.GAIN=VALUE', help='initial gain; repeatable'),
+        typer.Option(
+            '--set', metavar='steering.GAIN=VALUE', help='initial gain; repeatable',
+            autocompletion=complete_gain,
+        ),
     ] = None,
     candidates: Annotated[
         int, typer.Option(min=2, help='gains to try, the initial ones first')

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.completion import complete_setting, one_of
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -176,6 +177,7 @@ SetOption = Annotated[
         help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
         'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
         'repeatable',
+        autocompletion=complete_setting,
     ),
 ]
 @camera_app.callback(invoke_without_command=True)
@@ -331,4 +333,66 @@ def compare(
     run_compare(
         folder, perception=perception, distance_offset_m=distance_offset,
         settings=settings or (), out=out, json_wanted=json,
+    )
+
+
+network_app = typer.Typer(
+    rich_markup_mode=None,
+    help='Networks of others: convert them, and see what they see.',
+)
+
+
+@network_app.callback(invoke_without_command=True)
+def _network(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@network_app.command('from-nnet')
+def from_nnet(
+    file: Annotated[Path, typer.Argument(metavar='FILE.nnet', help="network in Stanford's format")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='NAME.onnx', help='network to write, with its description NAME.yaml; must be '
+            'new',
+        ),
+    ],
+    description: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME|FILE.yaml', autocompletion=one_of('tinytaxinet'),
+            help='what its inputs and outputs are, which the file does not say: tinytaxinet, as '
+            'of the public TinyTaxiNet, or a YAML file as in docs/onnx.md',
+        ),
+    ],
+) -> None:
+    """Convert a .nnet file to ONNX, which `--perception NAME.onnx` then takes.
+
+    With the normalisation of the file. Its answers are compared with the file's own sums before
+    anything is written.
+    """
+    from taxinet_ros.cli.training.foreign_network import convert_nnet
+
+    convert_nnet(file, out, description)
+
+
+@network_app.command('see')
+def see(
+    network: Annotated[Path, typer.Argument(metavar='NETWORK.onnx', help='an ONNX network')],
+    settings: SetOption = None,
+    airport: AirportOption = None,
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
+    aircraft: AircraftOption = None,
+    camera: CameraOption = None,
+    out: PictureOption = None,
+) -> None:
+    """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
+    from taxinet_ros.cli.training.foreign_network import show_network_view
+
+    if renderer_of(camera):
+        raise UsageError(f'--camera {camera}: only our own camera draws here; name a mounted one')
+    show_network_view(
+        network, scene_settings(settings, airport, runway, apt_dat, aircraft, camera), out
     )

@@ -107,6 +107,20 @@ def test_given_a_plain_campaign_by_the_loop_then_rows_and_bags_are_those_of_the_
     assert taxinet('run', '--from', one, '--out', tmp_path / 'again').returncode == 0
 
 
+@pytest.mark.parametrize('engine', ['loop', 'graph'])
+def test_given_a_plain_campaign_on_workers_then_rows_and_bags_are_those_of_one_at_a_time(
+    engine, tmp_path
+):
+    words = ('run', *SCENES, '--runs', '3', '--engine', engine, '--out')
+    audit = ('--audit', '0') if engine == 'loop' else ()
+    one = taxinet(*words, tmp_path / 'one', *audit)
+    two = taxinet(*words, tmp_path / 'two', *audit, '--workers', '2')
+    assert (two.returncode, two.returncode in (0, 1)) == (one.returncode, True), two.stderr
+    assert ', 2 workers -> ' in two.stdout
+    assert len(list((tmp_path / 'two' / 'logs').glob('worker-*.log'))) == 2
+    check_same(tmp_path / 'one', tmp_path / 'two')
+
+
 @pytest.mark.parametrize('command', ['run', 'falsify'])
 def test_given_a_perception_that_is_not_a_function_of_its_frame_then_an_audit_ends_the_campaign(
     command, tmp_path

@@ -116,6 +116,25 @@ BAD = {
         ['run', 'nominal', '--spec', 'phi_always', '--bound', 'he=-2:2'],
         '--bound he: has no effect: no requirement reads he',
     ),
+    'workers for one run': (
+        ['run', 'nominal', '--workers', '2'], '--workers 2: no effect on a single run',
+    ),
+    'no workers': (['run', 'nominal', '--runs', '2', '--workers', '0'], 'needs to be within 1..'),
+    'workers and the clock': (
+        ['run', 'nominal', '--runs', '2', '--workers', '2', '--free'],
+        '--workers 2: not with --free, whose timing',
+    ),
+    'workers and processes': (
+        ['run', 'nominal', '--runs', '2', '--workers', '2', '--processes'],
+        '--workers 2: not with --processes',
+    ),
+    'workers and a node elsewhere': (
+        ['run', 'nominal', '--runs', '2', '--workers', '2', '--perception', 'external'],
+        'not with a perception that you start yourself',
+    ),
+    'workers for a recorded run': (
+        ['run', '--from', 'x', '--workers', '2'], '--from: --workers: no effect on the single run',
+    ),
     'no runs': (['run', 'nominal', '--runs', '0'], 'runs'),
     'unknown option': (['run', 'nominal', '--sed', '1'], '--sed'),
     'unknown command': (['fly'], 'fly'),

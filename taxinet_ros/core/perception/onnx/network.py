@@ -171,6 +171,11 @@ class OnnxNetwork:
                 raise file_error(path, f'output {output} is {output.kind}; export the network with '
                                 'outputs of floating point')
 
+    @property
+    def sidecar(self) -> Sidecar:
+        """Its description."""
+        return self._sidecar
+
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
 
@@ -245,9 +250,17 @@ class OnnxNetwork:
 
     def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float64]:
         """All output numbers, in order."""
+        return self.numbers(prepare(image, self._sidecar))
+
+    def numbers(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """All output numbers, in order, for the network's input as of :func:`prepare`.
+
+        Raises:
+            Exception: onnxruntime's exceptions have no other base class.
+        """
         with np.errstate(over='ignore', invalid='ignore'):
-            inputs = prepare(image, self._sidecar).astype(self._dtype)
-        arrays = self._model.session.run(None, {self._name: inputs})
+            cast = inputs.astype(self._dtype)
+        arrays = self._model.session.run(None, {self._name: cast})
         return np.concatenate([np.asarray(array, np.float64).ravel() for array in arrays])
 
     def _meaning(self, numbers: NDArray[np.float64]) -> tuple[float, float]:
