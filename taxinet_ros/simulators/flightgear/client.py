@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.simulators.limited_http import LimitedConnection
 
 ADDRESS = 'TAXINET_FLIGHTGEAR'
 """Environment variable with the address of the FlightGear to ask, HOST:PORT."""
@@ -79,7 +80,7 @@ class FlightGear:
         self.host, self.port = address or flightgear_address()
         # It answers in the frame after that of a request, each connection for itself.
         self._connection, self._second = (
-            http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
+            LimitedConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
         )
         for connection in (self._connection, self._second):
             weakref.finalize(self, connection.close)
