@@ -98,7 +98,7 @@ class WebApi:
         host = host.removeprefix('[').removesuffix(']') if ':' in host else host
         try:
             socket.getaddrinfo(host or 'no host', port, type=socket.SOCK_STREAM)
-        except (OSError, ValueError) as error:
+        except (OSError, TypeError, ValueError) as error:
             raise UsageError(f'x-plane: host {host!r:.80} is unknown') from error
         self._host, self._port = host, port
         self._timeout_s, self._tries = timeout_s, tries
@@ -138,10 +138,12 @@ class WebApi:
         Raises:
             InfraError: no valid answer, no such dataref, or X-Plane was restarted meanwhile.
         """
-        return [self._read(self._dataref(name)) for name in names]
+        return [self._read(name) for name in names]
 
-    def _read(self, dataref: Dataref) -> Value:
+    def _read(self, name: str) -> Value:
+        dataref = self._dataref(name)
         told = self._call('GET', f'/api/{self.api}/datarefs/{dataref.id}/value')
+        self._dataref(name)  # if the connection broke meanwhile: was this its value?
         value = told.get('data') if isinstance(told, dict) else None
         if dataref.type in _NUMBERS and _finite(value):
             return float(value)
@@ -186,6 +188,7 @@ class WebApi:
         if dataref.index is not None:
             path += f'?index={dataref.index}'
         self._call('PATCH', path, {'data': number})
+        self._dataref(name)
 
     def command(self, name: str) -> None:
         """Execute a command once; never sent twice.

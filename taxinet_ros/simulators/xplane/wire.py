@@ -103,8 +103,8 @@ class UdpClient:
         """
         self.words = f'{name} at {host}:{port}'
         try:
-            self._address = socket.gethostbyname(host), port
-        except (OSError, ValueError) as error:
+            self._address = socket.gethostbyname(host or 'no host'), port
+        except (OSError, TypeError, ValueError) as error:
             v6 = ', or has no IPv4 address, which UDP goes to' if ':' in host else ''
             raise UsageError(f'x-plane: host {host!r:.80} is unknown{v6}') from error
         self._timeout_s, self._tries = timeout_s, tries
