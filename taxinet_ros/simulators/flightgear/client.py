@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.simulators.limited_http import LimitedConnection
 
 ADDRESS = 'TAXINET_FLIGHTGEAR'
@@ -38,7 +39,7 @@ AIRCRAFT, MOTION = 'ufo', 'external'
 
 _ANSWER_S = 60.0
 """A frame takes a fraction of a second; on a busy machine, seconds."""
-_PPM = re.compile(rb'P6\s(\d+)\s(\d+)\s255\s')
+_PPM = re.compile(rb'P6\s([1-9]\d{0,4})\s([1-9]\d{0,4})\s255\s')
 _MOST_BYTES = 1 << 26
 _RUN, _PICTURE = '/run.cgi?value=nasal', '/screenshot?type=ppm'
 
@@ -160,7 +161,7 @@ class FlightGear:
 
     def _parsed(self, answer: bytes) -> Any:
         try:
-            return json.loads(answer).get('value')
+            return load_json(answer).get('value')
         except (ValueError, AttributeError):
             raise failed(
                 InfraKind.PROTOCOL, f'{self.where} does not answer like FlightGear: {answer[:40]!r}'
