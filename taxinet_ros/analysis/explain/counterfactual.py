@@ -5,8 +5,8 @@ with the property, the property causes it; this needs no gradient and works for 
 valid for single frames; the effect on the whole run requires a rerun. So faults, and what pushes
 the aircraft without being visible, are also removed from the whole run.
 
-Another camera is asked for what it shows, and first for the recorded scenes: where it no longer
-takes the recorded pictures, nothing that it shows otherwise can be laid to the change.
+Another camera is asked for what it shows, and first for the recorded scenes: where it does not
+take the recorded pictures again, nothing that it shows otherwise can be laid to the change.
 """
 
 from __future__ import annotations

@@ -204,9 +204,11 @@ def _other_pictures(
     )
     if abs(again.removed) <= _SAME_SHARE and codes <= _SAME_CODES:
         return ''
+    # Its streaks are elsewhere in each picture: what they do to a network is in this figure.
+    rain = ' (its rain falls otherwise)' if again.factor.scenario.rain_fraction else ''
     return (
-        f'the camera {renderer.name} no longer takes the recorded pictures: taken again, one '
-        f'differs by {codes:.0f} of 255 on average, and {effect_words(again)}'
+        f'the camera {renderer.name} does not take the recorded pictures again{rain}: one differs '
+        f'by {codes:.0f} of 255 on average, and {effect_words(again)}'
     )
 
 

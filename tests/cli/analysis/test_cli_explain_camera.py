@@ -117,7 +117,7 @@ def test_given_a_camera_whose_pictures_have_changed_since_then_no_cause_is_named
     assert found['factors'] == []
     assert found['taken_again']['pictures_changed'][0] > 0.9
     assert any(
-        'the camera flightgear no longer takes the recorded pictures: taken again, ' in one
+        'the camera flightgear does not take the recorded pictures again: one differs by ' in one
         for one in found['sentences']
     ), found['sentences']
 

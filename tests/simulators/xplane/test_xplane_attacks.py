@@ -113,7 +113,8 @@ def answers_of(sim: FakeXPlane, name: str, body: bytes) -> object:
     (http(b'{"api": {"versions": [{"a": 1}]}, "x-plane": {"version": "12"}}'), 'speaks v3, v2'),
     (http(b'[' * 100_000), 'is answered by'),
     (http(b'{"api": ' + b'9' * 5000 + b'}'), 'is answered by'),
-    (b'HTTP/1.1 200 OK\r\nContent-Length: 9999999999\r\n\r\n' + b' ' * (5 << 20), 'more than 4 MiB'),
+    (b'HTTP/1.1 200 OK\r\nContent-Length: 9999999999\r\n\r\n' + b' ' * (5 << 20),
+     'more than 4 MiB'),
     (b'HTTP/1.1 200 OK\r\n' + b''.join(b'X-%d: a\r\n' % one for one in range(300)) + b'\r\n',
      'no valid HTTP'),
     (b'HTTP/1.1 200 OK\r\nX: ' + b'a' * 100_000 + b'\r\n\r\n', 'LineTooLong'),
@@ -121,7 +122,8 @@ def answers_of(sim: FakeXPlane, name: str, body: bytes) -> object:
     (bytes(range(256)), 'BadStatusLine'),
 ], ids=[
     'error page', 'page', 'redirect', 'nothing', 'control characters', 'text for a list',
-    'no versions', 'deep', 'long number', 'huge', 'many headers', 'long header', 'bad chunk', 'binary',
+    'no versions', 'deep', 'long number', 'huge', 'many headers', 'long header', 'bad chunk',
+    'binary',
 ])
 def test_a_web_server_that_is_no_x_plane(sim, answer, words):
     sim.http_fault = says(answer)
@@ -172,7 +174,7 @@ def test_an_account_of_a_dataref_that_is_none(sim, told):
     link = web(sim)
     known = {'id': 1, 'name': RAIN, 'value_type': 'float', 'is_writable': True}
     sim.http_fault = says(http(json.dumps({'data': [{**known, **told}]}).encode()))
-    with pytest.raises(InfraError, match='^protocol: x-plane: .*is answered by'):
+    with pytest.raises(InfraError, match=r'^protocol: x-plane: .*is answered by'):
         link.read(RAIN)
 
 
@@ -202,7 +204,7 @@ def test_a_number_that_a_dataref_cannot_hold_is_not_sent(sim, name, value):
 @pytest.mark.parametrize('host', ['no.such.host.invalid', '', 'a\nb', 'a\0b', 'a' * 80 + '.b'])
 @pytest.mark.parametrize('client', [WebApi, XPlaneConnect, NativeUdp])
 def test_a_host_that_is_none(client, host):
-    with pytest.raises(UsageError, match='x-plane: host .* is unknown') as error:
+    with pytest.raises(UsageError, match=r'x-plane: host .* is unknown') as error:
         client(host, 1)
     assert str(error.value).isprintable()
 
@@ -211,7 +213,7 @@ def test_hosts_of_ipv6():
     for host in ('::1', '[::1]'):
         with contextlib.suppress(OSError), socket.socket(socket.AF_INET6) as one:
             one.bind(('::1', 0))
-            with pytest.raises(InfraError, match='not_ready: x-plane: .*::1.*nothing listens'):
+            with pytest.raises(InfraError, match=r'not_ready: x-plane: .*::1.*nothing listens'):
                 WebApi(host, one.getsockname()[1])
     with pytest.raises(UsageError, match='has no IPv4 address, which UDP goes to'):
         XPlaneConnect('::1')
@@ -236,14 +238,14 @@ def test_ids_that_mean_something_else_after_a_break_are_a_restart(sim):
     names[at], names[other] = names[other], names[at]  # both are numbers
     sim.values = {name: sim.values[name] for name in names}
     link._connection.sock.shutdown(socket.SHUT_RDWR)
-    with pytest.raises(InfraError, match='^died: x-plane: .* another id since the connection'):
+    with pytest.raises(InfraError, match=r'^died: x-plane: .* another id since the connection'):
         link.read(RAIN)
 
 
 def test_a_restart_that_keeps_the_ids(sim):
     made = camera(sim)
     sim.values['sim/time/total_running_time_sec'] = 0.0
-    with pytest.raises(InfraError, match='^died: x-plane: X-Plane has been up for .* restarted'):
+    with pytest.raises(InfraError, match=r'^died: x-plane: X-Plane has been up for .* restarted'):
         made.render(Aircraft(SCENE).state, 0)
 
 
@@ -266,7 +268,7 @@ def test_a_version_that_is_none(sim):
 def test_a_datagram_of_the_plug_in_that_is_no_answer(sim, reply):
     link = sim.client(XPlaneConnect('127.0.0.1', sim.connect_port))
     sim.udp_fault = lambda packet: [reply]
-    with pytest.raises(InfraError, match='^protocol: x-plane: XPlaneConnect: '):
+    with pytest.raises(InfraError, match=r'^protocol: x-plane: XPlaneConnect: '):
         link.read(RAIN)
 
 
@@ -274,7 +276,7 @@ def test_a_datagram_of_the_plug_in_that_is_no_answer(sim, reply):
 def test_a_position_that_is_nowhere(sim, place):
     link = sim.client(XPlaneConnect('127.0.0.1', sim.connect_port))
     sim.udp_fault = lambda packet: [struct.pack('<4sxBdddffff', b'POSI', 1, *place, *[0.0] * 5)]
-    with pytest.raises(InfraError, match='^protocol: x-plane: .* is not on Earth, or not finite'):
+    with pytest.raises(InfraError, match=r'^protocol: x-plane: .* is not on Earth, or not finite'):
         link.position()
 
 
@@ -303,7 +305,7 @@ def test_a_port_of_beacons_that_another_program_holds():
 def test_somebody_who_resumes_the_simulation(sim):
     made = camera(sim)
     sim.values['sim/time/sim_speed'] = 1
-    with pytest.raises(InfraError, match='^sim: x-plane: its time went on by .* resume it'):
+    with pytest.raises(InfraError, match=r'^sim: x-plane: its time went on by .* resume it'):
         made.render(Aircraft(SCENE).state, 0)
 
 
@@ -313,7 +315,7 @@ def test_somebody_who_resumes_the_simulation(sim):
 def test_somebody_who_looks_elsewhere(sim, name, value):
     made = camera(sim)
     sim.values[f'sim/graphics/view/{name}'] = value
-    with pytest.raises(InfraError, match='^sim: x-plane: (the view is|.*field_of_view_deg is 20)'):
+    with pytest.raises(InfraError, match=r'^sim: x-plane: (the view is|.*field_of_view_deg is 20)'):
         made.render(Aircraft(SCENE).state, 0)
 
 
@@ -327,8 +329,8 @@ def test_somebody_who_changes_weather_hour_or_aircraft(sim, name, value, words):
     made.render(state, 0)
     sim.values[name] = value
     with pytest.raises(InfraError, match=f'^sim: x-plane: .*{words}'):
-        for step in range(16):  # one more thing is looked at with each picture
-            made.render(state, step)
+        # One more thing is looked at with each picture.
+        list(map(made.render, [state] * 16, range(16)))
 
 
 def test_a_window_smaller_than_the_picture(sim):
