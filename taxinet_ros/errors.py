@@ -118,6 +118,7 @@ class InfraError(Exception):
     """
 
     def __init__(self, kind: str, who: str, step: int, detail: str) -> None:
+        detail = plain_line(detail)  # it may quote what a peer has sent
         super().__init__(f'{kind}: {who}{f" at step {step}" if step >= 0 else ""}: {detail}')
         self.kind = str(kind)
         self.who = who

@@ -7,7 +7,6 @@ name.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,8 @@ MOST_NAME = 255
 """Length limit of a name: XPlaneConnect counts it in a byte."""
 MOST_ELEMENTS = 255
 """Length limit of an array that is written, for the same reason."""
+MOST_NUMBER = 3.4e38
+"""Greatest number that is written: X-Plane's floats have 32 bits."""
 
 Number = float | tuple[float, ...]
 
@@ -48,21 +49,21 @@ def split_name(text: str) -> tuple[str, int | None]:
 
 
 def checked_value(name: str, value: object) -> Number:
-    """A finite number, or an array of them, to be written.
+    """A number that 32 bits hold, or an array of them, to be written.
 
     Raises:
         UsageError: it is neither.
     """
-    if isinstance(value, int | float) and math.isfinite(value):
+    if isinstance(value, int | float) and abs(value) <= MOST_NUMBER:
         return float(value)
     if isinstance(value, Sequence) and not isinstance(value, str) and (
         0 < len(value) <= MOST_ELEMENTS
-        and all(isinstance(one, int | float) and math.isfinite(one) for one in value)
+        and all(isinstance(one, int | float) and abs(one) <= MOST_NUMBER for one in value)
     ):
         return tuple(map(float, value))
     raise UsageError(
-        f'{name} is {value!r:.60}; expected a finite number, or a list of 1 to {MOST_ELEMENTS} of '
-        'them'
+        f'{name} is {value!r:.60}; expected a finite number up to {MOST_NUMBER:g}, or a list of '
+        f'1 to {MOST_ELEMENTS} of them'
     )
 
 

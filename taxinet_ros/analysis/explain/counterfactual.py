@@ -1,16 +1,19 @@
 """Counterfactuals: the same moment without shadow, rain, dirt, etc., and the same run without wind.
 
-The camera is deterministic, so a single property of the scene can be changed. If the error vanishes
+Our camera is deterministic, so a single property of the scene can be changed. If the error vanishes
 with the property, the property causes it; this needs no gradient and works for any network. It is
 valid for single frames; the effect on the whole run requires a rerun. So faults, and what pushes
 the aircraft without being visible, are also removed from the whole run.
+
+Another camera is asked for what it shows, and first for the recorded scenes: where it does not
+take the recorded pictures again, nothing that it shows otherwise can be laid to the change.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,13 +30,15 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.renderer import PICTURE_KEYS, ChosenRenderer, RunCamera
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import FAULTS, PICTURE_FAULTS, ScenarioField
+from taxinet_ros.core.scenario_fields import BY_KEY, FAULTS, PICTURE_FAULTS, ScenarioField
 from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 
 SHADOW, CROSSING, RAIN, OTHERS = 'shadow', 'crossing', 'rain', 'others'
+AGAIN = 'again'
 
 LEAST_SHARE = 0.25
 """Minimum share of the error that a factor must remove to be named as its cause."""
@@ -46,6 +51,8 @@ _EASY: dict[str, Any] = {
     'clouds': 'clear', 'rain_fraction': 0.0, 'time_of_day_s': _TEN, 'shadows': False,
     'crossing': False, 'traffic': NOBODY,
 }
+EVERYTHING = frozenset(PICTURE_KEYS)
+"""What our camera shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,13 +108,22 @@ class Effect:
     changed: bool
 
 
-def factors(scenario: Scenario) -> tuple[Factor, ...]:
-    """Factors of a scene's images, without those that would change nothing."""
+def factors(
+    scenario: Scenario, shows: Collection[str] = EVERYTHING
+) -> tuple[Factor, ...]:
+    """Factors of a scene's images, without those that would change nothing.
+
+    Args:
+        scenario: the scene.
+        shows: keys of the scenario that the camera shows; a change of another one is left out.
+    """
     rain = scenario.rain_fraction > 0
     seen = [field for field in scenario.faults if field in PICTURE_FAULTS]
+    hidden = {BY_KEY[key].attribute for key in EVERYTHING.difference(shows)}
+    easy = {name: value for name, value in _EASY.items() if name not in hidden}
 
     def changed(**values: Any) -> Scenario:
-        return dataclasses.replace(scenario, **values)
+        return scenario if hidden & values.keys() else dataclasses.replace(scenario, **values)
 
     return _different(scenario, [
         *_without_faults(scenario, seen, 'without any fault of the camera'),
@@ -124,9 +140,18 @@ def factors(scenario: Scenario) -> tuple[Factor, ...]:
          f'the {scenario.clouds} sky with its rain' if rain else f'the {scenario.clouds} sky',
          changed(clouds='clear', rain_fraction=0.0)),
         ('ten', 'at 10:00', 'the hour', changed(time_of_day_s=_TEN)),
-        ('easy', 'all at once, under a clear sky', 'all of it together',
-         dataclasses.replace(scenario.without_faults(*PICTURE_FAULTS), **_EASY)),
+        ('easy', f'all at once{", under a clear sky" if "clouds" in easy else ""}',
+         'all of it together',
+         dataclasses.replace(scenario.without_faults(*PICTURE_FAULTS), **easy)),
     ])
+
+
+def not_shown(shows: Collection[str]) -> tuple[str, ...]:
+    """Keys that :func:`factors` would change, and that a camera does not show."""
+    return tuple(
+        key for key in PICTURE_KEYS
+        if key not in shows and BY_KEY[key].attribute in _EASY
+    )
 
 
 def run_factors(scenario: Scenario) -> tuple[Factor, ...]:
@@ -235,6 +260,7 @@ def reruns(
 def effects(
     scenario: Scenario, moments: Sequence[Moment], look: Estimator, gains: SteeringGains,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
+    renderer: ChosenRenderer | None = None,
 ) -> tuple[Effect, ...]:
     """Change each factor at each moment and evaluate the network.
 
@@ -244,20 +270,52 @@ def effects(
         look: the network.
         gains: gains of the run's steering law.
         on_progress: called with the number of factors done and their total.
+        renderer: who takes the pictures; None for our camera. What it does not show is not
+            changed.
+
+    Raises:
+        InfraError: the camera failed.
     """
     found = []
-    wanted = factors(scenario)
+    wanted = factors(scenario, EVERYTHING if renderer is None else renderer.shows)
     for number, factor in enumerate(wanted, 1):
-        camera = Camera(factor.scenario)
+        found.append(_effect(factor, moments, look, gains, renderer))
+        on_progress(number, len(wanted))
+    return tuple(found)
+
+
+def taken_again(
+    scenario: Scenario, moments: Sequence[Moment], look: Estimator, gains: SteeringGains,
+    renderer: ChosenRenderer,
+) -> Effect:
+    """The recorded moments, taken again unchanged: the control of :func:`effects`.
+
+    Raises:
+        InfraError: the camera failed.
+    """
+    factor = Factor(
+        name=AGAIN, words='taken again', cause='the camera itself', rank=-1, scenario=scenario
+    )
+    return _effect(factor, moments, look, gains, renderer)
+
+
+def _effect(
+    factor: Factor, moments: Sequence[Moment], look: Estimator, gains: SteeringGains,
+    renderer: ChosenRenderer | None,
+) -> Effect:
+    camera = Camera(factor.scenario) if renderer is None else renderer.make(factor.scenario)
+    try:
         outcomes = tuple(
             _outcome(camera, factor.scenario, moment, look, gains) for moment in moments
         )
-        found.append(Effect(
-            factor=factor, outcomes=outcomes, removed=_removed(moments, outcomes),
-            changed=any(outcome.changed > 0 for outcome in outcomes),
-        ))
-        on_progress(number, len(wanted))
-    return tuple(found)
+    finally:
+        # The next one may need what this one holds.
+        if isinstance(camera, RunCamera):
+            camera.close()
+    return Effect(
+        factor=factor, outcomes=outcomes, removed=_removed(moments, outcomes),
+        changed=any(outcome.changed > 0 for outcome in outcomes),
+    )
 
 
 def effect_to_blame(found: Sequence[Effect]) -> Effect | None:
@@ -278,7 +336,8 @@ def _best_single(found: Sequence[Effect]) -> float:
 
 
 def _outcome(
-    camera: Camera, scenario: Scenario, moment: Moment, look: Estimator, gains: SteeringGains
+    camera: Camera | RunCamera, scenario: Scenario, moment: Moment, look: Estimator,
+    gains: SteeringGains,
 ) -> ChangedView:
     step = shown_step(scenario, moment.seq, CONTROL_PERIOD_NS)
     state = moment.state if step == moment.seq else moment.shown

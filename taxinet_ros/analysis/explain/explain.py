@@ -6,7 +6,7 @@ Contains the explanation and its sentences, the most important first.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +21,10 @@ from taxinet_ros.analysis.explain.counterfactual import (
     Rerun,
     effect_to_blame,
     effects,
+    not_shown,
     reruns,
     run_factors,
+    taken_again,
 )
 from taxinet_ros.analysis.explain.nearest_images import NearestImages, Nearness
 from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
@@ -40,7 +42,7 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import Perception
-from taxinet_ros.core.renderer import OURS
+from taxinet_ros.core.renderer import OURS, ChosenRenderer
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
@@ -88,6 +90,9 @@ class Explanation:
             empty if nothing did.
         not_rerun: why there are none, though something did; '' otherwise.
         not_modified: why its scenes are not modified; '' otherwise.
+        again: the examined moments, taken again unchanged by a camera other than ours that was
+            asked; None if none was.
+        hidden: scenario keys that were not changed, as this camera does not show them.
     """
 
     bag: Path
@@ -101,6 +106,8 @@ class Explanation:
     reruns: tuple[Rerun, ...] = ()
     not_rerun: str = ''
     not_modified: str = ''
+    again: Effect | None = None
+    hidden: tuple[str, ...] = ()
 
     @property
     def own(self) -> bool:
@@ -122,6 +129,7 @@ class Explanation:
 def explain(
     recording: Recording, perception: Perception, *, frames: int,
     training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
+    renderer: ChosenRenderer | None = None,
 ) -> Explanation:
     """Explain a run.
 
@@ -131,9 +139,12 @@ def explain(
         frames: maximum number of moments to examine, at least 1.
         training: images to compare the frames with.
         on_progress: called with the progress.
+        renderer: the run's camera, where that is not ours, asked for pictures of modified scenes;
+            None: they are not modified.
 
     Raises:
         WorldDiffers: frames are missing and cannot be reproduced.
+        InfraError: the camera failed.
         BagError, UsageError: the bag cannot be read.
     """
     def look(image: Frame) -> TrackingError:
@@ -143,21 +154,28 @@ def explain(
     world, camera = world_and_camera(run.world or KMWH)
     if world != KMWH:
         raise UsageError(f'{bag}: used world {world}, whose modified scenes cannot be rendered')
-    theirs = '' if camera == OURS else (
-        f'its pictures are of the camera {camera}, whose scenes are not modified'
+    theirs = '' if camera == OURS or renderer is not None else (
+        f'its pictures are of the camera {camera}, which is asked for others with --camera {camera}'
     )
     track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
     chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:
         raise BagEmpty(f'{bag}: none of its camera frames can be examined', path=bag)
     found: tuple[Effect, ...] = ()
+    again: Effect | None = None
     if not theirs and not track.differs and all(moment.state for moment in chosen):
-        found = effects(
-            run.request.scenario, chosen, look, track.gains,
-            lambda done, all_: on_progress('scenes', done, all_),
-        )
+        scenario = run.request.scenario
+        if renderer is not None:
+            again = taken_again(scenario, chosen, look, track.gains, renderer)
+            theirs = _other_pictures(renderer, chosen, again)
+        if not theirs:
+            found = effects(
+                scenario, chosen, look, track.gains,
+                lambda done, all_: on_progress('scenes', done, all_), renderer,
+            )
     driven, not_rerun = _driven_again(
-        run, perception, theirs, lambda done, all_: on_progress('runs', done, all_)
+        run, perception, '' if camera == OURS else f'its pictures are of the camera {camera}',
+        lambda done, all_: on_progress('runs', done, all_),
     )
     insights = []
     for number, moment in enumerate(chosen):
@@ -166,8 +184,36 @@ def explain(
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
         track=track, insights=tuple(insights), effects=found, training=training,
-        reruns=driven, not_rerun=not_rerun, not_modified=theirs,
+        reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
+        hidden=() if renderer is None else not_shown(renderer.shows),
     )
+
+
+_SAME_SHARE, _SAME_CODES = 0.1, 6.0
+"""What may differ when pictures are taken again: the share of the error, less than half of what a
+factor has to remove to be named; and the mean of the pixels [codes], more than streaks of rain."""
+
+
+def _other_pictures(
+    renderer: ChosenRenderer, moments: Sequence[Moment], again: Effect
+) -> str:
+    """Why what a camera shows now cannot be compared with the recording; '' where it can."""
+    codes = max(
+        float(np.abs(moment.image.astype(np.int16) - outcome.image).mean())
+        for moment, outcome in zip(moments, again.outcomes, strict=True)
+    )
+    if abs(again.removed) <= _SAME_SHARE and codes <= _SAME_CODES:
+        return ''
+    # Its streaks are elsewhere in each picture: what they do to a network is in this figure.
+    rain = ' (its rain falls otherwise)' if again.factor.scenario.rain_fraction else ''
+    return (
+        f'the camera {renderer.name} does not take the recorded pictures again{rain}: one differs '
+        f'by {codes:.0f} of 255 on average, and {effect_words(again)}'
+    )
+
+
+def _most_changed(effect: Effect) -> float:
+    return max(outcome.changed for outcome in effect.outcomes)
 
 
 def _driven_again(
@@ -220,6 +266,7 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
     """The findings."""
     worst = found.insights[found.worst]
     yield from _cause(found)
+    yield from camera_sentences(found)
     yield from rerun_sentences(found)
     yield f'Largest error at {moment_words(worst.moment)}.'
     yield from attention_sentences(worst)
@@ -230,6 +277,21 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
             f'This run used the controller {found.run.controller}, but the effect of an estimate '
             'is computed with the shipped steering law.'
         )
+
+
+def camera_sentences(found: Explanation) -> Iterator[str]:
+    """What a camera other than ours was asked for, and what it could not be."""
+    if found.again is None:
+        return
+    _, camera = world_and_camera(found.run.world)
+    if found.effects:
+        yield (
+            f'Taken again unchanged by the camera {camera}, at most '
+            f'{100 * _most_changed(found.again):.1f} % of the pixels of a picture differ: '
+            f'{effect_words(found.again)}.'
+        )
+    if found.hidden:
+        yield f'Not changed, as the camera {camera} does not show it: {", ".join(found.hidden)}.'
 
 
 def rerun_sentences(found: Explanation) -> Iterator[str]:

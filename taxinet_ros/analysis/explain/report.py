@@ -10,6 +10,7 @@ from taxinet_ros.analysis.explain.explain import (
     Explanation,
     Insight,
     attention_sentences,
+    camera_sentences,
     explain_sentences,
     moment_words,
     recomputed_sentence,
@@ -62,6 +63,11 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         },
         'steps_on_runway': found.track.steps_on_runway,
         'blamed': None if blamed is None else blamed.factor.name,
+        'taken_again': None if found.again is None else {
+            'removed': found.again.removed,
+            'pictures_changed': [outcome.changed for outcome in found.again.outcomes],
+        },
+        'not_changed': list(found.hidden),
         'factors': [
             {'name': effect.factor.name, 'words': effect.factor.words,
              'removed': effect.removed, 'picture_changed': effect.changed}
@@ -98,6 +104,7 @@ def _sections(found: Explanation) -> Iterator[Section]:
                 'Each change is made alone, so it causes the difference. This holds for the '
                 'images; whether the whole run would have passed can only be tested by another '
                 'run.',
+                *camera_sentences(found),
             ),
             pictures=(
                 factor_picture(found),
@@ -105,10 +112,10 @@ def _sections(found: Explanation) -> Iterator[Section]:
             ),
             tables=(_factor_table(found),),
         )
-    elif found.track.differs:
+    elif why := found.not_modified or found.track.differs:
         yield Section(
             name='scenes', heading='The same moments in other scenes',
-            sentences=(f'Not available: {found.track.differs}.',),
+            sentences=(f'Not available: {why}.',),
         )
     if found.reruns or found.not_rerun:
         yield Section(

@@ -209,6 +209,14 @@ def explain(
             min=1, max=20, help='maximum number of frames to examine: the worst ones and the first'
         ),
     ] = 4,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar='NAME|FILE',
+            help="the run's camera, if that is not ours: asked for pictures of the changed scenes "
+            '(default: they are not changed)',
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help='output folder for page and images; must be new')
     ] = None,
@@ -225,8 +233,8 @@ def explain(
 
     with readable_run(bag, run_id) as whole:
         code = run_explain(ExplainOptions(
-            recording=whole, perception=perception, dataset=dataset, frames=frames, out=out,
-            as_json=as_json,
+            recording=whole, perception=perception, dataset=dataset, frames=frames,
+            camera=camera, out=out, as_json=as_json,
         ))
     raise typer.Exit(code)
 

@@ -24,10 +24,13 @@ from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
+from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.pages import add_page
+from taxinet_ros.registry import KMWH
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
@@ -48,6 +51,8 @@ class ExplainOptions:
         perception: word or file; None: the run's own.
         dataset: folder of training images, or None.
         frames: maximum number of moments to examine.
+        camera: who takes pictures of the modified scenes, the run's camera; None: ours does, and
+            those of another camera are not modified.
         out: new folder for page and images; None: one below ``bags/``.
         as_json: print the JSON instead of the summary.
     """
@@ -56,6 +61,7 @@ class ExplainOptions:
     perception: str | None
     dataset: Path | None
     frames: int
+    camera: str | None
     out: Path | None
     as_json: bool
 
@@ -68,11 +74,13 @@ def run_explain(options: ExplainOptions) -> int:
 
     Raises:
         UsageError: bad input.
+        InfraError: the camera failed.
     """
     console = Console(highlight=False, stderr=options.as_json)
     with readable_bags():
         run = options.recording.run
         word = _network(run, options.perception)
+        renderer = _renderer(run, options.camera)
         out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
         folder = None if options.dataset is None else open_folder(options.dataset)
@@ -80,7 +88,7 @@ def run_explain(options: ExplainOptions) -> int:
             training = None if folder is None else _training(folder, show)
             found = explain(
                 options.recording, make_perception(word), frames=options.frames,
-                training=training, on_progress=show,
+                training=training, on_progress=show, renderer=renderer,
             )
     _make(out)
     written = _write(found, out)
@@ -109,6 +117,23 @@ def _network(run: RecordedRun, asked: str | None) -> str:
             f'{fingerprint[:12]}…; name the file, or another network, with --perception'
         )
     return word
+
+
+def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
+    """The camera that is asked for pictures of modified scenes; None for ours."""
+    _, camera = world_and_camera(run.world or KMWH)
+    if asked is None:
+        return None
+    found = find_renderer(asked)
+    theirs = '' if found is None else found.fingerprint
+    # A file may have moved since; its contents tell.
+    if asked == camera or (theirs and theirs == run.world_fingerprint):
+        return found
+    raise UsageError(
+        f'--camera {asked}: the pictures of {run.request.run_id} are of the camera {camera}, and '
+        'pictures of another one would differ in everything; leave it out, or take '
+        f'--camera {camera}'
+    )
 
 
 def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> NearestImages:

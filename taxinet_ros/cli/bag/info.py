@@ -191,8 +191,12 @@ _FIGURES = {
 
 
 def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
-    yield 'left the runway' if figures.get('left_runway') else 'stayed on the runway'
-    if figures.get('stopped_early'):
+    stopped = bool(figures.get('stopped_early'))
+    if figures.get('left_runway'):
+        yield 'left the runway'
+    else:  # where it would have gone is not known
+        yield f'stayed on the runway{" until it was stopped" if stopped else ""}'
+    if stopped:
         yield 'stopped early'
     for name, (words, factor, unit) in _FIGURES.items():
         value = figures.get(name)

@@ -181,6 +181,8 @@ class FlightGearCamera:
                 raise failed(InfraKind.INTRUDER, 'somebody has set it while a picture was taken')
             moved_on = after.frame > shown.frame
             if moved_on and now.shape == before.shape and self._alike(before, now):
+                if now.min() == now.max():
+                    raise failed(InfraKind.SIM, 'its picture has one colour: does it draw at all?')
                 return now
             before = now
         if not moved_on:

@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.simulators.limited_http import LimitedConnection
 
 ADDRESS = 'TAXINET_FLIGHTGEAR'
 """Environment variable with the address of the FlightGear to ask, HOST:PORT."""
@@ -37,7 +39,7 @@ AIRCRAFT, MOTION = 'ufo', 'external'
 
 _ANSWER_S = 60.0
 """A frame takes a fraction of a second; on a busy machine, seconds."""
-_PPM = re.compile(rb'P6\s(\d+)\s(\d+)\s255\s')
+_PPM = re.compile(rb'P6\s([1-9]\d{0,4})\s([1-9]\d{0,4})\s255\s')
 _MOST_BYTES = 1 << 26
 _RUN, _PICTURE = '/run.cgi?value=nasal', '/screenshot?type=ppm'
 
@@ -79,7 +81,7 @@ class FlightGear:
         self.host, self.port = address or flightgear_address()
         # It answers in the frame after that of a request, each connection for itself.
         self._connection, self._second = (
-            http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
+            LimitedConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
         )
         for connection in (self._connection, self._second):
             weakref.finalize(self, connection.close)
@@ -159,7 +161,7 @@ class FlightGear:
 
     def _parsed(self, answer: bytes) -> Any:
         try:
-            return json.loads(answer).get('value')
+            return load_json(answer).get('value')
         except (ValueError, AttributeError):
             raise failed(
                 InfraKind.PROTOCOL, f'{self.where} does not answer like FlightGear: {answer[:40]!r}'

@@ -122,7 +122,10 @@ def _nearest_runway(
         f'setprop("{_OUT}", out);'
     )
     told = [words.split() for words in str(flightgear.value(_OUT)).split(';') if words]
-    ends = [(float(latitude), float(longitude)) for _, latitude, longitude in told]
+    try:
+        ends = [(_finite(latitude), _finite(longitude)) for _, latitude, longitude in told]
+    except ValueError:
+        raise failed(InfraKind.PROTOCOL, f'its runways are {str(told)[:60]!r}') from None
     if len(ends) < 2:
         raise UsageError(
             f'camera flightgear: it has no runway of {place.icao or place.name}; take a place that '
@@ -152,7 +155,17 @@ def _heights(
         told = str(flightgear.value(_OUT)).split()
         if len(told) != len(some):
             raise failed(InfraKind.PROTOCOL, f'{len(told)} ground heights for {len(some)} points')
-        yield from map(float, told)
+        try:
+            yield from map(float, told)
+        except ValueError as error:
+            raise failed(InfraKind.PROTOCOL, f'its ground heights: {error}') from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

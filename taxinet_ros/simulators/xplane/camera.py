@@ -46,6 +46,8 @@ _MOVED_M, _TURNED_RAD = 0.05, 2e-3
 _MORE_FRAMES = 30
 """Frames to wait for a picture that should have changed."""
 _WIDEST_DEG = 140.0
+_LEAST_SHARP = 0.75
+"""Least resolution of X-Plane's picture, as a share of the camera's."""
 _NEAR_M, _NEAR_DEG = 0.05, 0.2
 """Greatest distance of the view from the mounted camera."""
 
@@ -90,6 +92,14 @@ class ViewFromXPlane:
                 f'x-plane: camera {model.name} needs a window of {self.fov_deg:.0f} degrees, more '
                 f'than {_WIDEST_DEG:g}; make the window less wide, or take another lens'
             )
+        focal_px = width / 2 / math.tan(math.radians(self.fov_deg) / 2)
+        if focal_px < _LEAST_SHARP * max(model.focal_px):
+            least = _LEAST_SHARP * max(model.focal_px) / focal_px
+            raise UsageError(
+                f'x-plane: its window of {width:g} x {height:g} pixels is too small for '
+                f'the camera {model.name}; make it {math.ceil(width * least)} x '
+                f'{math.ceil(height * least)} or larger'
+            )
         try:
             xplane.link.command(xplane.setup.view)
         except InfraError as error:
@@ -101,12 +111,21 @@ class ViewFromXPlane:
         xplane.frames(xplane.setup.frames)
         for one in self._settings():
             xplane.check(one)
+        self._check_view()
+
+    def _check_view(self) -> None:
+        """Check that the view is where the camera is mounted, and as wide as its picture.
+
+        Raises:
+            InfraError: it is not.
+        """
         away_m, away_deg = self.away()
-        if away_m > _NEAR_M or away_deg > _NEAR_DEG:
+        if not (away_m <= _NEAR_M and away_deg <= _NEAR_DEG):
             raise failed(
                 InfraKind.SIM, f'the view is {away_m:.2f} m and {away_deg:.1f} deg from where the '
-                f'camera {model.name} is mounted: is {xplane.setup.view} the view?'
+                f'camera {self._model.name} is mounted: is {self._xplane.setup.view} the view?'
             )
+        self._xplane.check(self._settings()[-1])
 
     def away(self) -> tuple[float, float]:
         """Distance of X-Plane's view from the mounted camera, as X-Plane tells both [m, deg].
@@ -139,12 +158,25 @@ class ViewFromXPlane:
             for name, value in values.items()
         ]
 
-    def take(self, state: AircraftState) -> NDArray[np.uint8]:
+    def take(self, state: AircraftState, time_s: float) -> NDArray[np.uint8]:
         """Picture of the aircraft at a state, where X-Plane has it already.
 
+        Args:
+            state: the state.
+            time_s: time of the simulation, which stands still [s].
+
         Raises:
-            InfraError: the picture is of another size, of one colour, or does not change.
+            InfraError: the picture is of another size, of one colour, or does not change; or
+                something that was set for the run has changed.
         """
+        picture = self._taken(state)
+        # After the picture: whoever presses a key may do it any time before.
+        self._xplane.check_still(time_s)
+        self._check_view()
+        self._xplane.check_next()
+        return picture
+
+    def _taken(self, state: AircraftState) -> NDArray[np.uint8]:
         self._xplane.frames(self._xplane.setup.frames)
         for _ in range(_MORE_FRAMES):
             picture = self._screen.grab()
@@ -208,6 +240,7 @@ class XPlaneCamera:
             start = pose_of(scenario, Aircraft(scenario).state)
             self._xplane.begin(scenario, start, moves=False)
             self._view = ViewFromXPlane(self._xplane, scenario.camera_model, self._screen)
+            self._time_s = self._xplane.time_s()
         except BaseException:
             self.close()
             raise
@@ -219,7 +252,7 @@ class XPlaneCamera:
             InfraError: X-Plane fails, or does not show it.
         """
         self._xplane.place(pose_of(self._scenario, state))
-        return self._view.take(state)
+        return self._view.take(state, self._time_s)
 
     def close(self) -> None:
         """Give X-Plane back, running."""

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind
-from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed
+from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed, floats
 
 PORT = 49009
 _HEAD = 5
@@ -93,7 +93,7 @@ class XPlaneConnect(UdpClient):
         plug-in knows whole arrays, besides X-Plane 11's datarefs whose names end in an index.
         """
         path, index = split_name(name)
-        values = value if isinstance(value, tuple) else (value,)
+        values = floats(name, value)
         if index is not None and not self._rows(name)[0]:
             array = list(self._rows(path)[0])
             if isinstance(value, tuple) or index >= len(array):
@@ -197,8 +197,12 @@ def parse_position(reply: bytes) -> Position:
         # 34 bytes: plug-ins before 1.3 tell latitude as a float, to a metre.
         raise _malformed(reply, f'POSI in {_POSITION.size} bytes, as of plug-in 1.3')
     _, _, latitude, longitude, altitude, pitch, roll, heading, _ = _POSITION.unpack(reply)
-    if not all(map(math.isfinite, (latitude, longitude, altitude, pitch, roll, heading))):
-        raise failed(InfraKind.PROTOCOL, 'XPlaneConnect: a position that is not finite')
+    finite = all(map(math.isfinite, (latitude, longitude, altitude, pitch, roll, heading)))
+    if not (finite and abs(latitude) <= 90 and abs(longitude) <= 360):
+        raise failed(
+            InfraKind.PROTOCOL, f'XPlaneConnect: the position {latitude:g}, {longitude:g}, '
+            f'{altitude:g} m is not on Earth, or not finite'
+        )
     return Position(
         latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude, pitch_deg=pitch,
         roll_deg=roll, heading_deg=heading,

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed
+from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed, floats
 
 PORT = 49000
 BEACON_GROUP, BEACON_PORT = '239.255.1.1', 49707
@@ -167,8 +167,13 @@ class NativeUdp(UdpClient):
                 continue
             if sender == self._address:
                 for number, value in parse_values(packet):
-                    if number in wanted:
-                        values[number] = value
+                    if number not in wanted:  # late, of an earlier reading
+                        continue
+                    if not math.isfinite(value):
+                        raise failed(
+                            InfraKind.PROTOCOL, f'{self.words}: {wanted[number]} is {value}'
+                        )
+                    values[number] = value
 
     def _subscribe(self, number: int, name: str, rate_hz: int) -> None:
         split_name(name)
@@ -177,7 +182,7 @@ class NativeUdp(UdpClient):
     def write(self, name: str, value: float | tuple[float, ...]) -> None:
         """Set a dataref; arrays are written element by element, and nothing is confirmed."""
         path, index = split_name(name)
-        values = value if isinstance(value, tuple) else (value,)
+        values = floats(name, value)
         if isinstance(value, tuple) and index is not None:
             raise UsageError(f'x-plane: {name} is one element; got {len(value)} numbers')
         for at, number in enumerate(values):
@@ -198,7 +203,7 @@ def parse_values(packet: bytes) -> list[tuple[int, float]]:
     """Read an RREF packet: numbers of requests and their values.
 
     Raises:
-        InfraError: it is malformed, or a value is not finite.
+        InfraError: it is malformed.
     """
     head, body = packet[:5], packet[5:]
     if head[:4] != b'RREF' or not body or len(body) % _PAIR.size:
@@ -207,10 +212,6 @@ def parse_values(packet: bytes) -> list[tuple[int, float]]:
             f'UDP packet of {len(packet)} bytes beginning with {head!r}; expected RREF and pairs '
             f'of {_PAIR.size} bytes',
         )
-    pairs = list(_PAIR.iter_unpack(body))
-    for number, value in pairs:
-        if not math.isfinite(value):
-            raise failed(InfraKind.PROTOCOL, f'UDP: value number {number} is {value}')
-    return pairs
+    return list(_PAIR.iter_unpack(body))
 
 

@@ -7,12 +7,16 @@ counted in frames and seconds of the simulator; the clock of the wall only limit
 from __future__ import annotations
 
 import fcntl
+import functools
+import ipaddress
+import itertools
 import math
 import os
 import re
+import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +26,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
 from taxinet_ros.simulators.xplane.connect import Position, XPlaneConnect
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup
+from taxinet_ros.simulators.xplane.setup import FROM_BEACON, XPlaneSetup
 from taxinet_ros.simulators.xplane.sky import (
     REGENERATE,
     Setting,
@@ -50,7 +54,7 @@ TRUE_HEADING = f'{POSITION}true_psi'
 NEAR_M, NEAR_DEG = 0.02, 0.05
 """Greatest differences of a pose that is read back."""
 _MOST_TRIES = 8
-_MOST_AWAY_M = 30_000.0
+MOST_AWAY_M = 30_000.0
 _SETTLE_FRAMES = 2
 _RELEASES = 3
 _LOADING_S = 600.0
@@ -124,6 +128,8 @@ class XPlane:
             UsageError: unknown host.
         """
         self.setup, self._lock = setup, _take_turn(setup)
+        self._up_s = 0.0
+        self._watched: Iterator[Callable[[], None]] = iter(())
         try:
             self.link = setup.open()
         except BaseException:
@@ -186,12 +192,27 @@ class XPlane:
             InfraError: it does not.
         """
         limit = _Limit(self.setup.timeout_s)
-        last = self.numbers(*FRAME_MARKS)
+        last = self._marks()
         while count > 0:
-            now = self.numbers(*FRAME_MARKS)
+            now = self._marks()
             if now != last:
                 last, count, limit = now, count - 1, _Limit(self.setup.timeout_s)
             limit.check('it draws no frames: minimised, loading, or hanging?')
+
+    def _marks(self) -> list[float]:
+        """What a frame changes.
+
+        Raises:
+            InfraError: X-Plane has been up for less time than before.
+        """
+        marks = self.numbers(*FRAME_MARKS)
+        if marks[0] < self._up_s:
+            raise failed(
+                InfraKind.DIED, f'X-Plane has been up for {marks[0]:.1f} s, before it was '
+                f'{self._up_s:.1f} s: it was restarted during the run'
+            )
+        self._up_s = marks[0]
+        return marks
 
     def pause(self, paused: bool) -> None:
         """Pause or resume, and wait until it has.
@@ -205,23 +226,56 @@ class XPlane:
             'it cannot be paused' if paused else 'it stays paused: is a menu open in it?',
         )
 
-    def run_until(self, flight_time_s: float) -> float:
+    def run_until(self, flight_time_s: float, since_s: float = -math.inf) -> float:
         """Let the simulation run to a time of its own, and pause it.
+
+        Args:
+            flight_time_s: the time [s].
+            since_s: time that it has reached already [s].
 
         Returns:
             The time at which it stands, some frames later [s].
 
         Raises:
-            InfraError: its time does not advance.
+            InfraError: its time does not advance, or goes back.
         """
+        limit, last = _Limit(self.setup.timeout_s), self.time_s(since_s)
         self.link.write(SPEED, 1.0)
-        limit, last = _Limit(self.setup.timeout_s), math.nan
-        while (now := self.number(FLIGHT_TIME)) < flight_time_s:
+        while (now := self.time_s(last)) < flight_time_s:
             if now != last:
                 last, limit = now, _Limit(self.setup.timeout_s)
             limit.check('its time stands still: is it paused, or a menu open in it?')
         self.pause(True)
-        return self.number(FLIGHT_TIME)
+        return self.time_s(now)
+
+    def time_s(self, least_s: float = -math.inf) -> float:
+        """Time of the simulation [s].
+
+        Args:
+            least_s: time that it has reached already.
+
+        Raises:
+            InfraError: it is before that.
+        """
+        now = self.number(FLIGHT_TIME)
+        if now < least_s:
+            raise failed(
+                InfraKind.SIM, f'its time went back from {least_s:.2f} to {now:.2f} s: was the '
+                'flight begun anew, or a replay shown?'
+            )
+        return now
+
+    def check_still(self, time_s: float) -> None:
+        """Check that its time has stood still since a moment, as it does while it is paused.
+
+        Raises:
+            InfraError: it has not.
+        """
+        if (now := self.time_s(time_s)) > time_s:
+            raise failed(
+                InfraKind.SIM, f'its time went on by {now - time_s:.2f} s though it was paused: '
+                'did somebody resume it?'
+            )
 
     def _until(self, done: Callable[[], bool], otherwise: str) -> None:
         limit = _Limit(self.setup.timeout_s)
@@ -248,22 +302,36 @@ class XPlane:
         self.link.write(HELD, 1.0)
         self._go_there(start)
         self.place(start)
-        ours = [
-            *time_settings(scenario, self.setup.settle_s),
-            *weather_settings(scenario, self.version, moves=moves),
-        ]
+        time = time_settings(scenario, self.setup.settle_s)
+        ours = [*time, *weather_settings(scenario, self.version, moves=moves)]
         theirs = [Setting(name=name, value=one) for name, one in scenario.dataref_values.items()]
         for one in (*ours, *theirs):
             self.link.write(one.name, one.value)
         if major(self.version) >= 12 and getattr(self.link, 'api', '') != 'v1':
             self.link.command(REGENERATE)
         if self.setup.settle_s:
-            self.run_until(self.number(FLIGHT_TIME) + self.setup.settle_s)
+            self.run_until(self.time_s() + self.setup.settle_s)
         self.frames(_SETTLE_FRAMES)
         replaced = {split_name(one.name)[0] for one in theirs}
-        for one in (*(one for one in ours if split_name(one.name)[0] not in replaced), *theirs):
+        kept = [*(one for one in ours if split_name(one.name)[0] not in replaced), *theirs]
+        for one in kept:
             self.check(one)
         self.place(start)
+        if moves:  # time goes on, and with it what is theirs may change
+            kept = [one for one in ours[len(time):] if one in kept]
+        self._watched = itertools.cycle([
+            *(functools.partial(self.check, one) for one in kept), self.check_aircraft,
+        ])
+
+    def check_next(self) -> None:
+        """Check that one of the things set for the run, each time the next, is still as it was.
+
+        All at once would take as many questions as a picture does.
+
+        Raises:
+            InfraError: it is not.
+        """
+        next(self._watched)()
 
     def check_datarefs(self, names: Iterable[str]) -> None:
         """Check that the datarefs of the user exist and can be written.
@@ -295,7 +363,7 @@ class XPlane:
 
     def _go_there(self, start: Pose) -> None:
         away_m = _away_m(self.pose().position, start.position)
-        if away_m <= _MOST_AWAY_M:
+        if away_m <= MOST_AWAY_M:
             return
         if not self.setup.aircraft_path:
             raise failed(
@@ -312,7 +380,7 @@ class XPlane:
             },
         })
         limit = _Limit(_LOADING_S)
-        while _away_m(self.pose().position, there) > _MOST_AWAY_M:
+        while _away_m(self.pose().position, there) > MOST_AWAY_M:
             limit.check('the flight at the runway has not been loaded')
         self.pause(True)
         self.link.write(HELD, 1.0)
@@ -401,7 +469,7 @@ class XPlane:
 
 def _take_turn(setup: XPlaneSetup) -> int:
     """Wait until no other run of this user uses this X-Plane; closing the file ends the turn."""
-    name = re.sub(r'[^A-Za-z0-9.]', '_', f'{setup.host}-{setup.port}')
+    name = re.sub(r'[^A-Za-z0-9.]', '_', f'{_address(setup.host)}-{setup.port}')
     path = Path(tempfile.gettempdir(), f'taxinet-xplane-{os.getuid()}-{name}.lock')
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -417,6 +485,18 @@ def _take_turn(setup: XPlaneSetup) -> int:
         os.close(lock)
         raise
     return lock
+
+
+def _address(host: str) -> str:
+    """One word for all names of a host, so that runs that name it otherwise take turns too."""
+    try:
+        found = {one[4][0] for one in socket.getaddrinfo(host, None) if host != FROM_BEACON}
+    except (OSError, ValueError):
+        return host
+    addresses = sorted(str(one) for one in found)
+    if any(ipaddress.ip_address(one.partition('%')[0]).is_loopback for one in addresses):
+        return 'this_machine'
+    return addresses[0] if addresses else host
 
 
 class _Limit:

@@ -72,7 +72,9 @@ def major(version: str) -> int:
         ValueError: it is none.
     """
     head = version.partition('.')[0]
-    return int(head[:2] if len(head) > 2 else head)
+    if not (head.isascii() and head.isdigit() and len(head) > 1):
+        raise ValueError(f'version {version!r:.40}')
+    return int(head[:2])
 
 
 def zulu(scenario: Scenario) -> tuple[float, float]:

@@ -11,18 +11,19 @@ January 2026.
 from __future__ import annotations
 
 import base64
-import binascii
 import http.client
 import json
-import math
+import socket
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 from urllib.parse import quote
 
-from taxinet_ros.core.datarefs import split_name
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.core.datarefs import MOST_NUMBER, split_name
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.simulators.limited_http import LimitedConnection
 from taxinet_ros.simulators.xplane.wire import Value, failed
 
 PORT = 8086
@@ -35,6 +36,8 @@ _MOST_BYTES = 1 << 22
 _NUMBERS = ('int', 'float', 'double')
 _ARRAYS = ('int_array', 'float_array')
 _TYPES = (*_NUMBERS, *_ARRAYS, 'data')
+_MOST_INT = 2**31 - 1
+_MOST_ID = 2**63
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,12 +93,19 @@ class WebApi:
 
         Raises:
             InfraError: nothing answers there, it is no X-Plane, or of an unknown version.
+            UsageError: unknown host.
         """
+        host = host.removeprefix('[').removesuffix(']') if ':' in host else host
+        try:
+            socket.getaddrinfo(host or 'no host', port, type=socket.SOCK_STREAM)
+        except (OSError, TypeError, ValueError) as error:
+            raise UsageError(f'x-plane: host {host!r:.80} is unknown') from error
         self._host, self._port = host, port
         self._timeout_s, self._tries = timeout_s, tries
         self.words = f'web API at {host}:{port}'
-        self._connection: http.client.HTTPConnection | None = None
+        self._connection: LimitedConnection | None = None
         self._known: dict[str, Dataref] = {}
+        self._doubtful: set[str] = set()
         try:
             self.version, self.api = self._negotiate()
         except BaseException:
@@ -128,10 +138,12 @@ class WebApi:
         Raises:
             InfraError: no valid answer, no such dataref, or X-Plane was restarted meanwhile.
         """
-        return [self._read(self._dataref(name)) for name in names]
+        return [self._read(name) for name in names]
 
-    def _read(self, dataref: Dataref) -> Value:
+    def _read(self, name: str) -> Value:
+        dataref = self._dataref(name)
         told = self._call('GET', f'/api/{self.api}/datarefs/{dataref.id}/value')
+        self._dataref(name)  # if the connection broke meanwhile: was this its value?
         value = told.get('data') if isinstance(told, dict) else None
         if dataref.type in _NUMBERS and _finite(value):
             return float(value)
@@ -148,7 +160,7 @@ class WebApi:
             try:
                 data = base64.b64decode(value, validate=True)
                 return data.partition(b'\0')[0].decode('utf-8', 'replace')
-            except binascii.Error:
+            except ValueError:
                 pass
         raise self._malformed(f'{dataref.name} ({dataref.type})', told)
 
@@ -156,11 +168,17 @@ class WebApi:
         """Set a dataref, or one element of an array.
 
         Raises:
-            InfraError: it was refused: no such dataref, read-only, or of another size.
+            InfraError: it was refused: no such dataref, read-only, of another size, or greater than
+                its type can hold.
         """
         dataref = self._dataref(name)
         if not dataref.writable:
             raise failed(InfraKind.PROTOCOL, f'{self.words}: {name} is read-only')
+        most = _MOST_INT if dataref.type in ('int', 'int_array') else MOST_NUMBER
+        if not all(abs(one) <= most for one in (value if isinstance(value, tuple) else (value,))):
+            raise failed(
+                InfraKind.PROTOCOL, f'{self.words}: {name} ({dataref.type}) cannot be {value!r:.40}'
+            )
         number: Any = value
         if dataref.type in ('int', 'int_array'):
             number = [round(one) for one in value] if isinstance(value, tuple) else round(value)
@@ -170,6 +188,7 @@ class WebApi:
         if dataref.index is not None:
             path += f'?index={dataref.index}'
         self._call('PATCH', path, {'data': number})
+        self._dataref(name)
 
     def command(self, name: str) -> None:
         """Execute a command once; never sent twice.
@@ -231,6 +250,13 @@ class WebApi:
     def _dataref(self, name: str) -> Dataref:
         if name not in self._known:
             self._known[name] = self._look_up(name)
+        while name in self._doubtful:
+            self._doubtful.discard(name)  # asking may break the connection once more
+            if self._look_up(name) != self._known[name]:
+                raise failed(
+                    InfraKind.DIED, f'{self.words}: {name} has another id since the connection '
+                    'broke; X-Plane was restarted during the run'
+                )
         return self._known[name]
 
     def _look_up(self, name: str) -> Dataref:
@@ -274,7 +300,7 @@ class WebApi:
 
     def _number(self, ident: object, name: str) -> int:
         # More than 32 bits.
-        if isinstance(ident, int) and not isinstance(ident, bool) and ident >= 0:
+        if isinstance(ident, int) and not isinstance(ident, bool) and 0 <= ident < _MOST_ID:
             return ident
         raise self._malformed(f'the id of {name}', ident)
 
@@ -311,6 +337,8 @@ class WebApi:
                 ) from error
             except (OSError, http.client.HTTPException) as error:
                 self.close()
+                # Who answers next may be another session, with other datarefs of these ids.
+                self._doubtful = set(self._known)
                 trouble = error
         raise self._broken(trouble, tries) from trouble
 
@@ -332,7 +360,7 @@ class WebApi:
 
     def _exchange(self, method: str, path: str, body: bytes | None) -> Any:
         if self._connection is None:
-            self._connection = http.client.HTTPConnection(
+            self._connection = LimitedConnection(
                 self._host, self._port, timeout=self._timeout_s
             )
         self._connection.request(method, path, body, _HEADERS)
@@ -370,5 +398,6 @@ def _field(value: Any, *path: str) -> Any:
 
 def _finite(value: object) -> TypeGuard[int | float]:
     return (
-        isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        isinstance(value, int | float) and not isinstance(value, bool)
+        and abs(value) <= sys.float_info.max  # a whole number may be longer than any float
     )

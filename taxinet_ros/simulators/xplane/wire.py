@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from typing import Protocol
 
+from taxinet_ros.core.datarefs import MOST_NUMBER
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 WHO = 'x-plane'
@@ -17,6 +18,18 @@ Value = float | tuple[float, ...] | str
 def failed(kind: InfraKind, detail: str) -> InfraError:
     """Create the error of a simulator that did not do its part."""
     return InfraError(kind, WHO, -1, detail)
+
+
+def floats(name: str, value: float | tuple[float, ...]) -> tuple[float, ...]:
+    """The numbers that are written to a dataref, as 32-bit floats hold them.
+
+    Raises:
+        InfraError: one is greater, or none.
+    """
+    values = value if isinstance(value, tuple) else (value,)
+    if not all(abs(one) <= MOST_NUMBER for one in values):
+        raise failed(InfraKind.PROTOCOL, f'{name} cannot be {value!r:.40} in 32 bits')
+    return values
 
 
 class Link(Protocol):
@@ -90,9 +103,10 @@ class UdpClient:
         """
         self.words = f'{name} at {host}:{port}'
         try:
-            self._address = socket.gethostbyname(host), port
-        except (OSError, UnicodeError) as error:
-            raise UsageError(f'x-plane: host {host!r:.80} is unknown') from error
+            self._address = socket.gethostbyname(host or 'no host'), port
+        except (OSError, TypeError, ValueError) as error:
+            v6 = ', or has no IPv4 address, which UDP goes to' if ':' in host else ''
+            raise UsageError(f'x-plane: host {host!r:.80} is unknown{v6}') from error
         self._timeout_s, self._tries = timeout_s, tries
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 

@@ -28,8 +28,8 @@ from taxinet_ros.simulators.xplane.camera import OpenScreen, ViewFromXPlane
 from taxinet_ros.simulators.xplane.screen import Display, Screen
 from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup
 from taxinet_ros.simulators.xplane.simulator import (
-    FLIGHT_TIME,
     HELD,
+    MOST_AWAY_M,
     POSITION,
     XPlane,
     pose_of,
@@ -54,6 +54,7 @@ _IDLE_THROTTLE, _THROTTLE_PER_MPS, _THROTTLE_PER_M = 0.1, 0.15, 0.02
 _MOST_LAG_M = 20.0
 _BRAKE_PER_MPS, _BRAKE_OVER_MPS = 0.2, 0.5
 _STUCK_S, _STUCK_MPS = 5.0, 0.2
+_MOST_MPS = 100.0
 
 
 class XPlaneWorld(World):
@@ -122,11 +123,13 @@ class XPlaneWorld(World):
         ):
             link.write(name, value)
         self._xplane.frames(1)
-        self._began_s = self._xplane.number(FLIGHT_TIME)
+        self._began_s = self._now_s = self._xplane.time_s()
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step, X-Plane paused."""
-        image = self._view.take(self._state) if picture and self._view is not None else None
+        image = None
+        if picture and self._view is not None:
+            image = self._view.take(self._state, self._now_s)
         return Observation(
             seq=self._seq, stamp_ns=self._seq * CONTROL_PERIOD_NS, state=self._state, image=image,
             track=self._scenario.line,
@@ -136,12 +139,14 @@ class XPlaneWorld(World):
         """Hold a command for 0.1 s of X-Plane's time.
 
         Raises:
-            InfraError: its time stands still, runs away, or the aircraft does not move.
+            InfraError: its time stands still, runs away or goes back, or the aircraft does not
+                move, or as no aircraft does.
         """
         self._seq += 1
         self._steer(command)
         due_s = self._began_s + self._seq * PERIOD_S
-        late_s = self._xplane.run_until(due_s) - due_s
+        self._now_s = self._xplane.run_until(due_s, self._now_s)
+        late_s = self._now_s - due_s
         self.latest_s = max(self.latest_s, late_s)
         if late_s >= PERIOD_S:
             raise failed(
@@ -175,7 +180,13 @@ class XPlaneWorld(World):
 
     def _read(self) -> AircraftState:
         speed_mps, rate_degps = self._xplane.numbers(f'{POSITION}groundspeed', f'{POSITION}R')
-        return self._xplane.pose().state(self._scenario, speed_mps, rate_degps)
+        state = self._xplane.pose().state(self._scenario, speed_mps, rate_degps)
+        if not (0 <= speed_mps <= _MOST_MPS and math.hypot(state.x_m, state.y_m) <= MOST_AWAY_M):
+            raise failed(
+                InfraKind.SIM, f'the aircraft is at {state.x_m:.4g}, {state.y_m:.4g} m with '
+                f'{speed_mps:.4g} m/s, which is no taxiing'
+            )
+        return state
 
     def close(self) -> None:
         """Give X-Plane back, running, its controls its own."""
