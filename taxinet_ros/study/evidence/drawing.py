@@ -190,13 +190,13 @@ class _Layout:
         own = self.place(node.name)
         for one in self._argument.beside(node.name):
             box = self.place(one.name)
-            first_row = box.y == own.y
-            lane = box.y - 10
-            start = own.y + 12 if first_row else own.y + 24
+            middle = box.y + box.height / 2
             gap = own.x + own.width + _GAP / 2
-            if first_row and abs(box.x - own.x - own.width - _GAP) < 1:
-                points = [(own.x + own.width, start), (box.x, start)]
+            if box.y == own.y and box is self.place(self._argument.beside(node.name)[0].name):
+                start = min(max(middle, own.y + 8), own.bottom - 8)
+                points = [(own.x + own.width, start), (gap, start), (gap, middle), (box.x, middle)]
             else:
+                lane, start = box.y - 10, own.y + 8
                 points = [(own.x + own.width, start), (gap, start), (gap, lane),
                           (box.middle, lane), (box.middle, box.y)]
             yield _path(points, theme, hollow=True)

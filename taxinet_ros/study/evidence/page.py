@@ -37,12 +37,13 @@ def evidence_report(found: Collected, json_sha256: str) -> Report:
         summary=tuple(_summary(content)),
         sections=(
             _argument_section(found.argument),
-            _chain_section(content),
             *(
                 _system_section(content, system, values)
                 for system, values in zip(found.systems, content['systems'], strict=True)
             ),
             _limits_section(content),
+            _chain_section(content),
+            _words_section(found.argument),
             _verify_section(content),
         ),
         made_on=_made_on(content),
@@ -67,7 +68,7 @@ def _facts(content: Mapping[str, Any], json_sha256: str) -> dict[str, str]:
 def _summary(content: Mapping[str, Any]) -> Iterator[str]:
     top = content['argument']['nodes'][0]
     told = f' ({top["why"]})' if top['why'] else ''
-    yield f'{top["text"].rstrip(".")}: {top["verdict"]}{told}.'
+    yield f'{top["text"].rstrip(".")}. The argument as a whole is {top["verdict"]}{told}.'
     for system in content['systems']:
         yield _system_sentence(system)
     inputs = sum(one['source'] == 'inputs' for one in content['limits'])
@@ -115,13 +116,6 @@ def _made_on(content: Mapping[str, Any]) -> str:
 
 
 def _argument_section(argument: Argument) -> Section:
-    rows = tuple(
-        (
-            one.name, one.kind.value, one.text,
-            ('undeveloped' if one.undeveloped else one.verdict.value) if one.verdict else '',
-            one.why, one.item,
-        ) for one in argument.nodes
-    )
     return Section(
         name='argument', heading='Argument',
         sentences=(
@@ -134,9 +128,22 @@ def _argument_section(argument: Argument) -> Section:
             caption='The same drawing is in argument.svg.',
             svg=lambda theme: argument_svg(argument, theme), size_px=drawing_size(argument),
         ),),
+    )
+
+
+def _words_section(argument: Argument) -> Section:
+    rows = tuple(
+        (
+            one.name, one.kind.value, one.text,
+            ('undeveloped' if one.undeveloped else one.verdict.value) if one.verdict else '',
+            one.why, one.item,
+        ) for one in argument.nodes
+    )
+    return Section(
+        name='argument-in-words', heading='The argument in words',
         tables=(Table(
-            name='argument', title='The argument in words',
-            caption='Elements with their full text; items are in the next section.',
+            name='argument', title='Elements',
+            caption='With their full text, and the items that they point at.',
             columns=(Column(name='id', title='element'), Column(name='kind', title='kind'),
                      Column(name='text', title='statement'),
                      Column(name='verdict', title='verdict'), Column(name='why', title='why'),
