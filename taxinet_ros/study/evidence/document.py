@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from taxinet_ros.study.evidence.inputs import (
     LocalisationInput,
     MonitorInput,
     OddInput,
+    Place,
     Requirement,
     digest_of,
     read_campaigns,
@@ -144,12 +145,12 @@ class _Sources:
     causes: tuple[LocalisationInput, ...]
     monitors: tuple[MonitorInput, ...]
     folder: Path
-    near: Mapping[Path, str] = field(default_factory=dict)
+    places: Mapping[Path, Place] = field(default_factory=dict)
 
 
 def collect(
     options: EvidenceOptions, folder: Path, *, requirement: Requirement | None = None,
-    campaigns: tuple[CampaignInput, ...] | None = None, where: Mapping[Path, str] | None = None,
+    campaigns: tuple[CampaignInput, ...] | None = None, where: Mapping[Path, Place] | None = None,
     on_bag: Callable[[Path], None] = lambda bag: None,
 ) -> Collected:
     """Read all inputs and compute all figures.
@@ -159,7 +160,7 @@ def collect(
         folder: folder of the evidence, to which paths of inputs are relative.
         requirement: the requirement as read before, instead of that of the options.
         campaigns: the campaigns as read before, instead of those of the options.
-        where: paths to record for inputs, instead of those relative to ``folder``.
+        where: what to record of the places of inputs, instead of where they are.
         on_bag: called with each bag before it is checked.
 
     Raises:
@@ -170,11 +171,16 @@ def collect(
     domain = read_domain(options.odd) if options.odd is not None else None
     if campaigns is None:
         campaigns = read_campaigns(options.campaigns, on_bag)
+    if where:
+        campaigns = tuple(
+            replace(one, name=where[one.folder].name) if one.folder in where else one
+            for one in campaigns
+        )
     sources = _Sources(
         options=options, requirement=requirement, campaigns=campaigns, domain=domain,
         causes=tuple(read_localisation(path, campaigns) for path in options.localisations),
         monitors=tuple(read_monitor(path, campaigns) for path in options.monitors),
-        folder=folder, near=where or {},
+        folder=folder, places=where or {},
     )
     for what, paths in (
         ('--localize', [one.campaign for one in sources.causes]),
@@ -288,7 +294,9 @@ def _path(sources: _Sources, path: Path, shipped: str = '') -> str:
     """Path of an input relative to the evidence; the name of what is shipped."""
     if shipped and not Path(shipped).is_file():
         return shipped
-    return sources.near.get(path) or os.path.relpath(path.resolve(), sources.folder.resolve())
+    if path in sources.places:
+        return sources.places[path].path
+    return os.path.relpath(path.resolve(), sources.folder.resolve())
 
 
 def _id_of(systems: Sequence[SystemFacts], wanted: CampaignInput) -> str:
@@ -374,7 +382,7 @@ def _training(card: Any) -> dict[str, Any]:
 def _campaign(sources: _Sources, name: str, one: CampaignInput) -> dict[str, Any]:
     facts = one.facts
     return {
-        'id': name, 'name': one.folder.resolve().name, 'path': _path(sources, one.folder),
+        'id': name, 'name': one.name, 'path': _path(sources, one.folder),
         'files': dict(one.files),
         'ledger': {'lines': one.ledger_end.lines, 'head': one.ledger_end.link},
         'seed': facts['seed'], 'sampler': str(facts.get('sampler', '')),
@@ -519,7 +527,7 @@ def _system_argument(
     for campaign, one in system.campaigns:
         stacks = recorded_stacks(one.facts)
         for key, stack in stacks.items():
-            words = f'{one.folder.resolve().name}: taxinet_ros {stack.get("taxinet_ros", "?")}'
+            words = f'{one.name}: taxinet_ros {stack.get("taxinet_ros", "?")}'
             python = f', Python {stack["python"]}' if 'python' in stack else ''
             contexts.append((f'{words}{python}, stack {key}', f'{campaign}/versions/{key}'))
     return SystemArgument(
@@ -556,7 +564,7 @@ def _parts(
 
 def _ledgers(system: SystemFacts) -> tuple[tuple[str, str], ...]:
     return tuple(
-        (f'Ledger of {one.folder.resolve().name}, {one.ledger_end.lines:,} lines, head '
+        (f'Ledger of {one.name}, {one.ledger_end.lines:,} lines, head '
          f'{one.ledger_end.link[:12]}…', f'{campaign}/{LEDGER_NAME}')
         for campaign, one in system.campaigns
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from taxinet_ros.analysis.fault_localisation import Blame, localisation_json
 from taxinet_ros.analysis.odd.coverage import OddCoverage, coverage_json, odd_coverage
-from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign.odd.odd_file import Odd
 from taxinet_ros.campaign.rates import (
     ProgramRate,
@@ -250,7 +250,9 @@ def domain_of(
     Raises:
         UsageError: no run was judged.
     """
-    runs = distinct_labels([read_runs(one.folder, spec) for one in campaigns])
+    runs = [
+        replace(read_runs(one.folder, spec), label=one.name) for one in campaigns
+    ]
     return odd_coverage(odd, runs, limit=limit)
 
 

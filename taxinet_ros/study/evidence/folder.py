@@ -43,7 +43,12 @@ from taxinet_ros.study.evidence.document import (
     json_text,
 )
 from taxinet_ros.study.evidence.drawing import argument_svg
-from taxinet_ros.study.evidence.inputs import CampaignInput, read_campaigns, usable_network
+from taxinet_ros.study.evidence.inputs import (
+    CampaignInput,
+    Place,
+    read_campaigns,
+    usable_network,
+)
 from taxinet_ros.study.evidence.page import evidence_report
 
 _LINE = re.compile(r'([0-9a-f]{64})  ([A-Za-z0-9_.-]+(?:/[A-Za-z0-9_.-]+)*)')
@@ -83,12 +88,12 @@ def make_evidence(
     make_out(out.absolute().parent)
     draft = Path(tempfile.mkdtemp(prefix=f'.{out.name}-', dir=out.absolute().parent))
     try:
-        where: dict[Path, str] = {}
+        where: dict[Path, Place] = {}
         for number, one in enumerate(campaigns, 1):
             if localize_runs and one.recorded.counterexamples:
                 name = f'{LOCALISED}/campaign-{number}'
                 _localize(one, draft / name, localize_runs, options.networks, on_progress)
-                where[draft / name] = name
+                where[draft / name] = Place(name)
         options = replace(options, localisations=(*options.localisations, *where))
         found = collect(options, out, campaigns=campaigns, where=where)
         write_evidence(found, draft)

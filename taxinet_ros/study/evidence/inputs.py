@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.analysis.fault_localisation import Localisation, localisation
@@ -49,7 +49,7 @@ from taxinet_ros.study.assurance.judge import TRIALS_NAME as MONITOR_TRIALS_NAME
 TRUTH = 'truth'
 """The perception without a network."""
 _ID = re.compile(r'\s*([A-Za-z0-9][A-Za-z0-9_.-]*)\s*:\s+(.*\S)\s*', re.DOTALL)
-_LONGEST_REQUIREMENT, _LONGEST_PATH = 4000, 1024
+_LONGEST_REQUIREMENT = 4000
 _NEEDED = ('program', 'program_sha256', 'program_text', 'specs', 'perception_sha256', 'seed')
 """Facts without which runs cannot be bound to program, formula and network."""
 _SYSTEM = (
@@ -98,12 +98,20 @@ def read_requirement(given: str) -> Requirement:
         UsageError: it has no identifier or no wording, or the file cannot be read.
     """
     path = Path(given)
+    if not _is_file(path):
+        return requirement_of(given, f'--requirement {given:.60}')
     try:
-        if len(given) < _LONGEST_PATH and path.is_file():
-            return requirement_of(path.read_bytes().decode('utf-8'), f'--requirement {given}')
-    except (OSError, ValueError) as error:
+        text = path.read_bytes().decode('utf-8')
+    except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
-    return requirement_of(given, f'--requirement {given:.60}')
+    return requirement_of(text, f'--requirement {given}')
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a text that is too long for a name, or has a zero
+        return False
 
 
 def requirement_of(text: str, where: str) -> Requirement:
@@ -125,12 +133,25 @@ def requirement_of(text: str, where: str) -> Requirement:
     return Requirement(name=found[1], text=' '.join(found[2].split()), given=text)
 
 
+class Place(NamedTuple):
+    """What evidence says of where an input was.
+
+    Attributes:
+        path: relative to the folder of the evidence.
+        name: name of its folder; '' for what has none in the evidence.
+    """
+
+    path: str
+    name: str = ''
+
+
 @dataclass(frozen=True, kw_only=True)
 class CampaignInput:
     """A finished campaign whose checksums hold.
 
     Attributes:
         folder: its folder.
+        name: name of its folder, when the evidence was written.
         recorded: its ledger.
         files: SHA-256 of ``campaign.json``, ledger and tables, by name.
         ledger_end: number of lines and link of the last: the head of the hash chain.
@@ -140,6 +161,7 @@ class CampaignInput:
     """
 
     folder: Path
+    name: str
     recorded: RecordedCampaign
     files: Mapping[str, str]
     ledger_end: JournalEnd
@@ -237,7 +259,7 @@ def read_campaign(
     }
     names = (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
     return CampaignInput(
-        folder=folder, recorded=recorded, bags=bags, stored=stored,
+        folder=folder, name=folder.resolve().name, recorded=recorded, bags=bags, stored=stored,
         files={name: file_sha256(folder / name) for name in names},
         ledger_end=parsed.end,
         scenes=tuple((row.index, row.run_id, shas.get(row.index, '')) for row in content.rows),

@@ -42,7 +42,12 @@ from taxinet_ros.study.evidence.document import (
 )
 from taxinet_ros.study.evidence.drawing import argument_svg
 from taxinet_ros.study.evidence.folder import read_evidence, write_page
-from taxinet_ros.study.evidence.inputs import CampaignInput, requirement_of, usable_network
+from taxinet_ros.study.evidence.inputs import (
+    CampaignInput,
+    Place,
+    requirement_of,
+    usable_network,
+)
 
 Progress = Callable[[str, int, int], None]
 _MADE_ON = 'This page was made on '
@@ -171,7 +176,7 @@ class _Places:
     localisations: tuple[Path, ...]
     monitors: tuple[Path, ...]
     odd: str | None
-    where: Mapping[Path, str]
+    where: Mapping[Path, Place]
 
 
 def _places(
@@ -179,17 +184,18 @@ def _places(
 ) -> _Places | None:
     """Find all inputs and check their hashes; None if one is missing or has changed."""
     unused = list(options.moved)
-    where: dict[Path, str] = {}
+    where: dict[Path, Place] = {}
 
     def find(kind: str, one: Mapping[str, Any]) -> Path:
         recorded = options.folder / one['path']
+        place = Place(one['path'], one.get('name', ''))
         files: Mapping[str, str] = one['files']
         for path in options.moved:
             if path.is_dir() and all(_sha256(path / name) == sha for name, sha in files.items()):
                 unused[:] = [left for left in unused if left != path]
-                where[path] = one['path']
+                where[path] = place
                 return path
-        where[recorded] = one['path']
+        where[recorded] = place
         _check_files(f'{kind} {one.get("name", one["id"])}', recorded, files, found)
         return recorded
 
@@ -238,7 +244,7 @@ def _check_files(
 
 def _find_odd(
     odd: Mapping[str, Any] | None, options: VerifyOptions, unused: list[Path],
-    where: dict[Path, str], found: Verification,
+    where: dict[Path, Place], found: Verification,
 ) -> str | None:
     """Name or file of the ODD; its hash is compared with the other values."""
     if odd is None:
@@ -247,7 +253,7 @@ def _find_odd(
     for path in options.moved:
         if _sha256(path) == odd['sha256']:
             unused[:] = [left for left in unused if left != path]
-            where[path] = given
+            where[path] = Place(given)
             return str(path)
     recorded = options.folder / given
     if '/' not in given and not given.endswith('.yaml'):
@@ -258,7 +264,7 @@ def _find_odd(
         )
     elif file_sha256(recorded) != odd['sha256']:
         found.damaged.append(f'{recorded}: has changed since the evidence was written')
-    where[recorded] = given
+    where[recorded] = Place(given)
     return str(recorded)
 
 

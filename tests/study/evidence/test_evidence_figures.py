@@ -263,7 +263,7 @@ def test_given_an_edited_monitor_table_then_it_is_refused_by_name(tmp_path, colu
     writer.writeheader()
     writer.writerows(lines)
     path.write_text(text.getvalue(), encoding='utf-8')
-    with pytest.raises(UsageError, match='judge again|damaged line') as caught:
+    with pytest.raises(UsageError, match=r'judge again|damaged line') as caught:
         collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
     assert str(folder) in str(caught.value)
 
@@ -322,7 +322,7 @@ def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
     folder = planted(tmp_path / 'a', [PASS])
     shutil.copytree(folder, tmp_path / 'copy')
     for other in (folder, tmp_path / 'copy'):
-        with pytest.raises(UsageError, match='has runs that are in .*a too'):
+        with pytest.raises(UsageError, match=r'has runs that are in .*a too'):
             collected(folder, other)
 
 
@@ -340,7 +340,7 @@ def test_given_a_wrong_option_then_it_is_refused_by_name(tmp_path, options, word
 def test_given_results_of_others_then_they_are_refused_by_name(tmp_path):
     folder = planted(tmp_path / 'a', [FAIL], perception='taxinet')
     monitor = judged_monitor(tmp_path / 'monitor')
-    with pytest.raises(UsageError, match='monitor: is of network original .* none'):
+    with pytest.raises(UsageError, match=r'monitor: is of network original .* none'):
         collected(folder, monitors=(monitor,))
     with pytest.raises(UsageError, match='monitor: no results of taxinet localize'):
         collected(folder, localisations=(monitor,))
@@ -358,7 +358,7 @@ def test_given_shares_as_people_write_them_then_they_are_read():
 
 def test_given_a_requirement_in_a_file_then_its_hash_is_that_of_the_file(tmp_path):
     path = tmp_path / 'req.txt'
-    path.write_bytes('REQ-7:  The aircraft shall\r\nstay.\n'.encode())
+    path.write_bytes(b'REQ-7:  The aircraft shall\r\nstay.\n')
     found = read_requirement(str(path))
     assert (found.name, found.text) == ('REQ-7', 'The aircraft shall stay.')
     import hashlib
