@@ -177,10 +177,12 @@ class Kept:
     Attributes:
         content: values of ``evidence.json``; empty if it cannot be read.
         troubles: what is damaged, missing or too much, one line each.
+        files: number of files in the folder and below.
     """
 
     content: Mapping[str, Any]
     troubles: tuple[str, ...]
+    files: int
 
 
 def read_evidence(folder: Path) -> Kept:
@@ -201,7 +203,10 @@ def read_evidence(folder: Path) -> Kept:
             content = _read_json(folder / JSON_NAME)
         except UsageError as error:
             troubles.append(str(error))
-    return Kept(content=content, troubles=tuple(dict.fromkeys(troubles)))
+    return Kept(
+        content=content, troubles=tuple(dict.fromkeys(troubles)),
+        files=sum(path.is_file() for path in folder.rglob('*')),
+    )
 
 
 def _manifest_troubles(folder: Path) -> list[str]:

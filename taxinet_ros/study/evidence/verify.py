@@ -144,7 +144,7 @@ def verify(
     if not kept.content:
         return found
     if not kept.troubles:
-        found.count('files', 4)
+        found.count('files', kept.files)
     try:
         places = _places(kept.content, options, found)
         if places is None:

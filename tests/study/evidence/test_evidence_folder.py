@@ -172,6 +172,7 @@ def test_given_a_folder_that_is_there_or_refused_inputs_then_nothing_is_written(
 def test_given_evidence_of_real_runs_when_verified_then_all_holds_and_runs_repeat(proven):
     found = tx.verify_evidence(proven, sample=2, seed=1)
     assert found.holds, (found.damaged, found.different, found.unchecked)
+    assert found.checked['files'] == 6  # with the trials and their summary
     assert found.checked['runs driven again, equal to the bit'] == 2
     assert found.checked['values computed again'] > 200
     assert found.notes == []
