@@ -20,6 +20,7 @@ from taxinet_ros.instructions import pin
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
     from taxinet_ros.api.compare import compare
+    from taxinet_ros.api.evidence import evidence, verify_evidence
     from taxinet_ros.api.forecast import load_forecast
     from taxinet_ros.api.fork import fork
     from taxinet_ros.api.odd import odd_coverage
@@ -59,6 +60,7 @@ __all__ = [
     'UserCodeError',
     'compare',
     'estimate',
+    'evidence',
     'falsify',
     'fork',
     'load_aircraft',
@@ -73,6 +75,7 @@ __all__ = [
     'render',
     'robustness',
     'run',
+    'verify_evidence',
 ]
 
 _MODULES = {
@@ -80,6 +83,7 @@ _MODULES = {
         'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
     ),
     'taxinet_ros.api.compare': ('compare',),
+    'taxinet_ros.api.evidence': ('evidence', 'verify_evidence'),
     'taxinet_ros.api.forecast': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.odd': ('odd_coverage',),

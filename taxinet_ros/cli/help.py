@@ -20,7 +20,7 @@ SECTIONS = {
     ),
     'Judge': (
         'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'assure',
-        'spec', 'evaluate',
+        'evidence', 'spec', 'evaluate',
     ),
     'Train': ('dataset', 'train', 'network', 'improve', 'tune', 'case-study'),
     'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
@@ -83,6 +83,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
     'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
+    'evidence write': (
+        'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',
+        "taxinet evidence write bags/found --claim '99 %' --odd s_falsif --out bags/evidence",
+    ),
+    'evidence verify': ('taxinet evidence verify bags/evidence --sample 10',),
     'compare': ('taxinet compare original taxinet s_falsif', 'taxinet compare bags/old bags/new'),
     'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
@@ -155,6 +160,17 @@ class CommandSections(TyperGroup):
                     [(f'{name:<{width}}', commands[name].get_short_help_str(_LONGEST))
                      for name in words]
                 )
+
+
+class DefaultCommand(TyperGroup):
+    """A group whose first command is meant where the first word is none of its commands."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the first command's name before other words."""
+        first = next(iter(self.commands))
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
+            args = [first, *args]
+        return super().parse_args(ctx, args)
 
 
 def _sections(commands: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:

@@ -68,7 +68,7 @@ from taxinet_ros.cli.streams import (
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, improve, tune, why
+from taxinet_ros.cli.study.commands import case_study, evidence_app, improve, tune, why
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, network_app, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
@@ -164,6 +164,7 @@ app.add_typer(network_app, name='network')
 app.add_typer(forecast_app, name='forecast')
 app.add_typer(odd_app, name='odd')
 app.add_typer(assure_app, name='assure')
+app.add_typer(evidence_app, name='evidence')
 app.add_typer(place_app, name='place')
 app.add_typer(aircraft_app, name='aircraft')
 app.add_typer(bag_app, name='bag')

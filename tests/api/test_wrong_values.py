@@ -53,6 +53,8 @@ CALLS = {
     'Run.frame': (RUN.frame, {}),
     'compare': (tx.compare, {'before': '.', 'after': '.'}),
     'odd_coverage': (tx.odd_coverage, {'campaigns': '.', 'odd': 's_falsif'}),
+    'evidence': (tx.evidence, {'campaigns': '.', 'out': 'never'}),
+    'verify_evidence': (tx.verify_evidence, {'folder': '.'}),
     'fork': (tx.fork, {'run': RUN, 'at_s': 0.1}),
     'Run.fork': (RUN.fork, {'at_s': 0.1}),
     'Run.save_bag': (RUN.save_bag, {'path': 'saved'}),

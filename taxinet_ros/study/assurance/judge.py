@@ -37,6 +37,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.study.assurance.calibrate import REQUIREMENT
 from taxinet_ros.training.data.dataset import draw_scenes
@@ -391,6 +392,88 @@ def trials_csv(trials: Sequence[Trial]) -> str:
             name: '' if isinstance(x, float) and math.isnan(x) else x for name, x in values.items()
         })
     return text.getvalue()
+
+
+def read_trials(path: Path) -> list[Trial]:
+    """Read the runs of :func:`trials_csv`.
+
+    Raises:
+        UsageError: ``path:line: message`` if a line is damaged; or it cannot be read.
+    """
+    try:
+        lines = csv.reader(io.StringIO(path.read_text(encoding='utf-8')), strict=True)
+        names = next(lines, [])
+        if names != [field.name for field in dataclasses.fields(Trial)]:
+            raise UsageError(f'{path}: is no table of taxinet assure judge')
+        found = []
+        for number, cells in enumerate(lines, 2):
+            try:
+                found.append(_trial(dict(zip(names, cells, strict=True))))
+            except (ValueError, KeyError) as error:
+                raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f'{path}: cannot be read ({error})') from error
+    return found
+
+
+_SWITCHES = {'True': True, 'False': False}
+
+
+def _trial(cells: Mapping[str, str]) -> Trial:
+    def number(name: str) -> float:
+        return float(cells[name]) if cells[name] else math.nan
+
+    return Trial(
+        scene=int(cells['scene']), fallback=cells['fallback'],
+        satisfied=_SWITCHES[cells['satisfied']], rho_m=number('rho_m'),
+        left_runway=_SWITCHES[cells['left_runway']], duration_s=number('duration_s'),
+        due_s=number('due_s'), off_s=number('off_s'), alarm_s=number('alarm_s'),
+        reason=cells['reason'],
+    )
+
+
+def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
+    """Read a judgement: the figures are computed again from the runs, and have to be the written.
+
+    Args:
+        folder: what :func:`judge` wrote.
+
+    Returns:
+        The options, and how the monitor fares.
+
+    Raises:
+        UsageError: it is none, is damaged, or its summary is not that of its runs.
+    """
+    path, runs = folder / RESULT_NAME, folder / TRIALS_NAME
+    for needed in (path, runs):
+        if not needed.is_file():
+            raise UsageError(
+                f'{folder}: no result of taxinet assure judge: {needed.name} is not there'
+            )
+    try:
+        values = load_json(path.read_bytes())
+        options, told = values['options'], values['judged']
+        words = options['perception'], options['fingerprints']['perception'], options['program']
+        if not all(isinstance(word, str) for word in words):
+            raise TypeError('its options are no words')
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise UsageError(f'{path}: damaged or edited ({error}); judge again') from error
+    trials = read_trials(runs)
+    if not any(one.fallback == WITHOUT for one in trials):
+        raise UsageError(f'{runs}: has no run without a fallback')
+    try:
+        judged = summarize(trials)
+    except ValueError as error:
+        raise UsageError(f'{runs}: damaged ({error}); judge again') from error
+    if plain_judged(judged) != told:
+        raise UsageError(f'{path}: its figures are not those of {runs.name}; judge again')
+    return options, judged
+
+
+def plain_judged(judged: Judged) -> dict[str, Any]:
+    """How a monitor fares, for JSON; null is not known, or not bounded."""
+    found: dict[str, Any] = json.loads(json.dumps(_finite(_plain(judged)), allow_nan=False))
+    return found
 
 
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:

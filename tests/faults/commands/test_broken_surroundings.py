@@ -38,6 +38,7 @@ DOES_NOTHING = {
     'compare': ['nothing', 'nowhere', 'nowhere'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
     'estimate': ['nothing'], 'evaluate': ['nothing'],
+    'evidence': ['nowhere', '--out', 'evidence'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
     'fork': ['nowhere', '--at', '1'],
