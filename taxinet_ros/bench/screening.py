@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import cv2
 import numpy as np
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros import registry
@@ -40,7 +40,7 @@ from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.pacing.timing import AT_ONCE
-from taxinet_ros.core.perception.perception import perception_names
+from taxinet_ros.core.perception.perception import GroundTruth, perception_names
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
@@ -204,3 +204,80 @@ def search_network(network: str, word: str, seed: int, budget: float = REAL_BUDG
         **asdict(found), 'ask_s': found.ask_s - spent_s[every], 'look_s': spent_s[every],
         'run_s': spent_s[1],
     })
+
+
+def measure_screening(
+    words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
+) -> dict[str, Any]:
+    """Search landscapes and networks with samplers at equal budgets, ``repeats`` times each.
+
+    Args:
+        words: samplers, landscapes and networks, of which S_falsif is searched; without samplers
+            :data:`DEFAULT_SAMPLERS`, without
+            landscapes and networks :data:`DEFAULT_LANDSCAPES`.
+        repeats: searches for each line, with the seeds 0, 1, ….
+        progress: called with the number of lines done and their total.
+
+    Raises:
+        UsageError: a word is unknown, or ``repeats`` is less than 1.
+    """
+    networks = [word for word in perception_names() if word in words and word != GroundTruth.word]
+    for word in words:
+        if word not in (*SAMPLERS, *LANDSCAPES, *networks):
+            known = registry.known(registry.SAMPLERS, *LANDSCAPES, 'or a network of S_falsif')
+            raise UsageError(
+                f'bench: sampler, landscape or network {word!r} is unknown; known: {known}'
+            )
+    if repeats < 1:
+        raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
+    samplers = [word for word in SAMPLERS if word in words] or DEFAULT_SAMPLERS
+    landscapes = [word for word in LANDSCAPES if word in words]
+    if not landscapes and not networks:
+        landscapes = list(DEFAULT_LANDSCAPES)
+    cases = [
+        (place, word, quality) for place, word in product((*landscapes, *networks), samplers)
+        for quality in (LOOKS if word == NAME and place in LANDSCAPES else ('',))
+    ]
+    lines = []
+    with process_pool(None, 'searching worker') as pool:
+        for number, (place, word, quality) in enumerate(cases):
+            one = partial(search_network, place, word) if place in networks else partial(
+                search_landscape, place, quality or 'good', word
+            )
+            done = list(pool.map(one, range(repeats)))
+            budget = REAL_BUDGET if place in networks else BUDGET
+            lines.append({
+                'place': place, 'sampler': word, 'looks': quality, 'budget': budget,
+                **summary(done), 'searches': [asdict(each) for each in done],
+            })
+            progress(number + 1, len(cases))
+    return {'machine': machine_facts(), 'repeats': repeats, 'lines': lines}
+
+
+def summary(done: Sequence[Spent]) -> dict[str, Any]:
+    """What searches of one line found, on average.
+
+    Returns:
+        ``distinct_mean``: mean number of distinct failures, with ``low`` and ``high``, Student's
+        95 % interval over the searches (0 at least; None of one search); ``failures``, ``runs``,
+        ``made``: mean numbers of failures, runs and looks; ``regions``: mean share of the regions,
+        or None; ``found``: share of the searches that found a failure; ``first``: median cost until
+        the first [full runs], None if half of them found none; ``ask_s``, ``look_s``, ``run_s``:
+        mean processor times [s].
+    """
+    counts = np.array([len(one.distinct) for one in done], np.float64)
+    low = high = None
+    if len(counts) > 1:
+        half = stats.t.ppf(0.975, len(counts) - 1) * counts.std(ddof=1) / math.sqrt(len(counts))
+        low, high = max(float(counts.mean() - half), 0.0), float(counts.mean() + half)
+    first = float(np.median([one.distinct[0] if one.distinct else math.inf for one in done]))
+    regions = [one.regions for one in done if one.regions is not None]
+    return {
+        'distinct_mean': float(counts.mean()), 'low': low, 'high': high,
+        'failures': fmean(one.failures for one in done), 'runs': fmean(one.runs for one in done),
+        'made': fmean(one.looks for one in done),
+        'regions': fmean(regions) if regions else None, 'found': float((counts > 0).mean()),
+        'first': first if math.isfinite(first) else None,
+        'ask_s': fmean(one.ask_s for one in done), 'look_s': fmean(one.look_s for one in done),
+        'run_s': fmean(one.run_s for one in done),
+    }

@@ -93,7 +93,8 @@ class Loop:
         """Load perception, controller and world.
 
         Raises:
-            UsageError: one of them cannot be used, or has changed since the campaign began.
+            UsageError: one of them cannot be used, at least not for looks, or has changed since the
+                campaign began.
         """
         self.interrupted = False
         self._options = options
@@ -106,6 +107,7 @@ class Loop:
         self._world = find_world(options.world, options.world_sha256)
         if options.every > 1:
             assert options.out is None
+            _check_looks(self._perception, self._controller)
             make = self._world.make
             self._perception = HeldError(self._perception)
             self._world = replace(self._world, make=lambda scenario, *, pictures=True: SparseWorld(
@@ -234,6 +236,24 @@ def _judged(request: RunRequest, judged: Judgement, seq: int, timing: Timing) ->
         robustness={spec.name: reading.interval for spec, reading in readings},
         stopped_early=judged.stopped_early, statistics=judged.statistics, timing=timing.words,
     )
+
+
+def _check_looks(perception: Perception, controller: Controller) -> None:
+    """Refuse parts that looks would tell nothing about.
+
+    Raises:
+        UsageError: the perception needs no picture, or the controller needs each of them.
+    """
+    if not perception.needs_image:
+        raise UsageError(
+            f'looks spare pictures, and perception {perception.word} needs none; use another '
+            'sampler, such as active'
+        )
+    if controller.needs_image:
+        raise UsageError(
+            f'looks have few pictures, and controller {controller.word} needs that of every step; '
+            'use another sampler, such as active'
+        )
 
 
 class _InterruptedError(Exception):

@@ -268,7 +268,7 @@ SPLITTING = SamplerKind(
 
 
 _MOST_LOOKS = Option(
-    meaning='most looks before a run', default=8, low=1, high=1000, whole=True,
+    meaning='most looks before a run', default=24, low=1, high=1000, whole=True,
 )
 SCREENING = proposer_kind(
     'active search on cheap looks; runs what looks like a failure',

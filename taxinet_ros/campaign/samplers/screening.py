@@ -9,6 +9,7 @@ cheap one proposes, and the dear one decides.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -122,7 +123,12 @@ class Screening:
         self._failures: list[Point] = []
         self._threshold = 0.0
         self.looks = 0
-        """Number of looks made."""
+        """Number of looks that had a value."""
+
+    @property
+    def chosen(self) -> Counter[Way]:
+        """Number of runs chosen in each way."""
+        return Counter(run.way for run in self._runs)
 
     def ask(self) -> Point:
         """The next point."""
@@ -222,10 +228,10 @@ class Screening:
         search, number = self._searches[Way.LOOKS], self._proposed[Way.LOOKS]
         self._proposed[Way.LOOKS] += 1
         point = search.ask()
-        self.looks += 1
         value = self._look(point)
         search.tell(number, None if value is None else value - self._threshold)
         if value is not None:
+            self.looks += 1
             self._unrun[number] = point, value
 
     def _compare(self, value: float, rho: float) -> None:
