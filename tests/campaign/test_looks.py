@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.search import search_summary
 from taxinet_ros.core.pacing.timing import AT_ONCE
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import RunRequest
+from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
 
 PER_MACHINE = ['bag', 'wall_s', 'real_time_factor']
@@ -102,6 +106,26 @@ def test_given_functions_that_looks_tell_nothing_about_then_the_loop_refuses_the
         ))
 
 
+def test_given_a_world_with_something_to_give_back_then_it_is_closed_after_every_run(tmp_path):
+    closed = []
+
+    class Closing(SimulatedWorld):
+        def close(self) -> None:
+            closed.append(self)
+
+    loop = Loop(LoopOptions(
+        perception='truth', controller='steering', controller_sha256='', gains={},
+        timing=AT_ONCE, world='kmwh', world_sha256='', out=None, images='none',
+    ))
+    loop._world = dataclasses.replace(loop._world, make=Closing)
+    for number in range(2):
+        loop.run(RunRequest(
+            run_id='one', index=0, program='', seed=0, scenario=Scenario(duration_s=1.0),
+            judging=Judging(specs=('phi_always',)), participants=(),
+        ))
+        assert len(closed) == number + 1
+
+
 def test_given_looks_that_break_then_the_search_ends_with_the_reason(tmp_path):
     (tmp_path / 'broken.py').write_text('def look(image):\n    raise ValueError("no light")\n')
     campaign = make_options(
@@ -112,7 +136,7 @@ def test_given_looks_that_break_then_the_search_ends_with_the_reason(tmp_path):
     with Looker(campaign, lambda: {'controller_sha256': ''}, 10) as looker:
         scene = Scenario(duration_s=1.0)
         assert [looker.look(0, scene) for _ in range(2)] == [None, None]
-        with pytest.raises(UsageError, match='3 looks in a row broke.*no light'):
+        with pytest.raises(UsageError, match=r'3 looks in a row broke.*no light'):
             looker.look(0, scene)
 
 
