@@ -142,12 +142,11 @@ class Screening:
         last = self._runs[-1]
         if last.way is Way.RESULTS:
             self._runs[-1] = replace(last, point=self._searches[Way.RESULTS].again())
-        elif self._attempt > PATIENCE:
-            self._runs[-1] = _Run(way=Way.PRIOR, point=prior_point(
+        else:
+            found = None if self._attempt > PATIENCE else self._screened()
+            self._runs[-1] = found or _Run(way=Way.PRIOR, point=prior_point(
                 self._space, self._seed, len(self._runs) - 1, self._attempt
             ))
-        else:
-            self._runs[-1] = self._next()
         return self._runs[-1].point
 
     def tell(self, index: int, rho: float | None) -> None:
@@ -185,20 +184,21 @@ class Screening:
         return {}
 
     def _next(self) -> _Run:
-        """The next run, or another one in place of one that was rejected."""
-        way = self._way()
-        looks = self.looks
-        found = self._screened() if way is Way.LOOKS else None
+        """The next run."""
+        found = self._screened() if self._way() is Way.LOOKS else None
         if found is None:
             found = _Run(
                 way=Way.RESULTS, number=self._proposed[Way.RESULTS],
                 point=self._searches[Way.RESULTS].ask(),
             )
             self._proposed[Way.RESULTS] += 1
-        cost = 1.0 + LOOK_COST * (self.looks - looks)
-        self._accounts[found.way].cost += cost
-        self._spent[found.way] += cost
+        self._charge(found.way, 1.0)
         return found
+
+    def _charge(self, way: Way, cost: float) -> None:
+        """Note what a way of choosing has cost [runs]."""
+        self._accounts[way].cost += cost
+        self._spent[way] += cost
 
     def _way(self) -> Way:
         """Who chooses the next run."""
@@ -232,6 +232,7 @@ class Screening:
         search.tell(number, None if value is None else value - self._threshold)
         if value is not None:
             self.looks += 1
+            self._charge(Way.LOOKS, LOOK_COST)
             self._unrun[number] = point, value
 
     def _compare(self, value: float, rho: float) -> None:
