@@ -49,7 +49,7 @@ from taxinet_ros.registry import KMWH
 
 BUDGET = 100.0
 """Budget of a search of a landscape [full runs]."""
-REAL_BUDGET = 60.0
+REAL_BUDGET = 20.0
 """Budget of a search of S_falsif [full runs]."""
 PROGRAM = 's_falsif'
 """Program whose scenes a network is searched on."""
