@@ -22,7 +22,7 @@ from taxinet_ros import registry
 from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, alike
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.pool import process_pool
 
@@ -70,22 +70,9 @@ def count_distinct(space: Space, failures: Sequence[Point]) -> int:
     """
     counted: list[Point] = []
     for point in failures:
-        if not any(_alike(space, point, other) for other in counted):
+        if not any(alike(space, point, other, APART) for other in counted):
             counted.append(point)
     return len(counted)
-
-
-def _alike(space: Space, one: Point, other: Point) -> bool:
-    for dimension, mine, its in zip(space, one, other, strict=True):
-        if mine is None or its is None:
-            same = mine is its
-        elif dimension.discrete:
-            same = dimension.bin(mine) == dimension.bin(its)
-        else:
-            same = abs(mine - its) <= APART
-        if not same:
-            return False
-    return True
 
 
 def _radius(share: float) -> float:

@@ -249,6 +249,9 @@ def bench(
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
 
+    `taxinet bench screening` compares samplers at equal budgets, in which looks of `screening`
+    count by their cost, on landscapes and, with the name of a network, in closed loops.
+
     `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
     the results with undisturbed campaigns; exit code 4 if any differs.
 
@@ -285,6 +288,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_searches
 
         raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for_study('screening', words, given):
+        from taxinet_ros.cli.bench.samplers import run_screening
+
+        raise typer.Exit(run_screening(words[1:], repeats=repeats, as_json=as_json))
     from taxinet_ros.cli.bench.soak import asks_for_soak, run_soak
 
     if asks_for_soak(words, given):

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,14 @@ class World(Protocol):
             InfraError: the world failed.
         """
         ...
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """A world that has something to give back at the end of a run."""
+
+    def close(self) -> None:
+        """Give it back; called once."""
 
 
 def check_picture(now: Observation, who: str) -> None:
@@ -309,7 +317,7 @@ def closing(world: World) -> Iterator[World]:
 
 def close_world(world: World) -> None:
     """End a world's run: another simulator is given back."""
-    if isinstance(world, _SeenWorld | _PluginWorld):
+    if isinstance(world, Closable):
         world.close()
 
 

@@ -178,6 +178,27 @@ class Space(tuple[Dimension, ...]):
                 raise ValueError(f'point {point}: {dimension.name} {what} there')
 
 
+def alike(space: Space, one: Point, other: Point, apart: float) -> bool:
+    """Whether two points have the same categories, and no coordinate differs by more than this.
+
+    Args:
+        space: theirs.
+        one: a point.
+        other: another one; a dimension that is idle at one of them only makes them differ.
+        apart: greatest difference [quantiles].
+    """
+    for dimension, mine, its in zip(space, one, other, strict=True):
+        if mine is None or its is None:
+            same = mine is its
+        elif dimension.discrete:
+            same = dimension.bin(mine) == dimension.bin(its)
+        else:
+            same = abs(mine - its) <= apart
+        if not same:
+            return False
+    return True
+
+
 def make_space(dimensions: Iterable[Dimension]) -> Space:
     """Make a space of the dimensions.
 
