@@ -48,9 +48,9 @@ from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.registry import KMWH
 
 BUDGET = 100.0
-"""Budget of a search of a landscape [full runs]."""
+"""Budget of a search of a landscape, unless another is given [full runs]."""
 REAL_BUDGET = 20.0
-"""Budget of a search of S_falsif [full runs]."""
+"""Budget of a search of S_falsif, likewise [full runs]."""
 PROGRAM = 's_falsif'
 """Program whose scenes a network is searched on."""
 DEFAULT_LANDSCAPES = ('corner', 'twins', 'four', 'eight', 'categories', 'decoy')
@@ -207,7 +207,7 @@ def search_network(network: str, word: str, seed: int, budget: float = REAL_BUDG
 
 
 def measure_screening(
-    words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
+    words: Sequence[str], repeats: int, runs: int | None, progress: Callable[[int, int], object],
 ) -> dict[str, Any]:
     """Search landscapes and networks with samplers at equal budgets, ``repeats`` times each.
 
@@ -216,6 +216,7 @@ def measure_screening(
             :data:`DEFAULT_SAMPLERS`, without
             landscapes and networks :data:`DEFAULT_LANDSCAPES`.
         repeats: searches for each line, with the seeds 0, 1, ….
+        runs: budget of each search [full runs]; None for the default one.
         progress: called with the number of lines done and their total.
 
     Raises:
@@ -241,11 +242,11 @@ def measure_screening(
     lines = []
     with process_pool(None, 'searching worker') as pool:
         for number, (place, word, quality) in enumerate(cases):
-            one = partial(search_network, place, word) if place in networks else partial(
-                search_landscape, place, quality or 'good', word
+            budget = runs or (REAL_BUDGET if place in networks else BUDGET)
+            one = partial(search_network, place, word, budget=budget) if place in networks else (
+                partial(search_landscape, place, quality or 'good', word, budget=budget)
             )
             done = list(pool.map(one, range(repeats)))
-            budget = REAL_BUDGET if place in networks else BUDGET
             lines.append({
                 'place': place, 'sampler': word, 'looks': quality, 'budget': budget,
                 **summary(done), 'searches': [asdict(each) for each in done],

@@ -122,13 +122,16 @@ def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str
     return f'{found[0]}:{airport}/{runway}'
 
 
-def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> bool:
+def asks_for_study(
+    word: str, words: Sequence[str], given: Collection[str], also: Collection[str] = ()
+) -> bool:
     """Whether the words after ``taxinet bench`` ask for a study of the samplers.
 
     Args:
         word: word that selects the study.
         words: the subjects.
         given: names of the parameters given on the command line.
+        also: parameters that this study takes beside those of all.
 
     Raises:
         UsageError: the word is not the first, or options do not apply to it.
@@ -137,7 +140,7 @@ def asks_for_study(word: str, words: Sequence[str], given: Collection[str]) -> b
         return False
     if words[0] != word:
         raise UsageError(f'bench: {word} must come first, followed by what to study')
-    wrong = set(given) - {'repeats', 'as_json', 'subjects'}
+    wrong = set(given) - {'repeats', 'as_json', 'subjects', *also}
     if wrong:
         raise UsageError(f'bench: --{min(wrong)}: not with {word}')
     return True

@@ -123,6 +123,14 @@ def test_given_a_mistake_when_samplers_are_compared_then_one_line_says_what(caps
     assert call(capsys, 'screening', '--repeats', '0')[0] == 2
 
 
+def test_given_a_budget_when_samplers_are_compared_then_it_is_that_of_each_search(capsys):
+    code, out, _ = call(
+        capsys, 'screening', 'corner', 'random', '--repeats', '1', '--runs', '7', '--json')
+    (line,) = json.loads(out)['lines']
+    assert (code, line['budget'], line['runs']) == (0, 7, 7)
+    assert call(capsys, 'searches', 'corner', '--runs', '7')[0] == 2
+
+
 def test_given_a_network_then_its_runs_are_closed_loops_that_keep_to_the_budget():
     drawn = search_network('original', 'random', 0, 2.0)
     assert (drawn.runs, drawn.looks) == (2, 0)

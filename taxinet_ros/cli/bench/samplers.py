@@ -213,12 +213,15 @@ def _print_searches(found: dict[str, Any], console: Console) -> None:
         console.print(f'{name}: {LANDSCAPES[name].meaning}', style='dim', soft_wrap=True)
 
 
-def run_screening(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+def run_screening(
+    words: Sequence[str], *, repeats: int, runs: int | None, as_json: bool
+) -> int:
     """Measure and print.
 
     Args:
         words: samplers, landscapes and networks; without samplers or places the default ones.
         repeats: searches for each line.
+        runs: budget of each search [full runs]; None for the default one.
         as_json: print JSON.
 
     Returns:
@@ -228,7 +231,7 @@ def run_screening(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
         UsageError: an unknown word, or ``repeats`` below 1.
     """
     return run_with_progress(
-        partial(measure_screening, words, repeats), _print_screening, as_json=as_json
+        partial(measure_screening, words, repeats, runs), _print_screening, as_json=as_json
     )
 
 
