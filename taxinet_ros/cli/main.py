@@ -212,7 +212,8 @@ def bench(
         bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
     ] = False,
     runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default 1000); '
-    'processors: of scenes (default 40); screening: budget of a search (default 100, a network: 20)')] = None,
+    'processors: of scenes (default 40); screening: budget of a search (default 100, of a network '
+    '20)')] = None,
     duration: Annotated[
         float | None,
         typer.Option(help='soak, processors: simulated length of each run (default 3) [s]'),
