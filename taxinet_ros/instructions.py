@@ -38,8 +38,8 @@ def pin() -> None:
     if early := _loaded_early():
         # Frames: this, the package, the module that imports it.
         warnings.warn(
-            f'{early} was imported before taxinet_ros, and uses AVX-512: results may differ from '
-            'those of the command line and of other machines; import taxinet_ros first '
+            f'imported before taxinet_ros, so with AVX-512: {early}; results may differ from those of '
+            'the command line and of other machines; import taxinet_ros first '
             '(docs/determinism.md)', stacklevel=3)
     for name, value in PINS.items():
         # OpenCV prints a line about a feature to disable that the processor lacks.
@@ -52,7 +52,7 @@ def _loaded_early() -> str:
     if not processor_flags() >= _NEWER:
         return ''
     variables = {'numpy': 'NPY_DISABLE_CPU_FEATURES', 'cv2': 'OPENCV_CPU_DISABLE'}
-    return ' and '.join(
+    return ', '.join(
         name for name, variable in variables.items()
         if name in sys.modules and variable not in os.environ
     )

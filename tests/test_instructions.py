@@ -50,7 +50,7 @@ def test_given_numpy_loaded_before_the_package_then_the_importing_line_is_warned
     monkeypatch.setattr(instructions, 'machine', lambda: 'x86_64')
     monkeypatch.setattr(sys, 'modules', {**sys.modules, 'numpy': os, 'cv2': os})
     monkeypatch.setattr(os, 'environ', {'OPENCV_CPU_DISABLE': 'AVX2'})
-    with pytest.warns(UserWarning, match=r'^numpy was imported before taxinet_ros, and uses AVX-5'):
+    with pytest.warns(UserWarning, match=r'^imported before taxinet_ros, so with AVX-512: numpy; '):
         instructions.pin()
     with warnings.catch_warnings():
         warnings.simplefilter('error')
@@ -65,7 +65,7 @@ def test_given_a_script_that_imports_numpy_first_then_its_own_line_is_named(tmp_
     kept = {name: value for name, value in os.environ.items() if name not in instructions.PINS}
     done = subprocess.run(
         [sys.executable, script], env=kept, capture_output=True, text=True, check=True)
-    assert f'{script}:3: UserWarning: numpy was imported before' in done.stderr
+    assert f'{script}:3: UserWarning: imported before taxinet_ros, so with AVX-512: numpy' in done.stderr
 
 
 def test_given_a_processor_without_avx2_then_nothing_is_asked_of_it(

@@ -12,6 +12,9 @@ import statistics
 import time
 from pathlib import Path
 
+import taxinet_ros  # noqa: F401 (before numpy, which it restricts)
+
+# isort: split
 import cv2
 import numpy as np
 from sklearn.metrics import roc_auc_score
