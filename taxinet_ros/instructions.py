@@ -38,8 +38,8 @@ def pin() -> None:
     if early := _loaded_early():
         # Frames: this, the package, the module that imports it.
         warnings.warn(
-            f'imported before taxinet_ros, so with AVX-512: {early}; results may differ from those of '
-            'the command line and of other machines; import taxinet_ros first '
+            f'imported before taxinet_ros, so with AVX-512: {early}; results may differ from those '
+            'of the command line and of other machines; import taxinet_ros first '
             '(docs/determinism.md)', stacklevel=3)
     for name, value in PINS.items():
         # OpenCV prints a line about a feature to disable that the processor lacks.

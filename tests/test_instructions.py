@@ -65,7 +65,8 @@ def test_given_a_script_that_imports_numpy_first_then_its_own_line_is_named(tmp_
     kept = {name: value for name, value in os.environ.items() if name not in instructions.PINS}
     done = subprocess.run(
         [sys.executable, script], env=kept, capture_output=True, text=True, check=True)
-    assert f'{script}:3: UserWarning: imported before taxinet_ros, so with AVX-512: numpy' in done.stderr
+    said = f'{script}:3: UserWarning: imported before taxinet_ros, so with AVX-512: numpy'
+    assert said in done.stderr
 
 
 def test_given_a_processor_without_avx2_then_nothing_is_asked_of_it(
