@@ -5,7 +5,7 @@ truth or the scene: what they use is the camera's frame, the estimate, the comma
 effect, and what the aircraft knows of itself (mounting and lens of the camera, own height).
 
 * ``unfamiliar``: is the picture like those that the network is used to? Mahalanobis distance of
-  mean colours and edge strengths of blocks.
+  mean colours and edge strengths of blocks, in their principal components.
 * ``inconsistent``: do the last estimates follow from each other by the aircraft's kinematics?
 * ``unseen``: is there a painted line where the estimate says that the centreline is? The estimated
   line is projected into the picture and compared with lines beside it.
@@ -37,10 +37,15 @@ CHECKS: Final = (UNFAMILIAR, INCONSISTENT, UNSEEN)
 
 Vector = NDArray[np.float64]
 
+_LEAST_VARIANCE = 1e-3
 _BLOCKS = (6, 4)
 """Columns and rows of blocks of the picture."""
 FEATURES: Final = 4 * _BLOCKS[0] * _BLOCKS[1]
 """Number of features of a picture."""
+COMPONENTS: Final = 5
+"""Principal components of the features that are looked at."""
+_DARK = 3.0
+"""Display codes added before the logarithm, so that noise in the dark does not count."""
 _FINE = (72, 40)
 """Columns and rows of the reduced picture in which edges are measured."""
 _PERIOD_S = CONTROL_PERIOD_NS / NS_PER_S
@@ -66,20 +71,23 @@ _LEAST_SEEN = 6
 
 
 def features(image: NDArray[np.uint8]) -> Vector:
-    """Features of a picture: mean colours and edge strength of its blocks.
+    """Features of a picture: logarithms of mean colours and edge strengths of its blocks.
+
+    Light scales a picture as a whole, so in the logarithm dusk is as far away as it is dark.
 
     Args:
         image: (H, W, 3) uint8 RGB.
 
     Returns:
-        (:data:`FEATURES`,) in display codes.
+        (:data:`FEATURES`,) logarithms of display codes.
     """
     colours = cv2.resize(image, _BLOCKS, interpolation=cv2.INTER_AREA).astype(np.float64)
     fine = cv2.resize(image, _FINE, interpolation=cv2.INTER_AREA).astype(np.float64).mean(axis=2)
     edges = np.abs(np.diff(fine, axis=1, append=fine[:, -1:]))
     rows, columns = _BLOCKS[1], _BLOCKS[0]
     strength = edges.reshape(rows, _FINE[1] // rows, columns, _FINE[0] // columns).mean(axis=(1, 3))
-    return np.concatenate([colours.ravel(), strength.ravel()])
+    found: Vector = np.log(np.concatenate([colours.ravel(), strength.ravel()]) + _DARK)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -88,14 +96,14 @@ class Familiar:
 
     Attributes:
         mean: (n,).
-        whitening: (n, n); it makes the features uncorrelated, of variance 1.
+        whitening: (k, n); it gives the principal components, of variance 1.
     """
 
     mean: Vector
     whitening: Vector
 
     def distance(self, image: NDArray[np.uint8]) -> float:
-        """Mahalanobis distance of a picture over the root of the number of features.
+        """Mahalanobis distance within the principal components, over the root of their number.
 
         It is about 1 for familiar pictures.
         """
@@ -106,16 +114,16 @@ class Familiar:
 def fit_familiar(pictures: Vector) -> Familiar:
     """Fit the distribution of features.
 
-    The covariance is shrunk towards its diagonal by a tenth, and each variance is raised by that of
-    half a code, so that features which hardly vary do not decide alone.
+    Only the first :data:`COMPONENTS` principal components count: what familiar pictures differ in,
+    mostly light. In many more dimensions a large change in few of them would be lost.
 
     Args:
         pictures: (N, n) features of N pictures.
     """
     mean = pictures.mean(axis=0)
-    spread = np.cov(pictures, rowvar=False)
-    spread = 0.9 * spread + 0.1 * np.diag(np.diag(spread)) + 0.25 * np.eye(len(mean))
-    return Familiar(mean=mean, whitening=np.linalg.inv(np.linalg.cholesky(spread)))
+    variances, directions = np.linalg.eigh(np.cov(pictures, rowvar=False))
+    scale = np.sqrt(variances[-COMPONENTS:] + _LEAST_VARIANCE)
+    return Familiar(mean=mean, whitening=(directions[:, -COMPONENTS:] / scale).T)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

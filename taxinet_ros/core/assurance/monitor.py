@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.assurance.checks import (
     CHECKS,
+    COMPONENTS,
     FEATURES,
     Consistency,
     Familiar,
@@ -165,9 +166,9 @@ def _check(found: Calibration) -> None:
     if set(found.thresholds) != set(CHECKS):
         raise ValueError(f'thresholds of {sorted(found.thresholds)}')
     if found.familiar.mean.shape != (FEATURES,) or (
-        found.familiar.whitening.shape != (FEATURES, FEATURES)
+        found.familiar.whitening.shape != (COMPONENTS, FEATURES)
     ):
-        raise ValueError(f'its pictures have {found.familiar.mean.shape} features')
+        raise ValueError(f'familiar: its shape is {found.familiar.whitening.shape}')
     if not (all(map(math.isfinite, numbers)) and np.isfinite(found.familiar.mean).all()
             and np.isfinite(found.familiar.whitening).all()):
         raise ValueError('a number is not finite')

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from taxinet_ros.core.assurance.checks import (
     _ASIDE_M,
     CHECKS,
+    COMPONENTS,
     FEATURES,
     MEMORY,
     Consistency,
@@ -105,18 +106,19 @@ def test_given_a_jump_then_the_score_counts_its_spreads_until_it_is_forgotten(ju
     assert scores[2 * MEMORY + 2:] == [0.0, 0.0]
 
 
-def test_given_features_then_their_mean_square_distance_is_1_and_another_picture_is_far():
+def test_given_features_then_their_mean_square_distance_is_1_and_dusk_is_far():
     rng = np.random.default_rng(3)
-    spread = rng.uniform(3, 20, FEATURES)
-    known = fit_familiar(90 + rng.standard_normal((4000, FEATURES)) * spread)
-    fresh = 90 + rng.standard_normal((500, FEATURES)) * spread
+    spread = rng.uniform(0.3, 2, FEATURES)
+    known = fit_familiar(4 + rng.standard_normal((4000, FEATURES)) * spread)
+    fresh = 4 + rng.standard_normal((800, FEATURES)) * spread
     squares = ((fresh - known.mean) @ known.whitening.T) ** 2
+    assert squares.shape == (800, COMPONENTS)
     assert squares.mean() == pytest.approx(1, abs=0.1)
     image, _ = seen_in(SCENES[0])
-    assert features(image).shape == (FEATURES,)
-    near = Familiar(mean=features(image), whitening=np.eye(FEATURES))
-    assert near.distance(image) == 0
-    assert near.distance(np.zeros_like(image)) > 50
+    day = [(image * share).astype(np.uint8) for share in np.linspace(0.6, 1, 60)]
+    light = fit_familiar(np.array([features(one) for one in day]))
+    assert max(light.distance(one) for one in day) < 1
+    assert light.distance((image * 0.2).astype(np.uint8)) > 2.5
 
 
 def test_given_few_values_then_the_conformal_threshold_is_their_rank_or_refused():
@@ -137,7 +139,9 @@ def test_given_many_calibrations_then_a_further_run_alarms_at_the_chosen_rate():
 
 
 def calibration(**changes):
-    familiar = Familiar(mean=np.full(FEATURES, 90.0), whitening=np.eye(FEATURES))
+    familiar = Familiar(
+        mean=np.full(FEATURES, 4.5), whitening=np.eye(COMPONENTS, FEATURES)
+    )
     return Calibration(**{
         'perception': 'taxinet', 'perception_sha256': 'ab', 'program': 'nominal', 'seed': 1,
         'runs': 9, 'rate': 0.3, 'familiar': familiar, 'kinematics': USUAL,
