@@ -37,6 +37,8 @@ from taxinet_ros.study.assurance.judge import (
 from taxinet_ros.study.assurance.recorded import judge_recording
 
 _PAGE_WIDTH = 100
+_OCTAVES = 2
+"""Multiples of the thresholds that the picture shows: 2 to the power of - this to + this."""
 
 
 def run_calibrate(options: CalibrateOptions) -> int:
@@ -157,13 +159,14 @@ def judged_lines(judged: Judged) -> list[str]:
 
 def trade_picture(judged: Judged) -> Picture:
     """Departures without an alarm in time against false alarms, by multiple of the thresholds."""
-    false = np.array([one.false_per_h.value for one in judged.trade])
-    missed = np.array([one.off - one.off_seen for one in judged.trade])
+    shown = [one for one in judged.trade if abs(math.log2(one.factor)) <= _OCTAVES]
+    false = np.array([one.false_per_h.value for one in shown])
+    missed = np.array([one.off - one.off_seen for one in shown])
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
         axes.plot(false, missed, color=theme.passed, marker='o', markersize=4, linewidth=1.4)
-        for one, x, y in zip(judged.trade, false, missed, strict=True):
+        for one, x, y in zip(shown, false, missed, strict=True):
             own = one.factor == 1
             axes.annotate(
                 f'{one.factor:.2g}', (x, y), xytext=(4, 4), textcoords='offset points',
@@ -175,7 +178,9 @@ def trade_picture(judged: Judged) -> Picture:
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
         axes.set_xlabel('false alarms per hour of satisfied runs')
-        axes.set_ylabel(f'no alarm {BRAKING_S:g} s before leaving the runway')
+        axes.set_ylabel(
+            f'of {shown[0].off} departures, without\nan alarm {BRAKING_S:g} s before'
+        )
 
     return Picture(
         name='trade', title='Thresholds', draw=draw,
