@@ -29,6 +29,7 @@ EXECUTABLES = {
     'ground_truth_perception',
     'mtl_monitor',
     'recorder',
+    'runtime_monitor',
     'scenario_sampler',
     'scene_markers',
     'simulator',

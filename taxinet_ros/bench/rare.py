@@ -343,16 +343,17 @@ class Method:
 
 def measure_rare(
     words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
-    *, probabilities: Sequence[float] = PROBABILITIES, workers: int | None = None,
+    *, probabilities: Sequence[float] = PROBABILITIES, workers: int | None = None, seed: int = 0,
 ) -> dict[str, Any]:
     """Estimate every landscape at several probabilities by the three methods.
 
     Args:
         words: landscapes; none for all of them.
-        repeats: estimates for each landscape and probability, with the seeds 0, 1, ….
+        repeats: estimates for each landscape and probability.
         progress: called with the number of lines done and their total.
         probabilities: probabilities of failure.
         workers: number of processes; None for the number of cores.
+        seed: of the first estimate; the others have those that follow.
 
     Raises:
         UsageError: a word is unknown, or ``repeats`` is less than 1.
@@ -369,7 +370,8 @@ def measure_rare(
     lines = []
     with process_pool(workers, 'estimating worker') as pool:
         for name, probability in cases:
-            trials = list(pool.map(partial(attempt, name, probability), range(repeats)))
+            seeds = range(seed, seed + repeats)
+            trials = list(pool.map(partial(attempt, name, probability), seeds))
             lines.append({
                 'landscape': name, 'probability': probability,
                 'runs': fmean(one.splitting.runs for one in trials),

@@ -87,6 +87,7 @@ NODES = (
     'ground_truth_perception',
     'steering_controller',
     'mtl_monitor',
+    'runtime_monitor',
     'scenario_sampler',
     'recorder',
     'bag_player',

@@ -14,6 +14,7 @@ PERCEPTION = 'perception'
 STEERING_CONTROLLER = 'steering_controller'
 MTL_MONITOR = 'mtl_monitor'
 RECORDER = 'recorder'
+RUNTIME_MONITOR = 'runtime_monitor'
 SCENARIO_SAMPLER = 'scenario_sampler'
 SCENE_MARKERS = 'scene_markers'
 SUPERVISOR = 'supervisor'
@@ -21,10 +22,13 @@ SUPERVISOR = 'supervisor'
 PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
 """Nodes of the lockstep, besides the simulator that controls it."""
 
+BESIDE = (RUNTIME_MONITOR,)
+"""Nodes that may take part in a lockstep, if a run names them; else they only look on."""
+
 CHAIN = (PERCEPTION, STEERING_CONTROLLER)
 """Nodes of the control loop, which answer within a control step."""
 
-FOLLOWERS = (MTL_MONITOR, RECORDER)
+FOLLOWERS = (MTL_MONITOR, RECORDER, RUNTIME_MONITOR)
 """Nodes that only subscribe, and report progress."""
 
 
@@ -107,12 +111,12 @@ class Topic:
 
 SCENARIO = Topic(
     name='scenario', type_name='taxinet_msgs/msg/Scenario', quality=LATCHED,
-    publishers=(SIMULATOR,), subscribers=PARTICIPANTS, recorded=PER_RUN,
+    publishers=(SIMULATOR,), subscribers=(*PARTICIPANTS, *BESIDE), recorded=PER_RUN,
     carries='the test case; every participant sets itself up for it',
 )
 NODE_STATUS = Topic(
     name='node_status', type_name='taxinet_msgs/msg/NodeStatus', quality=LATCHED,
-    publishers=(SIMULATOR, *PARTICIPANTS), subscribers=(SIMULATOR,), recorded=PER_NODE,
+    publishers=(SIMULATOR, *PARTICIPANTS, *BESIDE), subscribers=(SIMULATOR,), recorded=PER_NODE,
     carries='ready, done or error of one participant, with implementation and weights hash',
 )
 CLOCK = Topic(
@@ -122,7 +126,7 @@ CLOCK = Topic(
 )
 IMAGE = Topic(
     name='camera/image_raw', type_name='sensor_msgs/msg/Image', quality=LOCKSTEP,
-    publishers=(SIMULATOR,), subscribers=(PERCEPTION,), recorded=PER_STEP,
+    publishers=(SIMULATOR,), subscribers=(PERCEPTION, RUNTIME_MONITOR), recorded=PER_STEP,
     carries='wing-camera frame, 200 x 360 rgb8',
 )
 CAMERA_INFO = Topic(
@@ -144,14 +148,16 @@ TRUTH = Topic(
 ESTIMATE = Topic(
     name='perception/tracking_error', type_name='taxinet_msgs/msg/TrackingError',
     quality=LOCKSTEP,
-    publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
+    publishers=(PERCEPTION,),
+    subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR, RUNTIME_MONITOR),
     recorded=PER_STEP,
     carries="the perception's estimate for the frame that it names",
     queue=_QUEUE,
 )
 COMMAND = Topic(
     name='taxi_command', type_name='taxinet_msgs/msg/TaxiCommand', quality=LOCKSTEP,
-    publishers=(STEERING_CONTROLLER,), subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
+    publishers=(STEERING_CONTROLLER,), subscribers=(SIMULATOR, MTL_MONITOR, RUNTIME_MONITOR),
+    recorded=PER_STEP,
     carries='steering angle and speed for the frame that it names',
     queue=_QUEUE,
 )
@@ -169,7 +175,7 @@ VERDICT = Topic(
 PROGRESS = Topic(
     name='lockstep/progress', type_name='taxinet_msgs/msg/NodeStatus', quality=LOCKSTEP,
     publishers=FOLLOWERS, subscribers=(SIMULATOR,), recorded=None,
-    carries='how far monitor and recorder have come',
+    carries='how far the nodes have come that only subscribe',
     queue=_QUEUE,
 )
 RUN_STATUS = Topic(
@@ -179,7 +185,7 @@ RUN_STATUS = Topic(
 )
 TIMING = Topic(
     name='timing', type_name='taxinet_msgs/msg/Timing', quality=LATCHED,
-    publishers=(SIMULATOR,), subscribers=FOLLOWERS, recorded=None,
+    publishers=(SIMULATOR,), subscribers=(MTL_MONITOR, RECORDER), recorded=None,
     carries='of a free run alone: which frames have no answer, and how it went',
 )
 OBITUARY = Topic(
@@ -214,9 +220,16 @@ recorder does not subscribe: transforms in a bag are computed from its odometry.
 DIAGNOSTICS = Topic(
     # Absolute: ROS collects all diagnostics there; the names identify the node.
     name='/diagnostics', type_name='diagnostic_msgs/msg/DiagnosticArray', quality=LOCKSTEP,
-    publishers=(SIMULATOR, *PARTICIPANTS), subscribers=(), recorded=None,
+    publishers=(SIMULATOR, *PARTICIPANTS, *BESIDE), subscribers=(), recorded=None,
     carries='how each node is doing, by the wall clock; anybody may speak here',
 )
+ALARM = Topic(
+    name='runtime_monitor/alarm', type_name='diagnostic_msgs/msg/DiagnosticArray', quality=LOCKSTEP,
+    publishers=(RUNTIME_MONITOR,), subscribers=(), recorded=None,
+    carries="scores of each step over their thresholds, and the run's alarm, stamped as the frame",
+    queue=_QUEUE,
+)
+"""Not recorded: a function of frames, estimates and commands."""
 SCENE_RUNWAY = Topic(
     name='scene/runway', type_name='visualization_msgs/msg/MarkerArray', quality=LATCHED,
     publishers=(SCENE_MARKERS,), subscribers=(), recorded=None,

@@ -14,6 +14,7 @@ from taxinet_ros.bag.run.topics import BASE_FRAME as BASE_FRAME
 from taxinet_ros.bag.run.topics import CAMERA_FRAME as CAMERA_FRAME
 from taxinet_ros.bag.run.topics import MAP_FRAME as MAP_FRAME
 from taxinet_ros.core import topics
+from taxinet_ros.core.topics import BESIDE as BESIDE
 from taxinet_ros.core.topics import CHAIN as CHAIN
 from taxinet_ros.core.topics import FOLLOWERS as FOLLOWERS
 from taxinet_ros.core.topics import MTL_MONITOR as MTL_MONITOR
@@ -24,6 +25,7 @@ from taxinet_ros.core.topics import PER_SPEC as PER_SPEC
 from taxinet_ros.core.topics import PER_STEP as PER_STEP
 from taxinet_ros.core.topics import PERCEPTION as PERCEPTION
 from taxinet_ros.core.topics import RECORDER as RECORDER
+from taxinet_ros.core.topics import RUNTIME_MONITOR as RUNTIME_MONITOR
 from taxinet_ros.core.topics import SCENARIO_SAMPLER as SCENARIO_SAMPLER
 from taxinet_ros.core.topics import SCENE_MARKERS as SCENE_MARKERS
 from taxinet_ros.core.topics import SIMULATOR as SIMULATOR
@@ -89,6 +91,7 @@ OBITUARY = _topic(topics.OBITUARY)
 TF_STATIC = _topic(topics.TF_STATIC)
 TF = _topic(topics.TF)
 DIAGNOSTICS = _topic(topics.DIAGNOSTICS)
+ALARM = _topic(topics.ALARM)
 SCENE_RUNWAY = _topic(topics.SCENE_RUNWAY)
 SCENE_AIRCRAFT = _topic(topics.SCENE_AIRCRAFT)
 TOPICS = tuple(map(_topic, topics.TOPICS))

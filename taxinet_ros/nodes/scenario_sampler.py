@@ -32,7 +32,7 @@ from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.interface import BESIDE, PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
 from taxinet_ros.nodes.names import check_participants
 from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
@@ -51,7 +51,7 @@ _RUNS, _RUNS_OF_A_SEARCH = 1, 100
 """Default numbers of runs, as in ``taxinet run`` and ``taxinet falsify``."""
 _OPTIONS = (
     Parameter(
-        name='participants', default=list(PARTICIPANTS), takes=', '.join(PARTICIPANTS),
+        name='participants', default=list(PARTICIPANTS), takes=', '.join((*PARTICIPANTS, *BESIDE)),
         description='nodes of the lockstep, without the simulator',
     ),
     Parameter(

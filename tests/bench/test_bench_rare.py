@@ -68,6 +68,11 @@ def test_given_an_estimate_then_the_others_have_as_many_runs_and_it_is_repeatabl
 
 
 def test_given_words_then_there_are_json_and_a_table(monkeypatch, capsys):
+    [line] = measure_rare(
+        ['half'], 1, lambda *_: None, probabilities=(0.01,), workers=1, seed=3
+    )['rare']
+    assert line['runs'] == attempt('half', 0.01, 3).splitting.runs
+
     def measured(words, repeats, show):
         return measure_rare(words, repeats, show, probabilities=(0.01,), workers=1)
 

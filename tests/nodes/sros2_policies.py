@@ -69,6 +69,7 @@ def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[
     from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
     from taxinet_ros.nodes.mtl_monitor import MtlMonitor
     from taxinet_ros.nodes.recorder import Recorder
+    from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
     from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
     from taxinet_ros.nodes.scene_markers import SceneMarkers
     from taxinet_ros.nodes.simulator import Simulator
@@ -82,6 +83,7 @@ def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[
         'steering_controller': (SteeringController, {}),
         'mtl_monitor': (MtlMonitor, {}),
         'recorder': (Recorder, {'out': str(folder)}),
+        'runtime_monitor': (RuntimeMonitor, {}),
         'scenario_sampler': (StandaloneSampler, {'program': 'nominal', 'out': f'{folder}/new'}),
         'scene_markers': (SceneMarkers, {}),
         'foxglove_server': (FoxgloveServer, {'port': 0}),

@@ -6,6 +6,7 @@ import pytest
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,8 +36,9 @@ def test_given_the_docs_then_their_topic_table_is_the_codes():
 @pytest.mark.parametrize('perception', ['truth', 'taxinet'])
 def test_given_the_graph_then_its_nodes_speak_and_listen_as_the_table_says(perception, tmp_path):
     with composed_graph(GraphOptions(perception=perception, out=tmp_path)) as graph:
+        graph._spinning.add(RuntimeMonitor(context=graph._spinning.context))
         nodes = {node.get_name(): node for node in graph.nodes}
-        assert set(nodes) == {interface.SIMULATOR, *interface.PARTICIPANTS}
+        assert set(nodes) == {interface.SIMULATOR, *interface.PARTICIPANTS, *interface.BESIDE}
         said: dict[str, set[str]] = {}
         heard: dict[str, set[str]] = {}
         for name, node in nodes.items():

@@ -34,6 +34,7 @@ from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
+from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 from taxinet_ros.nodes.scene_markers import SceneMarkers
 from taxinet_ros.nodes.simulator import Simulator
@@ -52,6 +53,7 @@ CLASSES: dict[str, type[Any]] = {
     'steering_controller': SteeringController,
     'mtl_monitor': LiveMonitor,
     'recorder': Recorder,
+    'runtime_monitor': RuntimeMonitor,
     'scenario_sampler': StandaloneSampler,
     'bag_player': BagPlayer,
     'scene_markers': SceneMarkers,

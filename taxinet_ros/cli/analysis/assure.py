@@ -7,9 +7,13 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from taxinet_ros.analysis.report.parts import Picture, Theme
+from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
@@ -19,6 +23,8 @@ from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.study.assurance.calibrate import CalibrateOptions, calibrate
 from taxinet_ros.study.assurance.judge import (
+    ALARMS_NAME,
+    BRAKING_S,
     RESULT_NAME,
     TRIALS_NAME,
     WANTED_RATIO,
@@ -31,6 +37,8 @@ from taxinet_ros.study.assurance.judge import (
 from taxinet_ros.study.assurance.recorded import judge_recording
 
 _PAGE_WIDTH = 100
+_OCTAVES = 2
+"""Multiples of the thresholds that the picture shows: 2 to the power of - this to + this."""
 
 
 def run_calibrate(options: CalibrateOptions) -> int:
@@ -81,7 +89,11 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     console.print(table)
     for name, one in judged.with_fallback.items():
         console.print(f'{name}: {_ratio_words(one.off_ratio)}', soft_wrap=True)
-    console.print(f'{options.out}: {TRIALS_NAME}, {RESULT_NAME}', soft_wrap=True)
+    picture = write_png(trade_picture(judged), options.out, LIGHT)
+    console.print(
+        f'{options.out}: {TRIALS_NAME}, {ALARMS_NAME}, {picture.name}, {RESULT_NAME}',
+        soft_wrap=True,
+    )
     return ExitCode.OK
 
 
@@ -143,6 +155,38 @@ def judged_lines(judged: Judged) -> list[str]:
         f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: {per_h.value:.3g} '
         f'per hour (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
     ]
+
+
+def trade_picture(judged: Judged) -> Picture:
+    """Departures without an alarm in time against false alarms, by multiple of the thresholds."""
+    shown = [one for one in judged.trade if abs(math.log2(one.factor)) <= _OCTAVES]
+    false = np.array([one.false_per_h.value for one in shown])
+    missed = np.array([one.off - one.off_seen for one in shown])
+
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = figure.subplots()
+        axes.plot(false, missed, color=theme.passed, marker='o', markersize=4, linewidth=1.4)
+        for one, x, y in zip(shown, false, missed, strict=True):
+            own = one.factor == 1
+            axes.annotate(
+                f'{one.factor:.2g}', (x, y), xytext=(4, 4), textcoords='offset points',
+                fontsize=10 if own else 8, color=theme.failed if own else theme.ink,
+            )
+            if own:
+                axes.plot([x], [y], color=theme.failed, marker='o', markersize=7)
+        axes.set_xscale('symlog', linthresh=5)
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel('false alarms per hour of satisfied runs')
+        axes.set_ylabel(
+            f'of {shown[0].off} departures, without\nan alarm {BRAKING_S:g} s before'
+        )
+
+    return Picture(
+        name='trade', title='Thresholds', draw=draw,
+        caption='Runs that leave the runway without an alarm in time to brake, against false '
+        'alarms; labels are multiples of all thresholds.',
+    )
 
 
 def _ratio_words(ratio: Bounded) -> str:

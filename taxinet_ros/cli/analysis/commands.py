@@ -832,10 +832,10 @@ def assure_calibrate(
     runs: Annotated[
         int, typer.Option(min=1, max=100_000, help='runs that set the thresholds; a quarter as '
         'many more say what is usual')
-    ] = 320,
+    ] = 84,
     rate: Annotated[
         float, typer.Option(help='largest share of satisfied runs with an alarm, in these scenes')
-    ] = 0.01,
+    ] = 0.05,
     seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 1,
     workers: Annotated[
         int, typer.Option(min=1, max=64, help='worker processes; same results')
@@ -843,8 +843,9 @@ def assure_calibrate(
 ) -> None:
     """Calibrate the shipped monitor for a network, on runs without ROS.
 
-    Its three checks ask whether the picture is familiar, whether the estimates follow from each
-    other, and whether there is paint where they say that the line is. Thresholds are conformal.
+    Its four checks ask whether the picture is familiar, whether the estimates follow from each
+    other, whether there is paint where they say that the line is, and whether they move as the
+    picture is moved. Thresholds are conformal.
     """
     from taxinet_ros.cli.analysis.assure import run_calibrate
     from taxinet_ros.study.assurance.calibrate import CalibrateOptions

@@ -6,8 +6,8 @@ and gives scores relative to their thresholds: 1 or more raises the alarm.
 The thresholds of the shipped monitor are conformal (Vovk, Gammerman and Shafer, *Algorithmic
 Learning in a Random World*, 2005, chapter 2): of n satisfied runs, the largest score of each run is
 taken, and the threshold is the ceil((n + 1)(1 - a))-th smallest. A further satisfied run of the
-same distribution exceeds it with probability a at most, whatever the distribution. With a third of
-the chosen rate for each of the three checks, their union keeps to the rate.
+same distribution exceeds it with probability a at most, whatever the distribution. With a quarter
+of the chosen rate for each of the four checks, their union keeps to the rate.
 """
 
 from __future__ import annotations
@@ -28,12 +28,18 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.assurance.checks import (
     CHECKS,
+    COMPONENTS,
     FEATURES,
+    MOVES,
+    RESPONSES,
     Consistency,
-    Familiar,
     Kinematics,
+    Moves,
     Reprojection,
+    Usual,
+    features,
 )
+from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import RunCode, UserCode, find_user_code, names_user_code
@@ -46,7 +52,7 @@ SUSTAINED: Final = 5
 NO_ESTIMATE: Final = 'no estimate'
 """Reason of an alarm where there is no usable estimate."""
 _FOLDER = Path(__file__).parent / 'calibrations'
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -89,41 +95,60 @@ class RuntimeMonitor(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """What is usual for a perception.
+
+    Attributes:
+        familiar: of the features of its pictures.
+        kinematics: of its estimates from step to step.
+        moved: of its responses to moves of the picture.
+    """
+
+    familiar: Usual
+    kinematics: Kinematics
+    moved: Usual
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """What the shipped monitor knows of a perception, made by ``taxinet assure calibrate``.
 
     Attributes:
         perception, perception_sha256: the perception.
+        source: its name, or the path of its file.
         program, seed: the scenes of the runs.
         runs: number of satisfied runs that set the thresholds.
         rate: largest share of satisfied runs with an alarm.
         thresholds: by check.
-        familiar, kinematics: see :mod:`taxinet_ros.core.assurance.checks`.
+        fitted: what is usual.
     """
 
     perception: str
     perception_sha256: str
+    source: str
     program: str
     seed: int
     runs: int
     rate: float
     thresholds: Mapping[str, float]
-    familiar: Familiar
-    kinematics: Kinematics
+    fitted: Fitted
 
     def to_bytes(self) -> bytes:
         """Content of a calibration file; equal calibrations give equal bytes."""
         told = {
             'version': _VERSION, 'perception': self.perception,
-            'perception_sha256': self.perception_sha256, 'program': self.program,
+            'perception_sha256': self.perception_sha256, 'source': self.source,
+            'program': self.program,
             'seed': self.seed, 'runs': self.runs, 'rate': self.rate,
             'thresholds': dict(self.thresholds),
-            'kinematics': dataclasses.asdict(self.kinematics),
+            'kinematics': dataclasses.asdict(self.fitted.kinematics),
         }
         packed = io.BytesIO()
         np.savez(
-            packed, about=np.array(json.dumps(told, sort_keys=True)), mean=self.familiar.mean,
-            whitening=self.familiar.whitening.astype(np.float32),
+            packed, about=np.array(json.dumps(told, sort_keys=True)),
+            mean=self.fitted.familiar.mean,
+            whitening=self.fitted.familiar.whitening.astype(np.float32),
+            moved_mean=self.fitted.moved.mean, moved_whitening=self.fitted.moved.whitening,
         )
         return packed.getvalue()
 
@@ -141,14 +166,19 @@ def read_calibration(path: Path) -> tuple[Calibration, str]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as packed:
             told: dict[str, Any] = json.loads(str(packed['about']))
-            familiar = Familiar(
-                mean=packed['mean'].astype(np.float64),
-                whitening=packed['whitening'].astype(np.float64),
+            if told.get('version') != _VERSION:
+                raise UsageError(f'monitor {path}: made by another version; calibrate it again')
+            familiar, moved = (
+                Usual(
+                    mean=packed[f'{name}mean'].astype(np.float64),
+                    whitening=packed[f'{name}whitening'].astype(np.float64),
+                ) for name in ('', 'moved_')
             )
-        if told.pop('version') != _VERSION:
-            raise UsageError(f'monitor {path}: made by another version; calibrate it again')
+        del told['version']
         kinematics = Kinematics(**told.pop('kinematics'))
-        found = Calibration(**told, familiar=familiar, kinematics=kinematics)
+        found = Calibration(
+            **told, fitted=Fitted(familiar=familiar, kinematics=kinematics, moved=moved)
+        )
         _check(found)
     except UsageError:
         raise
@@ -160,16 +190,21 @@ def read_calibration(path: Path) -> tuple[Calibration, str]:
 
 
 def _check(found: Calibration) -> None:
-    numbers = [*found.thresholds.values(), *dataclasses.asdict(found.kinematics).values()]
-    spreads = found.kinematics.cte_spread_m, found.kinematics.he_spread_rad
+    fitted = found.fitted
+    kinematics = dataclasses.asdict(fitted.kinematics)
+    numbers = [*found.thresholds.values(), *kinematics.values()]
+    spreads = fitted.kinematics.cte_spread_m, fitted.kinematics.he_spread_rad
     if set(found.thresholds) != set(CHECKS):
         raise ValueError(f'thresholds of {sorted(found.thresholds)}')
-    if found.familiar.mean.shape != (FEATURES,) or (
-        found.familiar.whitening.shape != (FEATURES, FEATURES)
-    ):
-        raise ValueError(f'its pictures have {found.familiar.mean.shape} features')
-    if not (all(map(math.isfinite, numbers)) and np.isfinite(found.familiar.mean).all()
-            and np.isfinite(found.familiar.whitening).all()):
+    shapes = ('familiar', fitted.familiar, COMPONENTS, FEATURES), (
+        'moved', fitted.moved, RESPONSES, RESPONSES
+    )
+    for name, usual, components, size in shapes:
+        if usual.mean.shape != (size,) or usual.whitening.shape != (components, size):
+            raise ValueError(f'{name}: its shape is {usual.whitening.shape}')
+        if not (np.isfinite(usual.mean).all() and np.isfinite(usual.whitening).all()):
+            raise ValueError('a number is not finite')
+    if not all(map(math.isfinite, numbers)):
         raise ValueError('a number is not finite')
     if min(*found.thresholds.values(), *spreads) <= 0:
         raise ValueError('a threshold is not positive')
@@ -197,30 +232,35 @@ def conformal_threshold(largest: Sequence[float], rate: float) -> float:
 
 
 class RawChecks:
-    """The unscaled scores of the three checks, sustained over :data:`SUSTAINED` steps."""
+    """The unscaled scores of the checks, sustained over :data:`SUSTAINED` steps."""
 
-    def __init__(self, familiar: Familiar, kinematics: Kinematics, scenario: Scenario) -> None:
-        """Begin a run."""
-        self._familiar, self._kinematics = familiar, kinematics
+    def __init__(
+        self, fitted: Fitted, scenario: Scenario, perceptions: Sequence[Perception]
+    ) -> None:
+        """Begin a run; the perceptions are those for :class:`.Moves`."""
+        self._fitted = fitted
         self._consistency, self._reprojection = Consistency(), Reprojection(scenario)
+        self._moves = Moves(scenario, perceptions)
         self._recent: deque[tuple[float, ...]] = deque(maxlen=SUSTAINED)
 
     def scores(self, seen: Seen) -> tuple[float, ...] | None:
         """Least score of the last steps, by check; None if they all lacked an estimate.
 
-        0 in the first steps. A step without a usable estimate counts as implausible in both checks
+        0 in the first steps. A step without a usable estimate counts as implausible in all checks
         of the estimate.
         """
-        picture = self._familiar.distance(seen.image)
+        fitted = self._fitted
+        picture = fitted.familiar.distance(features(seen.image))
         if seen.estimate.usable:
             now = (
                 picture,
-                self._consistency.score(seen.estimate, seen.command, self._kinematics),
+                self._consistency.score(seen.estimate, seen.command, fitted.kinematics),
                 self._reprojection.score(seen.image, seen.estimate),
+                fitted.moved.distance(self._moves.responses(seen.image, seen.estimate)),
             )
         else:
             self._consistency = Consistency()
-            now = (picture, math.inf, math.inf)
+            now = (picture, math.inf, math.inf, math.inf)
         self._recent.append(now)
         if len(self._recent) < SUSTAINED:
             return (0.0,) * len(CHECKS)
@@ -229,19 +269,24 @@ class RawChecks:
 
 
 class CalibratedMonitor(RuntimeMonitor):
-    """The shipped monitor: three checks with calibrated thresholds."""
+    """The shipped monitor: four checks with calibrated thresholds."""
 
-    def __init__(self, word: str, calibration: Calibration, fingerprint: str) -> None:
-        """``word`` and ``fingerprint``: see :class:`RuntimeMonitor`."""
+    def __init__(
+        self, word: str, calibration: Calibration, fingerprint: str,
+        perceptions: Sequence[Perception],
+    ) -> None:
+        """``word`` and ``fingerprint``: see :class:`RuntimeMonitor`.
+
+        The perceptions are those for :class:`.Moves`.
+        """
         self.word, self.fingerprint = word, fingerprint
         self.calibration = calibration
+        self._perceptions = perceptions
         self._checks: RawChecks | None = None
 
     def begin(self, scenario: Scenario) -> None:
         """Reset."""
-        self._checks = RawChecks(
-            self.calibration.familiar, self.calibration.kinematics, scenario
-        )
+        self._checks = RawChecks(self.calibration.fitted, scenario, self._perceptions)
 
     def scores(self, seen: Seen) -> Mapping[str, float]:
         """Scores over their thresholds, by check; infinity without an estimate."""
@@ -308,7 +353,23 @@ def make_monitor(word: str) -> RuntimeMonitor:
     path = _calibration_path(word)
     calibration, sha256 = read_calibration(path)
     shipped = path.parent == _FOLDER
-    return CalibratedMonitor(word if shipped else 'calibrated', calibration, sha256)
+    perceptions = make_perceptions(calibration.source)
+    if perceptions[0].fingerprint != calibration.perception_sha256:
+        raise UsageError(
+            f'monitor {word}: {calibration.source} has changed since; calibrate it again'
+        )
+    return CalibratedMonitor(
+        word if shipped else 'calibrated', calibration, sha256, perceptions
+    )
+
+
+def make_perceptions(word_or_file: str) -> list[Perception]:
+    """The perceptions for :class:`.Moves`.
+
+    Raises:
+        UsageError: as :func:`.make_perception`.
+    """
+    return [make_perception(word_or_file) for _ in MOVES]
 
 
 def check_monitor(word: str) -> str:

@@ -133,6 +133,10 @@ class ActiveRun:
             )
         if timing.free:
             check_free(scenario)
+            if beside := set(interface.BESIDE) & set(self.participants):
+                raise UsageError(
+                    f'participants: {min(beside)}: not in a free run, where frames may be lost'
+                )
         roles: dict[str, Any] = {
             'participants': self.participants, 'chain': interface.CHAIN,
             'followers': interface.FOLLOWERS, 'last_seq': self.world.last_seq,

@@ -208,14 +208,14 @@ def published_topics(node: str) -> tuple[str, ...]:
     """Topics of the graph published by a node."""
     topics = (
         *interface.TOPICS, interface.OBITUARY, *interface.TRANSFORMS, interface.DIAGNOSTICS,
-        *interface.SCENE,
+        interface.ALARM, *interface.SCENE,
     )
     return tuple(topic.name for topic in topics if node in topic.publishers)
 
 
 def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
     """Topics of the graph subscribed by a node, except some."""
-    names = interface.PARTICIPANTS
+    names = *interface.PARTICIPANTS, node
     found = [topic.name for topic in interface.TOPICS if node in topic.listeners(names)]
     told = [interface.OBITUARY.name] if node in interface.OBITUARY.subscribers else []
     return tuple(name for name in (*found, *told) if name not in but)

@@ -7,6 +7,7 @@ of the same program with the same perception.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,18 +18,25 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.assurance.checks import (
     CHECKS,
+    COMPONENTS,
+    LEAST_RESPONSE_M2,
+    LEAST_VARIANCE,
+    RESPONSES,
     Consistency,
-    Familiar,
     Kinematics,
+    Moves,
+    Usual,
     features,
-    fit_familiar,
+    fit_usual,
 )
 from taxinet_ros.core.assurance.monitor import (
     SUFFIX,
     Calibration,
+    Fitted,
     RawChecks,
     Seen,
     conformal_threshold,
+    make_perceptions,
 )
 from taxinet_ros.core.control_step import rolling_on
 from taxinet_ros.core.loop import Step, run_closed_loop
@@ -48,6 +56,9 @@ REQUIREMENT = 'phi_eventually'
 """A run counts as satisfied if it satisfies this."""
 _EVERY = 5
 """Steps from one picture taken for the distribution to the next."""
+_AT_FIRST = 50
+"""Steps of the start, which bring the aircraft to the line; later all pictures are much alike."""
+_EVERY_AT_FIRST = 2
 _LEAST_FITTED = 5
 _LEAST = 0.1
 """Least threshold: where paint is always found, all scores are 0."""
@@ -113,38 +124,52 @@ def calibrate(options: CalibrateOptions, progress: Progress) -> Calibration:
     scenes = draw_scenes(
         options.program, seed=options.seed, images=options.fitted + options.runs
     )
-    usual, others = scenes[:options.fitted], scenes[options.fitted:]
     work = options.perception, options.workers
-    fitted = [one for one in _each(_usual_run, usual, work, 'usual', progress) if one is not None]
-    if len(fitted) < _LEAST_FITTED:
+    found = _each(_usual_run, scenes[:options.fitted], work, 'usual', progress)
+    usual = [one for one in found if one is not None]
+    if len(usual) < _LEAST_FITTED:
         raise UsageError(
-            f'only {len(fitted)} of {len(usual)} runs of {options.program} are satisfied; the '
+            f'only {len(usual)} of {options.fitted} runs of {options.program} are satisfied; the '
             'monitor has to be calibrated where the perception is good'
         )
-    familiar = fit_familiar(np.concatenate([one.pictures for one in fitted]))
-    kinematics = fit_kinematics(np.concatenate([one.deviations for one in fitted]))
-    # As in the file, so that the thresholds belong to what is read from it.
-    familiar = Familiar(
-        mean=familiar.mean, whitening=familiar.whitening.astype(np.float32).astype(np.float64)
+    fitted = Fitted(
+        familiar=_as_stored(fit_usual(
+            np.concatenate([one.pictures for one in usual]), COMPONENTS, LEAST_VARIANCE
+        )),
+        kinematics=fit_kinematics(np.concatenate([one.deviations for one in usual])),
+        moved=fit_usual(
+            np.concatenate([one.responses for one in usual]), RESPONSES, LEAST_RESPONSE_M2
+        ),
     )
     largest = [
         one for one in _each(
-            _largest, [(scene, familiar, kinematics) for scene in others], work, 'thresholds',
-            progress,
+            _largest, [(scene, fitted) for scene in scenes[options.fitted:]], work,
+            'thresholds', progress,
         ) if one is not None
     ]
     each = options.rate / len(CHECKS)
-    found = Calibration(
-        perception=eyes.word, perception_sha256=eyes.fingerprint, program=options.program,
-        seed=options.seed, runs=len(largest), rate=options.rate, familiar=familiar,
-        kinematics=kinematics,
-        thresholds={
-            name: max(conformal_threshold([one[number] for one in largest], each), _LEAST)
+    made = Calibration(
+        perception=eyes.word, perception_sha256=eyes.fingerprint, source=_source(options),
+        program=options.program, seed=options.seed, runs=len(largest), rate=options.rate,
+        fitted=fitted, thresholds={
+            name: max(conformal_threshold([float(one[number]) for one in largest], each), _LEAST)
             for number, name in enumerate(CHECKS)
         },
     )
-    write_atomically(options.out, found.to_bytes())
-    return found
+    write_atomically(options.out, made.to_bytes())
+    return made
+
+
+def _as_stored(usual: Usual) -> Usual:
+    """As in the file, so that the thresholds belong to what is read from it."""
+    return Usual(mean=usual.mean, whitening=usual.whitening.astype(np.float32).astype(np.float64))
+
+
+def _source(options: CalibrateOptions) -> str:
+    """The perception's name, or the absolute path of its file."""
+    path, colon, name = options.perception.partition(':')
+    file = Path(path)
+    return f'{file.resolve()}{colon}{name}' if file.is_file() else options.perception
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -154,10 +179,13 @@ class UsualRun:
     Attributes:
         pictures: (n, features) of some of its pictures.
         deviations: (m, 3) as of :meth:`.Consistency.deviations`.
+        responses: (k, responses) to moves of some of its first pictures, where the aircraft is not
+            yet on the line.
     """
 
     pictures: NDArray[np.float64]
     deviations: NDArray[np.float64]
+    responses: NDArray[np.float64]
 
 
 def fit_kinematics(deviations: NDArray[np.float64]) -> Kinematics:
@@ -197,58 +225,80 @@ def drive_plainly(
     return run_closed_loop(scene, perception, specs=[requirement()], on_step=take)
 
 
-def usual_run(scene: Scenario, perception: Perception) -> UsualRun | None:
-    """Make a run and see what is usual in it; None if it is not satisfied."""
-    pictures, deviations, consistency = [], [], Consistency()
+def usual_run(scene: Scenario, perceptions: Sequence[Perception]) -> UsualRun | None:
+    """Make a run and see what is usual in it; None if it is not satisfied.
+
+    Args:
+        scene: the scene.
+        perceptions: the perception, as often as for :class:`.Moves` and once more.
+    """
+    perception, *others = perceptions
+    moves, consistency = Moves(scene, others), Consistency()
+    pictures, deviations, responses = [], [], []
 
     def take(step: Step, before: TaxiCommand) -> None:
-        assert step.observation.image is not None
+        image = step.observation.image
+        assert image is not None
         if step.observation.seq % _EVERY == 0:
-            pictures.append(features(step.observation.image))
-        found = consistency.deviations(step.estimate, before) if step.estimate.usable else None
-        if found is not None:
-            deviations.append(found)
+            pictures.append(features(image))
+        seq = step.observation.seq
+        if seq < _AT_FIRST and seq % _EVERY_AT_FIRST == 0 and step.estimate.usable:
+            found = moves.responses(image, step.estimate)
+            if np.isfinite(found).all():
+                responses.append(found)
+        changed = consistency.deviations(step.estimate, before) if step.estimate.usable else None
+        if changed is not None:
+            deviations.append(changed)
 
     judged = drive_plainly(scene, perception, take)
-    if outcome_of(judged) is not Outcome.PASS or not deviations:
+    if outcome_of(judged) is not Outcome.PASS or not deviations or not responses:
         return None
-    return UsualRun(pictures=np.array(pictures), deviations=np.array(deviations))
+    return UsualRun(
+        pictures=np.array(pictures), deviations=np.array(deviations),
+        responses=np.array(responses),
+    )
 
 
 def largest_scores(
-    scene: Scenario, perception: Perception, familiar: Familiar, kinematics: Kinematics
-) -> tuple[float, ...] | None:
-    """Largest score of a run, by check; None if it is not satisfied."""
-    checks = RawChecks(familiar, kinematics, scene)
-    largest = [0.0] * len(CHECKS)
+    scene: Scenario, perceptions: Sequence[Perception], fitted: Fitted
+) -> NDArray[np.float64] | None:
+    """Largest score of a run, by check; None if it is not satisfied.
+
+    Args:
+        scene: the scene.
+        perceptions: as of :func:`usual_run`.
+        fitted: what is usual.
+    """
+    perception, *others = perceptions
+    checks = RawChecks(fitted, scene, others)
+    largest = np.zeros(len(CHECKS))
 
     def take(step: Step, before: TaxiCommand) -> None:
         assert step.observation.image is not None
         scores = checks.scores(
             Seen(image=step.observation.image, estimate=step.estimate, command=before)
         )
-        for number, score in enumerate(scores or (float('inf'),) * len(CHECKS)):
-            largest[number] = max(largest[number], score)
+        np.maximum(largest, math.inf if scores is None else scores, out=largest)
 
     judged = drive_plainly(scene, perception, take)
-    return tuple(largest) if outcome_of(judged) is Outcome.PASS else None
+    return largest if outcome_of(judged) is Outcome.PASS else None
 
 
-_worker: list[Perception] = []
-"""The perception of a worker process."""
+_worker: list[list[Perception]] = []
+"""The perceptions of a worker process."""
 
 
 def _start_worker(word: str) -> None:
-    _worker.append(make_perception(word))
+    _worker.append([make_perception(word), *make_perceptions(word)])
 
 
 def _usual_run(scene: Scenario) -> UsualRun | None:
     return usual_run(scene, _worker[-1])
 
 
-def _largest(given: tuple[Scenario, Familiar, Kinematics]) -> tuple[float, ...] | None:
-    scene, familiar, kinematics = given
-    return largest_scores(scene, _worker[-1], familiar, kinematics)
+def _largest(given: tuple[Scenario, Fitted]) -> NDArray[np.float64] | None:
+    scene, fitted = given
+    return largest_scores(scene, _worker[-1], fitted)
 
 
 def _each(

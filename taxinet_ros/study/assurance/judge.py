@@ -1,7 +1,8 @@
 """Judge a monitor in the closed loop: the same scenes without it, and with each of its fallbacks.
 
-Every scene is driven once with a monitor that only watches, which changes nothing, and once more
-for each fallback if the monitor raised an alarm; without one, the run with it is the same run.
+Every scene is driven once with a monitor beside it, which changes nothing, and once more for each
+fallback if the monitor raised an alarm; without one, the run with it is the same run. The monitor
+beside goes on after its alarm, so the same runs tell what other thresholds would have done.
 """
 
 from __future__ import annotations
@@ -17,18 +18,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxinet_ros.campaign.options import check_new, make_out
 from taxinet_ros.campaign.rates import Rate, rate, share_bounds
+from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import (
     WATCH,
+    Alarm,
     Assured,
+    alarm_of,
     check_controller,
     make_controller,
     monitored,
 )
+from taxinet_ros.core.control_step import rolling_on
 from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M, parse_spec
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.provenance import provenance
@@ -46,10 +52,15 @@ WITHOUT = 'without'
 """What a run without monitor is called."""
 REACH_S = 10.0
 """Time within which the requirement lets the aircraft reach the line."""
-TRIALS_NAME, RESULT_NAME = 'trials.csv', 'assurance.json'
+TRIALS_NAME, ALARMS_NAME, RESULT_NAME = 'trials.csv', 'alarms.csv', 'assurance.json'
+FACTORS = tuple(2.0 ** (half / 2) for half in range(-5, 7))
+"""Multiples of all thresholds for which the first alarm is noted too."""
+BRAKING_S = 2.0
+"""An alarm that comes this long before the aircraft leaves the runway lets it stop before [s]."""
 WANTED_RATIO = 10.0
 """How many times less often a monitored aircraft should leave the runway."""
 Progress = Callable[[str, int, int], None]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -150,10 +161,52 @@ def due_s(times_s: Sequence[float], cte_m: Sequence[float]) -> float:
     return math.nan
 
 
+class Watching:
+    """A monitor beside a run, until it leaves the runway; its first alarm is not the end.
+
+    Attributes:
+        alarm: the first alarm; None if there was none.
+        alarms_s: time of the first alarm for each of :data:`FACTORS` [s]; NaN if never.
+    """
+
+    def __init__(self, monitor: RuntimeMonitor, scene: Scenario) -> None:
+        """Begin a run."""
+        monitor.begin(scene)
+        self._monitor, self._before = monitor, rolling_on(scene.speed_mps)
+        self._half_width_m, self._over = scene.line.half_width_m, False
+        self.alarm: Alarm | None = None
+        self.alarms_s = np.full(len(FACTORS), math.nan)
+
+    def take(self, step: Step) -> None:
+        """Judge a step of the run."""
+        now = step.observation
+        self._over |= abs(now.on_track.cte_m) > self._half_width_m
+        if self._over or not np.isnan(self.alarms_s).any():
+            return
+        assert now.image is not None
+        scores = self._monitor.scores(
+            Seen(image=now.image, estimate=step.estimate, command=self._before)
+        )
+        self._before = step.command
+        if self.alarm is None:
+            self.alarm = alarm_of(scores, now.seq)
+        raised = np.isnan(self.alarms_s) & (max(scores.values()) >= np.array(FACTORS))
+        self.alarms_s[raised] = now.stamp_ns / NS_PER_S
+
+
 def drive(
-    number: int, fallback: str, scene: Scenario, perception: Perception, controller: Assured
+    number: int, fallback: str, scene: Scenario, perception: Perception, controller: Controller,
+    watching: Watching | None = None,
 ) -> Trial:
     """Make one run.
+
+    Args:
+        number: number of the scene.
+        fallback: what the run is called.
+        scene: the scene.
+        perception: the perception.
+        controller: the controller.
+        watching: a monitor beside it; None: the controller has one.
 
     Raises:
         InfraError: it could not be judged.
@@ -164,6 +217,8 @@ def drive(
     def take(step: Step) -> None:
         times_s.append(step.observation.stamp_ns / NS_PER_S)
         cte_m.append(step.observation.on_track.cte_m)
+        if watching is not None:
+            watching.take(step)
 
     judged = run_closed_loop(
         scene, perception, specs=[parse_spec(REQUIREMENT)], controller=controller, on_step=take
@@ -172,7 +227,9 @@ def drive(
     if not outcome.judged:
         raise InfraError(InfraKind.SIM, 'judge', -1, f'scene {number} could not be judged')
     off = [t for t, cte in zip(times_s, cte_m, strict=True) if abs(cte) > scene.line.half_width_m]
-    alarm = controller.alarm
+    alarm = controller.alarm if isinstance(controller, Assured) else (
+        None if watching is None else watching.alarm
+    )
     return Trial(
         scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
         rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
@@ -182,20 +239,39 @@ def drive(
     )
 
 
-def drive_scene(
-    number: int, scene: Scenario, perception: Perception, controllers: Mapping[str, Assured]
-) -> list[Trial]:
-    """All runs of a scene: without a fallback, then with each."""
-    watched = drive(number, WITHOUT, scene, perception, controllers[WATCH])
-    trials = [watched]
-    for fallback, controller in controllers.items():
-        if fallback == WATCH:
-            continue
-        if math.isnan(watched.alarm_s):
-            trials.append(dataclasses.replace(watched, fallback=fallback))
-        else:
-            trials.append(drive(number, fallback, scene, perception, controller))
-    return trials
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """All runs of a scene.
+
+    Attributes:
+        trials: without a fallback, then with each.
+        alarms_s: of the first one, see :class:`Watching`.
+    """
+
+    trials: tuple[Trial, ...]
+    alarms_s: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judges:
+    """What a process needs for the runs: perception, plain controller, monitor, and controllers."""
+
+    perception: Perception
+    controller: Controller
+    monitor: RuntimeMonitor
+    guarded: Mapping[str, Controller]
+
+    def drive_scene(self, number: int, scene: Scenario) -> Driven:
+        """Make all runs of a scene."""
+        watching = Watching(self.monitor, scene)
+        plain = drive(number, WITHOUT, scene, self.perception, self.controller, watching)
+        trials = [plain]
+        for fallback, controller in self.guarded.items():
+            if math.isnan(plain.alarm_s):
+                trials.append(dataclasses.replace(plain, fallback=fallback))
+            else:
+                trials.append(drive(number, fallback, scene, self.perception, controller))
+        return Driven(trials=tuple(trials), alarms_s=watching.alarms_s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,6 +300,7 @@ class Judged:
         off_lead_s: the same quantiles before leaving the runway.
         reasons: alarms by check.
         with_fallback: by fallback.
+        trade: alarms and false alarms by multiple of the thresholds.
     """
 
     runs: int
@@ -241,6 +318,25 @@ class Judged:
     off_lead_s: tuple[float, float, float]
     reasons: Mapping[str, int]
     with_fallback: Mapping[str, Guarded]
+    trade: tuple[Trade, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trade:
+    """What the runs without a fallback tell of other thresholds.
+
+    Attributes:
+        factor: multiple of all thresholds.
+        false_alarms, false_per_h: as in :class:`Judged`.
+        off_seen: runs that leave the runway with an alarm :data:`BRAKING_S` before, or earlier.
+        off: runs that leave the runway.
+    """
+
+    factor: float
+    false_alarms: int
+    false_per_h: Bounded
+    off_seen: int
+    off: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,10 +371,7 @@ def summarize(trials: Sequence[Trial]) -> Judged:
     lost = [one for one in plain if one.left_runway]
     alarmed = [one for one in failed if not math.isnan(one.alarm_s)]
     in_time = sum(one.alarm_s <= one.due_s for one in alarmed)
-    false = sum(not math.isnan(one.alarm_s) for one in passed)
-    hours = sum(
-        one.duration_s if math.isnan(one.alarm_s) else one.alarm_s for one in passed
-    ) / 3600
+    false, false_per_h = _false_alarms(passed, [one.alarm_s for one in passed])
     reasons: dict[str, int] = {}
     for one in plain:
         if one.reason:
@@ -288,7 +381,7 @@ def summarize(trials: Sequence[Trial]) -> Judged:
         runs=len(plain), satisfied=rate(len(passed), len(plain)), off=rate(len(lost), len(plain)),
         rho_m=_quantiles([one.rho_m for one in plain]), failed=len(failed), in_time=in_time,
         late=len(alarmed) - in_time, missed=len(failed) - len(alarmed), false_alarms=false,
-        false_per_h=per_hour(false, hours),
+        false_per_h=false_per_h,
         lead_s=_quantiles([one.due_s - one.alarm_s for one in alarmed]),
         off_missed=sum(not one.alarm_s <= one.off_s for one in lost),
         off_lead_s=_quantiles([
@@ -300,6 +393,40 @@ def summarize(trials: Sequence[Trial]) -> Judged:
             for name in others
         },
     )
+
+
+def _false_alarms(
+    passed: Sequence[Trial], alarms_s: Sequence[float]
+) -> tuple[int, Bounded]:
+    """Alarms in satisfied runs, and how many per hour until the alarm."""
+    count = sum(not math.isnan(time_s) for time_s in alarms_s)
+    total_s = sum(
+        one.duration_s if math.isnan(time_s) else time_s
+        for one, time_s in zip(passed, alarms_s, strict=True)
+    )
+    return count, per_hour(count, total_s / 3600)
+
+
+def trade_of(plain: Sequence[Trial], alarms_s: Sequence[Floats]) -> tuple[Trade, ...]:
+    """Alarms and false alarms by multiple of the thresholds.
+
+    Args:
+        plain: the runs without a fallback.
+        alarms_s: of each, see :class:`Watching`.
+    """
+    lost = [number for number, one in enumerate(plain) if one.left_runway]
+    good = [number for number, one in enumerate(plain) if one.satisfied]
+    found = []
+    for which, factor in enumerate(FACTORS):
+        times_s = [float(one[which]) for one in alarms_s]
+        false, false_per_h = _false_alarms(
+            [plain[number] for number in good], [times_s[number] for number in good]
+        )
+        found.append(Trade(
+            factor=factor, false_alarms=false, false_per_h=false_per_h, off=len(lost),
+            off_seen=sum(times_s[one] <= plain[one].off_s - BRAKING_S for one in lost),
+        ))
+    return tuple(found)
 
 
 def _guarded(plain: Sequence[Trial], guarded: Sequence[Trial]) -> Guarded:
@@ -367,12 +494,15 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
     scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
     make_out(options.out)
-    trials: list[Trial] = []
-    for done, found in enumerate(_runs(options, scenes), 1):
-        trials += found
-        progress('scenes', done, len(scenes))
-    judged = summarize(trials)
+    driven: list[Driven] = []
+    for found in _runs(options, scenes):
+        driven.append(found)
+        progress('scenes', len(driven), len(scenes))
+    trials = [trial for one in driven for trial in one.trials]
+    trade = trade_of([one.trials[0] for one in driven], [one.alarms_s for one in driven])
+    judged = dataclasses.replace(summarize(trials), trade=trade)
     write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
+    write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
     write_atomically(
         options.out / RESULT_NAME,
         json.dumps(plain_result(options, judged), indent=2, allow_nan=False) + '\n',
@@ -476,6 +606,15 @@ def plain_judged(judged: Judged) -> dict[str, Any]:
     return found
 
 
+def alarms_csv(driven: Sequence[Driven]) -> str:
+    """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
+    lines = [','.join(['scene', *(f'{factor:.4g}' for factor in FACTORS)])]
+    for one in driven:
+        times = ('' if math.isnan(time_s) else f'{time_s:.1f}' for time_s in one.alarms_s)
+        lines.append(','.join([str(one.trials[0].scene), *times]))
+    return '\n'.join(lines) + '\n'
+
+
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
     """Options, results and provenance for JSON; null is not known, or not bounded."""
     told = dataclasses.asdict(options)
@@ -496,6 +635,8 @@ def _plain(value: Any) -> Any:
         }
     if isinstance(value, Mapping):
         return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
     return value
 
 
@@ -507,31 +648,31 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-_worker: list[tuple[Perception, Mapping[str, Assured]]] = []
+_worker: list[Judges] = []
 """The parts of a worker process."""
 
 
-def _start_worker(perception: str, words: Mapping[str, str]) -> None:
-    controllers: dict[str, Assured] = {}
-    for fallback, word in words.items():
-        made = make_controller(word, SteeringGains())
-        assert isinstance(made, Assured)
-        controllers[fallback] = made
-    _worker.append((make_perception(perception), controllers))
+def _start_worker(options: JudgeOptions) -> None:
+    _worker.append(Judges(
+        perception=make_perception(options.perception),
+        controller=make_controller(options.controller, SteeringGains()),
+        monitor=make_monitor(options.monitor),
+        guarded={
+            fallback: make_controller(word, SteeringGains())
+            for fallback, word in options.words.items() if fallback != WATCH
+        },
+    ))
 
 
-def _scene(given: tuple[int, Scenario]) -> list[Trial]:
-    return drive_scene(*given, *_worker[-1])
+def _scene(given: tuple[int, Scenario]) -> Driven:
+    return _worker[-1].drive_scene(*given)
 
 
-def _runs(options: JudgeOptions, scenes: Sequence[Scenario]) -> Iterator[list[Trial]]:
+def _runs(options: JudgeOptions, scenes: Sequence[Scenario]) -> Iterator[Driven]:
     """Runs of each scene, in order, whatever the number of processes."""
-    words = dict(options.words)
     if options.workers == 1:
-        _start_worker(options.perception, words)
+        _start_worker(options)
         yield from map(_scene, enumerate(scenes))
         return
-    with process_pool(
-        options.workers, 'judging worker', _start_worker, options.perception, words
-    ) as pool:
+    with process_pool(options.workers, 'judging worker', _start_worker, options) as pool:
         yield from pool.map(_scene, enumerate(scenes), chunksize=2)

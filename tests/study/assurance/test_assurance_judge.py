@@ -18,6 +18,7 @@ from taxinet_ros.study.assurance.calibrate import (
     fit_kinematics,
 )
 from taxinet_ros.study.assurance.judge import (
+    FACTORS,
     WITHOUT,
     JudgeOptions,
     Trial,
@@ -25,6 +26,7 @@ from taxinet_ros.study.assurance.judge import (
     off_ratio,
     per_hour,
     summarize,
+    trade_of,
 )
 
 
@@ -102,6 +104,22 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
     assert 'of 5 failed runs 1 have an alarm in time, 2 later, 2 none' in judged_lines(found)[1]
 
 
+def test_given_first_alarms_by_threshold_then_false_ones_and_departures_are_counted():
+    off = {'satisfied': False, 'left_runway': True, 'off_s': 10.0}
+    plain = [trial(0), trial(1), trial(2, **off), trial(3, **off)]
+    times = np.full((4, len(FACTORS)), math.nan)
+    times[1, :2] = 15.0                      # a false alarm at the two lowest thresholds
+    times[2, :3] = 8.0                       # in time to brake, at three
+    times[3, :3] = 9.0                       # too late
+    found = trade_of(plain, list(times))
+    assert [one.factor for one in found] == list(FACTORS)
+    assert 1.0 in FACTORS
+    assert [one.false_alarms for one in found[:4]] == [1, 1, 0, 0]
+    assert found[0].false_per_h.value == pytest.approx(3600 / 45)
+    assert [one.off_seen for one in found[:4]] == [1, 1, 1, 0]
+    assert {one.off for one in found} == {2}
+
+
 def test_given_deviations_by_the_model_then_the_turn_per_metre_is_found():
     rng = np.random.default_rng(2)
     steered = rng.normal(0, 0.2, 4000)
@@ -124,11 +142,11 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path
     program = tmp_path / 'near.scenic'
     program.write_text(SCENE)
     few = {'perception': 'taxinet', 'program': str(program), 'seed': 1, 'workers': 1}
-    with pytest.raises(UsageError, match='needs 29 satisfied runs, there are 3'):
+    with pytest.raises(UsageError, match='needs 39 satisfied runs, there are 3'):
         calibrate(CalibrateOptions(**few, runs=3, rate=0.1, out=tmp_path / 'a.npz'), no_progress)
     assert not (tmp_path / 'a.npz').exists()
-    made = CalibrateOptions(**few, runs=3, rate=0.9, out=tmp_path / 'b.npz')
-    assert calibrate(made, no_progress).runs == 3
+    made = CalibrateOptions(**few, runs=4, rate=0.9, out=tmp_path / 'b.npz')
+    assert calibrate(made, no_progress).runs == 4
     judging = {
         **few, 'controller': 'steering', 'monitor': str(tmp_path / 'b.npz'),
         'fallbacks': ('stop', 'slow'), 'runs': 2,
@@ -140,6 +158,9 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path
     kept = json.loads((tmp_path / 'out' / 'assurance.json').read_text())
     assert kept['judged']['runs'] == 2
     assert len((tmp_path / 'out' / 'trials.csv').read_text().splitlines()) == 7
+    assert len((tmp_path / 'out' / 'alarms.csv').read_text().splitlines()) == 3
+    assert (tmp_path / 'out' / 'trade.png').stat().st_size > 5000
+    assert [one['factor'] for one in kept['judged']['trade']] == list(FACTORS)
     with pytest.raises(UsageError, match='exists'):
         JudgeOptions(**judging, out=tmp_path / 'out')
 
