@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 
+from taxinet_ros.cli.help import DefaultCommand
 from taxinet_ros.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,11 +36,26 @@ CLI = typer.main.get_command(app)
 def lines(text: str) -> Iterator[str]:
     """Shell lines of the page's blocks, continued ones in one piece."""
     for language, block in BLOCK.findall(text):
-        typed = [line.strip() for line in block.replace('\\\n', ' ').splitlines()]
+        typed = list(whole(line.strip() for line in block.replace('\\\n', ' ').splitlines()))
         if prompted := [line[2:] for line in typed if line.startswith('$ ')]:
             yield from prompted  # the other lines are output
         else:
             yield from (line for line in typed if language in SHELLS or TYPED.match(line))
+
+
+def whole(typed: Iterable[str]) -> Iterator[str]:
+    """Lines, those within one quoted text in one piece."""
+    held = ''
+    for line in typed:
+        held = f'{held}\n{line}' if held else line
+        try:
+            shlex.split(held, comments=True)
+        except ValueError:
+            continue
+        yield held
+        held = ''
+    if held:
+        yield held
 
 
 def commands(line: str) -> Iterator[list[str]]:
@@ -69,6 +85,8 @@ def command_of(words: list[str]) -> tuple[Any, list[str]]:
     command, rest = CLI, list(words)
     while hasattr(command, 'commands') and rest and rest[0][0].islower():
         found = command.commands.get(rest[0])
+        if found is None and isinstance(command, DefaultCommand):
+            return next(iter(command.commands.values())), rest
         assert found is not None, f'there is no command {rest[0]!r}'
         command, rest = found, rest[1:]
     return command, rest
