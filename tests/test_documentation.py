@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from taxinet_ros.errors import ExitCode
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'taxinet_ros'
 PAGE = (ROOT / 'ARCHITECTURE.md').read_text(encoding='utf-8')
@@ -48,6 +50,12 @@ def test_given_a_page_then_every_file_and_heading_that_it_links_to_exists(page):
         if not target.exists() or (heading and heading not in headings(target)):
             lost.append(link)
     assert lost == []
+
+
+def test_given_the_page_on_faults_then_it_tells_every_exit_code():
+    text = (ROOT / 'docs' / 'faults.md').read_text(encoding='utf-8')
+    told = re.search(r'Exit codes: (.*?)\n\n', text, re.DOTALL)[1]
+    assert [code for code in ExitCode if not re.search(rf'\b{code:d} [a-z]', told)] == []
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

@@ -110,6 +110,27 @@ def test_f10_given_the_pins_then_each_has_hashes_and_a_maker_of_them() -> None:
         assert 'HASHES=yes' in (REPOSITORY / user).read_text()
 
 
+def test_given_a_long_installation_then_make_says_that_it_works_and_stops_when_it_is_over(
+    tmp_path: Path,
+) -> None:
+    text = (REPOSITORY / 'Makefile').read_text()
+    silent = [line for line in text.splitlines() if '$(INSTALL) --no-build-isolation' in line]
+    assert len(silent) >= 2
+    assert [line for line in silent if '$(BEAT);' not in line] == []
+    (tmp_path / 'sleep').write_text('#!/bin/sh\nexec /bin/sleep 0.05\n')
+    (tmp_path / 'sleep').chmod(0o755)
+    done = run(
+        'make', '-f', REPOSITORY / 'Makefile', '--eval', 'long: ; @$(BEAT); /bin/sleep 1', 'long',
+        f'VENV={tmp_path}', cwd=tmp_path,
+        env={**os.environ, 'PATH': f'{tmp_path}:{os.environ["PATH"]}'},
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    lines = done.stdout.splitlines()
+    assert len(lines) >= 2
+    pattern = rf'make: still installing; \S+ in {tmp_path} so far'
+    assert [line for line in lines if not re.fullmatch(pattern, line)] == []
+
+
 def test_given_the_source_when_its_imports_are_listed_then_all_are_declared() -> None:
     distributions = metadata.packages_distributions()
     declared = {canonicalize_name(requirement.name) for requirement in requirements()}

@@ -27,10 +27,11 @@ TIME: Dimension = (0, 1, 0)
 ANGLE: Dimension = (0, 0, 1)
 SPEED: Dimension = (1, -1, 0)
 TURN_RATE: Dimension = (0, -1, 1)
+TURN_PER_LENGTH: Dimension = (-1, 0, 1)
 
 _NAMES = {
     SHARE: 'a share', LENGTH: 'a length', TIME: 'a time', ANGLE: 'an angle', SPEED: 'a speed',
-    TURN_RATE: 'a turn rate',
+    TURN_RATE: 'a turn rate', TURN_PER_LENGTH: 'an angle per length',
 }
 DIMENSIONS = tuple(_NAMES)
 """The named dimensions."""
@@ -56,6 +57,7 @@ def _units() -> dict[str, Unit]:
         ANGLE: {'rad': '1', 'mrad': '0.001', 'deg': '', '°': ''},
         SPEED: {'m/s': '1'},
         TURN_RATE: {'rad/s': '1', 'deg/s': '', '°/s': ''},
+        TURN_PER_LENGTH: {'rad/m': '1', 'deg/m': '', '°/m': ''},
         SHARE: {'%': '0.01'},
     }  # fmt: skip
     found = {
@@ -215,7 +217,7 @@ def value_words(value: float, dimension: Dimension | None) -> str:
     """A value with its SI unit and, in parentheses, in the customary unit (deg, kt, km)."""
     unit = si_unit(dimension)
     number = f'{value:.6g}{f" {unit}" if unit else ""}'
-    if dimension in (ANGLE, TURN_RATE):
+    if dimension in (ANGLE, TURN_RATE, TURN_PER_LENGTH):
         return f'{number} ({math.degrees(value):.4g} deg{unit.removeprefix("rad")})'
     if dimension == SHARE:
         return f'{100 * value:.6g} %'

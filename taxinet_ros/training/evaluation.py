@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,8 @@ class SliceErrors:
         errors: as in a model card, by quantity and statistic; empty if there are none.
         half_widths: half width of the 95 % confidence interval of each mean, by quantity; None for
             fewer than two errors.
+        mirrored: mean absolute errors that the estimates would have with the other sign, of the
+            quantities that seem to have the wrong one (:func:`mirrored_errors`).
     """
 
     name: str
@@ -56,6 +59,18 @@ class SliceErrors:
     without_estimate: int
     errors: dict[str, dict[str, float]]
     half_widths: dict[str, float | None]
+    mirrored: dict[str, float] = field(default_factory=dict)
+
+
+class _Measured(NamedTuple):
+    """Estimates and truth of all images, each (N, 2) [m], [rad]; NaN where there is no estimate."""
+
+    estimates: NDArray[np.float64]
+    truth: NDArray[np.float64]
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        return np.abs(self.estimates - self.truth)
 
 
 def _fine(s: Scenario) -> bool:
@@ -123,8 +138,9 @@ def evaluate_program(
         enumerate(scenes), _whole, varied=False, seed=seed, workers=workers, camera=camera
     )
     with closing(taken) as frames:
-        errors = _errors(perception, frames, images, progress)
-    return by_slice(errors, scenes)
+        measured = _measure(perception, frames, images, progress)
+    rows = by_slice(measured.errors, scenes)
+    return [replace(rows[0], mirrored=mirrored_errors(*measured)), *rows[1:]]
 
 
 def evaluate_folder(
@@ -136,8 +152,46 @@ def evaluate_folder(
         UsageError: the folder, its labels or an image cannot be used.
     """
     opened = open_folder(folder)
-    errors = _errors(perception, _frames(opened), len(opened), progress)
-    return [_slice(WHOLE, errors)]
+    measured = _measure(perception, _frames(opened), len(opened), progress)
+    return [replace(_slice(WHOLE, measured.errors), mirrored=mirrored_errors(*measured))]
+
+
+_LEAST_IMAGES = 8
+_MIRRORED_CORRELATION = -0.5
+
+
+def mirrored_errors(
+    estimates: NDArray[np.float64], truth: NDArray[np.float64]
+) -> dict[str, float]:
+    """Quantities whose estimates seem to have the wrong sign.
+
+    A network that is merely bad has estimates that are uncorrelated with the truth. With the wrong
+    sign they fall where the truth rises, and turned round they would be better.
+
+    Args:
+        estimates: (N, 2) [m], [rad]; NaN means no estimate.
+        truth: the same of the labels.
+
+    Returns:
+        The mean absolute errors with the other sign, in the units of a model card, by quantity;
+        none for fewer than eight estimates or a correlation above -0.5.
+    """
+    known = ~np.isnan(estimates).any(axis=1)
+    found = {}
+    if known.sum() < _LEAST_IMAGES:
+        return {}
+    errors, turned = (
+        in_card_units(np.abs(sign * estimates[known] - truth[known])).mean(axis=0)
+        for sign in (1.0, -1.0)
+    )
+    for column, quantity in enumerate(ERROR_QUANTITIES):
+        guess, real = estimates[known, column], truth[known, column]
+        if guess.std() == 0 or real.std() == 0:
+            continue
+        correlation = float(np.corrcoef(guess, real)[0, 1])
+        if correlation <= _MIRRORED_CORRELATION and turned[column] < errors[column]:
+            found[quantity] = round(float(turned[column]), 4)
+    return found
 
 
 def by_slice(errors: NDArray[np.float64], scenes: Sequence[Scenario]) -> list[SliceErrors]:
@@ -161,16 +215,17 @@ def _slice(name: str, errors: NDArray[np.float64]) -> SliceErrors:
     )
 
 
-def _errors(
+def _measure(
     perception: Perception, frames: Iterable[_Frame], images: int, progress: Progress
-) -> NDArray[np.float64]:
-    errors = np.full((images, 2), math.nan)
+) -> _Measured:
+    measured = _Measured(np.full((images, 2), math.nan), np.full((images, 2), math.nan))
     for row, (image, truth) in enumerate(frames):
+        measured.truth[row] = truth.cte_m, truth.he_rad
         seen = perception.estimate(image, None)
         if seen.valid:
-            errors[row] = abs(seen.cte_m - truth.cte_m), abs(seen.he_rad - truth.he_rad)
+            measured.estimates[row] = seen.cte_m, seen.he_rad
         progress('images', row + 1, images)
-    return errors
+    return measured
 
 
 def _whole(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Frame:

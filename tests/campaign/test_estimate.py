@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import shutil
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import falsify_samples as toy
 import pytest
 
-from taxinet_ros.analysis.search.rare import estimate_of
+from taxinet_ros.analysis.search.rare import estimate_of, write_estimate
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.table import read_table
@@ -18,6 +19,7 @@ from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_opt
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.pages import PAGES_NAME
 
 RUNS = 340
 
@@ -49,13 +51,15 @@ def rarely(request: RunRequest) -> RunResult:
 
 def estimated(
     chosen: SearchOptions, workers: int = 1, pick: toy.Pick = toy.first,
-    killed: dict[int, Path] | None = None,
+    killed: dict[int, Path] | None = None, *, written: bool = False,
 ) -> str:
     """Text of an estimate; what is on disk after so many answers is copied (``killed``)."""
     with toy.searching(chosen) as search:
         for number, _ in enumerate(toy.answers(search, workers, pick, rarely), 1):
             if killed and number in killed:
                 shutil.copytree(chosen.campaign.out, killed[number])
+        if written:
+            write_estimate(estimate_of(search), search)
         return repr(estimate_of(search))  # NaN is not equal to itself
 
 
@@ -70,7 +74,10 @@ def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_
 
 
 def test_given_more_workers_then_table_and_estimate_are_the_same(tmp_path):
-    whole = estimated(options(tmp_path / 'one'))
+    whole = estimated(options(tmp_path / 'one'), written=True)
+    assert json.loads((tmp_path / 'one' / PAGES_NAME).read_text())['pages'] == [
+        {'path': 'tail.png', 'title': 'Tail of the robustness'}
+    ]
     killed = {210: tmp_path / 'killed'}
     assert estimated(options(tmp_path / 'more'), 8, toy.last, killed) == whole
     toy.same_table(tmp_path / 'one', tmp_path / 'more')

@@ -7,7 +7,7 @@ import pytest
 
 from taxinet_ros.cli.main import main
 
-for _room in ('analysis', 'core'):  # the browser; small networks
+for _room in ('analysis', 'core', 'training'):  # the browser; small networks; labelled folders
     _folder = str(Path(__file__).resolve().parents[1] / _room)
     if _folder not in sys.path:
         sys.path.append(_folder)

@@ -1,7 +1,8 @@
 """Every command line in the documentation is one that the command line takes.
 
 Only reading is tested here: names of commands and options, their values as far as they name no
-file, and the number of arguments. What they do, tests of their commands and of the tutorials tell.
+file, and the number of arguments. Where a shell completes the values of an option, these are the
+words that it may have. What commands do, tests of their commands and of the tutorials tell.
 """
 
 from __future__ import annotations
@@ -30,6 +31,15 @@ SPAN = re.compile(r'(?<!`)`(taxinet [^`]+)`(?!`)')
 ENDS = {'|', '||', '&&', ';', '&', '(', ')', ';;'}
 LEFT_OUT = '…'
 """What an author leaves out of a command that is shown in a sentence."""
+PLACEHOLDER = '1'
+"""What stands for a word that the reader is to fill in."""
+OWN = re.compile(r'[./:]|[<>]')
+"""What is in the name of a file, in a word for code of one's own, or in a formula."""
+UNLISTED = {
+    'external', 'bicycle', 'bright-paint', 'corners', 'damped', 'gentle', 'night-vision',
+    'width=0.05',
+}
+"""A node that somebody else starts; what the package of docs/extending.md adds."""
 CLI = typer.main.get_command(app)
 
 
@@ -61,7 +71,7 @@ def whole(typed: Iterable[str]) -> Iterator[str]:
 def commands(line: str) -> Iterator[list[str]]:
     """The words after ``taxinet`` of all its calls in a shell line, without redirections."""
     lexer = shlex.shlex(
-        VARIABLE.sub('1', OUTPUT.sub('', line)), posix=True, punctuation_chars='();<>|&'
+        VARIABLE.sub(PLACEHOLDER, OUTPUT.sub('', line)), posix=True, punctuation_chars='();<>|&'
     )
     lexer.whitespace_split = True
     words: list[str] | None = None
@@ -76,7 +86,7 @@ def commands(line: str) -> Iterator[list[str]]:
         elif set(token) <= set('<>&'):
             words = words[:-1] if words[-1:] == ['2'] else words
         elif not set(after) <= set('<>&') or not after:
-            words.append('1' if token.isupper() else token)  # a placeholder, as BAG or PID
+            words.append(PLACEHOLDER if token.isupper() else token)  # as BAG or PID
         after = token
 
 
@@ -101,7 +111,33 @@ def check(words: list[str]) -> None:
     command, rest = command_of(words)
     if '--help' in rest or '-h' in rest:
         return
-    command.make_context('taxinet', rest)
+    context = command.make_context('taxinet', rest)
+    for one in command.params:
+        values = context.params.get(one.name)
+        for value in values if isinstance(values, list | tuple) else [values]:
+            if isinstance(value, str) and not is_known(one, context, value):
+                raise ValueError(f'{one.opts[0]} {value}: unknown')
+
+
+def is_known(option: Any, context: Any, value: str) -> bool:
+    """Whether a shell would offer the value, if it offers any for the option.
+
+    Of ``key=value``, the key has to be one that it offers, and so has a value that is a word.
+    """
+    def offered(text: str) -> list[str]:
+        return [item.value for item in option.shell_complete(context, text) if item.type == 'plain']
+
+    key, equals, word = value.partition('=')
+    if value in {PLACEHOLDER, *UNLISTED} or not offered('') or OWN.search(key):
+        return True
+    if not equals:
+        return value in offered(value)
+    if OWN.search(word) and option.name in ('specs', 'spec', 'formulas'):
+        return True  # a formula with a name
+    words = offered(f'{key}=')
+    if not any(one.startswith(f'{key}=') for one in [*offered(key), *words]):
+        return False
+    return words in ([], [f'{key}=']) or value in words or OWN.search(word) is not None
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -156,6 +192,9 @@ def test_given_a_shell_line_then_its_calls_are_found(line, found):
 @pytest.mark.parametrize('words', [
     ['fly', 'nominal'], ['run', 'nominal', '--rums', '3'], ['run', 'nominal', '--runs', 'x'],
     ['fork'], ['localize', 'a', 'b'],
+    ['run', 'nominal', '--engine', 'lopp'], ['falsify', 'nominal', '--sampler', 'hallton'],
+    ['run', 'nominal', '--images', 'some'], ['run', 'nominal', '--set', 'cluods=clear'],
+    ['run', 'nominal', '--set', 'clouds=claer'], ['run', 'nominaal'],
     ['bag', 'doktor', 'x'], ['run', 'nominal', '--out'],
 ])
 def test_given_a_command_with_a_mistake_then_it_is_noticed(words):

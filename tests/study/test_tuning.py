@@ -17,7 +17,7 @@ from taxinet_ros.campaign.options import DEFAULT_JUDGING
 from taxinet_ros.campaign.past_runs.localisation import Trial
 from taxinet_ros.campaign.past_runs.shared_scenes import SceneSet, scenes_of_program
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.tuning import (
@@ -117,6 +117,17 @@ def test_given_units_then_a_range_is_that_of_the_gain():
     (one,) = varied_gains(['steering.max_intercept_rad=10 deg:60 deg'])
     assert (one.low, one.high) == (math.radians(10), math.radians(60))
     assert len(varied_gains([])) == 3
+
+
+def test_given_a_gain_per_metre_then_degrees_per_metre_are_a_unit_of_it_and_degrees_are_none():
+    assert typed_gain('cte_gain_rad_per_m', '1.68 deg/m') == math.radians(1.68)
+    assert typed_gain('cte_gain_rad_per_m', '0.03 rad/m') == 0.03
+    assert typed_gain('cte_gain_rad_per_m', '0.03') == 0.03
+    with pytest.raises(UsageError) as refused:
+        typed_gain('cte_gain_rad_per_m', '1.68 deg')
+    assert str(refused.value) == (
+        'steering.cte_gain_rad_per_m=1.68 deg: expected a number in rad/m, deg/m, °/m'
+    )
 
 
 @pytest.fixture(scope='module')

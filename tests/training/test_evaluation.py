@@ -20,6 +20,7 @@ from taxinet_ros.training.evaluation import (
     evaluate_folder,
     evaluate_program,
     image_perception,
+    mirrored_errors,
 )
 
 
@@ -75,6 +76,22 @@ def test_given_a_folder_when_measured_then_errors_are_those_of_its_labels(tmp_pa
     # Images 0, 1, 3 and 4 m to the left, each seen at 0.5 m.
     assert row.errors['cte_m']['mae'] == pytest.approx((0.5 + 0.5 + 2.5 + 3.5) / 4)
     assert row.errors['he_deg']['max'] == pytest.approx(10.0)
+
+
+def test_given_estimates_with_the_wrong_sign_then_their_errors_turned_round_are_told() -> None:
+    rng = np.random.default_rng(5)
+    truth = np.stack([rng.uniform(-8, 8, 200), rng.uniform(-0.5, 0.5, 200)], axis=1)
+    good = truth + rng.normal(0, 1, truth.shape) * (1.0, 0.05)
+    bad = rng.normal(0, 1, truth.shape) * (4.0, 0.3)
+    assert mirrored_errors(good, truth) == mirrored_errors(bad, truth) == {}
+    assert mirrored_errors(good * (1, -1), truth) == {
+        'he_deg': pytest.approx(np.degrees(abs(good - truth)[:, 1].mean()), abs=1e-4)
+    }
+    assert set(mirrored_errors(-good, truth)) == {'cte_m', 'he_deg'}
+    assert mirrored_errors(-good[:7], truth[:7]) == {}, 'too few to tell'
+    assert mirrored_errors(np.ones_like(truth), truth) == {}
+    lost = np.where(np.arange(200)[:, None] < 190, math.nan, -good)
+    assert set(mirrored_errors(lost, truth)) == {'cte_m', 'he_deg'}
 
 
 def test_given_a_program_when_measured_then_full_frames_give_the_errors_of_shrunk_ones() -> None:

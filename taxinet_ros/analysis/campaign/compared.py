@@ -316,7 +316,7 @@ def _draw(found: Compared, figure: Figure, theme: Theme) -> None:
     better = (frame['failed_before'] & ~frame['failed_after']).to_numpy(dtype=bool)
     same = ~(worse | better)
     for mask, colour, words, marker in (
-        (same, theme.ink, 'same verdict', '.'), (better, theme.passed, 'got better', 'o'),
+        (same, theme.ink, 'same verdict', 'o'), (better, theme.passed, 'got better', 'o'),
         (worse, theme.failed, 'got worse', 'X'),
     ):
         axes.plot(first[mask], second[mask], marker, color=colour, markersize=5, alpha=0.7,
@@ -324,7 +324,8 @@ def _draw(found: Compared, figure: Figure, theme: Theme) -> None:
     axes.axhline(0, color=theme.ink, linewidth=0.8)
     axes.axvline(0, color=theme.ink, linewidth=0.8)
     axes.set(xlabel=f'ρ, {found.before.label}', ylabel=f'ρ, {found.after.label}')
-    figure.legend(loc='outside lower center', ncols=3, frameon=False, fontsize=9)
+    # Above the plot, as everywhere: below it, the layout leaves an empty strip before the legend.
+    axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=9)
     style_axes(axes)
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from taxinet_ros.analysis.experiment.arms import ArmComparison, PairedArms, rho_of
 from taxinet_ros.analysis.experiment.pairs import ConfidenceInterval, PairedRates, PairedShift
@@ -31,12 +33,15 @@ from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.scenario_fields import BY_KEY, TIME_OF_DAY, clock_words
 from taxinet_ros.core.verdict.outcome import Outcome
 
+_HOURS = TIME_OF_DAY.key
 _LOWEST_SHOWN = -6.0
 """Lower limit of rho in the picture; runs below it are shown at the lower edge."""
 _MOST_CHANGE = 8.0
+_FEW_PAIRS = 60
+"""Up to so many pairs, dots are large."""
 _BINS, LEAST_IN_BIN = 12, 3
 """Number of bins of the horizontal axis, and minimum number of runs for a bin's median."""
 
@@ -44,14 +49,29 @@ _BINS, LEAST_IN_BIN = 12, 3
 def title_of(key: str) -> str:
     """Display name of a scenario key, with its unit."""
     field = BY_KEY[key]
-    return f'{field.title} [{field.unit}]' if field.unit else field.title
+    return f'{field.title} [{field.unit}]' if field.unit and key != _HOURS else field.title
 
 
 def range_words(key: str, low: float, high: float) -> str:
     """Display text of the range of a key."""
     field = BY_KEY[key]
+    if key == _HOURS:
+        return f'{field.title} {clock_words(low)} to {clock_words(high)}'
     digits = 0 if abs(high) >= 100 else 1
-    return f'{field.title} {low:.{digits}f} to {high:.{digits}f}{field.unit_mark}'
+    return (
+        f'{field.title} {_minus(f"{low:.{digits}f} to {high:.{digits}f}")}{field.unit_mark}'
+    )
+
+
+def _place_axis(axes: Axes, key: str) -> None:
+    """Name the horizontal axis; times of day are clock times, as in the tables."""
+    axes.set_xlabel(title_of(key))
+    if key == _HOURS:
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: clock_words(value)))
+
+
+def _minus(text: str) -> str:
+    return text.replace('-', '−')
 
 
 def arms_picture(found: PairedArms) -> Picture:
@@ -64,7 +84,7 @@ def arms_picture(found: PairedArms) -> Picture:
     return Picture(
         name='experiment', title=f'ρ with {names}',
         caption=f'A dot is a run; {lines}. Above 0 the formula is satisfied; what is below '
-                f'{_LOWEST_SHOWN:g} would be a triangle at the edge.',
+                f'{_minus(f"{_LOWEST_SHOWN:g}")} is a triangle at the edge.',
         draw=partial(_draw, found), size_in=(7.6, 4.0),
     )
 
@@ -85,10 +105,10 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
         _draw_arm(axes, found, arm.name, places, colour, above=not base)
     axes.axhline(0, color=theme.ink, linewidth=0.8)
     axes.set(
-        xlabel=title_of(found.over),
         ylabel=f'ρ of {experiment.specs[0].partition("=")[0]}{_axis_unit(experiment)}',
         ylim=(_lowest(found), None),
     )
+    _place_axis(axes, found.over)
     # Vertical lines join pairs there and would be lost among vertical grid lines.
     style_axes(axes, grid='both' if found.alone else 'y')
     axes.legend(frameon=False, loc='lower center', bbox_to_anchor=(0.5, 1.0),
@@ -113,10 +133,13 @@ def _draw_arm(
     shown = np.maximum(rho, _LOWEST_SHOWN)
     order = 4 if above else 3
     inside = rho > _LOWEST_SHOWN
-    axes.plot(x[inside], rho[inside], 'o', color=colour, markersize=4 if found.alone else 3,
-              alpha=1.0 if found.alone else 0.6, zorder=order, label=name, markeredgewidth=0)
-    axes.plot(x[~inside], shown[~inside], 'v', color=colour, markersize=5, zorder=order,
-              clip_on=False, markeredgewidth=0)
+    few = len(x) <= _FEW_PAIRS
+    axes.plot(x[inside], rho[inside], 'o', color=colour,
+              markersize=6 if few else 4 if found.alone else 3,
+              alpha=1.0 if found.alone else 0.8 if few else 0.6, zorder=order, label=name,
+              markeredgewidth=0)
+    axes.plot(x[~inside], shown[~inside], 'v', color=colour, markersize=7 if few else 5,
+              zorder=order, clip_on=False, markeredgewidth=0)
     if found.alone:
         axes.plot(x, shown, color=colour, linewidth=1.0, alpha=0.7, zorder=order - 2)
     elif len(x):
@@ -147,11 +170,12 @@ def _draw_change(found: PairedArms, one: ArmComparison, figure: Figure, theme: T
     x, change = changes(found, one)
     shown = np.clip(change, -_MOST_CHANGE, _MOST_CHANGE)
     axes.axhline(0, color=theme.ink, linewidth=0.8)
-    axes.plot(x, shown, 'o', color=theme.passed, markersize=4, alpha=0.7, markeredgewidth=0,
-              clip_on=False)
+    axes.plot(x, shown, 'o', color=theme.passed, markersize=6 if len(x) <= _FEW_PAIRS else 4,
+              alpha=0.7, markeredgewidth=0, clip_on=False)
     if len(x):
         axes.plot(*_medians(x, shown), color=theme.failed, linewidth=2.0)
-    axes.set(xlabel=title_of(found.over), ylabel=f'change of ρ{_axis_unit(found.experiment)}')
+    axes.set_ylabel(f'change of ρ{_axis_unit(found.experiment)}')
+    _place_axis(axes, found.over)
     style_axes(axes)
 
 
@@ -302,11 +326,12 @@ def _shift_words(
     if not shift.more + shift.less:
         return f'In none of {shift.pairs} pairs {name} differs.'
     value, low, high = shift.change
-    span = (
-        '' if math.isnan(low) else f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
+    span = '' if math.isnan(low) else _minus(
+        f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
     )
+    middle = _minus(f'{value:+.{digits}f}')
     return (
-        f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f}{unit}'
+        f'From {one.base} to {one.arm} {name} typically changes by {middle}{unit}'
         f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
         f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}{adjusted}).'
     )
@@ -326,7 +351,7 @@ def _where_words(found: PairedArms, one: ArmComparison) -> Iterator[str]:
     unit = _unit(found.experiment)
     yield (
         f'The change of rho is greatest at {range_words(found.over, low, high)}: '
-        f'{medians[greatest]:+.2f}{unit} in the median of {int(inside.sum())} pairs.'
+        f'{_minus(f"{medians[greatest]:+.2f}")}{unit} in the median of {int(inside.sum())} pairs.'
     )
 
 
@@ -348,7 +373,7 @@ def _axis_unit(experiment: Experiment) -> str:
 
 def _points(difference: ConfidenceInterval) -> str:
     value, low, high = (100 * part for part in difference)
-    return f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})'.replace('-', '−')
+    return _minus(f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})')
 
 
 def _p(value: float) -> str:
@@ -360,17 +385,25 @@ def _facts(experiment: Experiment) -> dict[str, str]:
         f'arm {arm.name}': ', '.join([
             *(f'{key}={value}' for key, value in arm.laid_over.items()),
             *(f'steering.{key}={value:g}' for key, value in arm.gains.items()),
-            f'perception {arm.perception}',
-            *([f'controller {arm.controller}'] if arm.controller != STEERING else []),
+            f'perception {_file_name(arm.perception)}',
+            *([f'controller {_file_name(arm.controller)}'] if arm.controller != STEERING else []),
         ])
         for arm in experiment.arms
     }
     fixed = ', '.join(f'{key}={value}' for key, value in experiment.overrides.items())
     return {
-        'program': experiment.program, 'scenes': f'{experiment.runs}, the same in every arm',
+        'program': _file_name(experiment.program),
+        'scenes': f'{experiment.runs}, the same in every arm',
         'seed': str(experiment.seed), 'sampler': experiment.sampler,
         'formulas': ', '.join(experiment.specs), **({'fixed': fixed} if fixed else {}), **arms,
     }
+
+
+def _file_name(word: str) -> str:
+    """A word, or the name of its file: where that lies on this machine says nothing elsewhere."""
+    path = Path(word)
+    return path.name if path.is_absolute() else word
+
 
 # Sections ----------------------------------------------------------------------------------------
 
@@ -439,10 +472,16 @@ def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
             Column(name=f'rho_{one.arm}', title=f'ρ, {one.arm}', decimals=2),
         ),
         rows=tuple(
-            (a.index, a.scene[found.over], a.outcome, b.outcome, rho_of(a), rho_of(b))
+            (a.index, _place_cell(a, found.over), a.outcome, b.outcome, rho_of(a), rho_of(b))
             for a, b in flips[:_MOST_FLIPS]
         ),
     ),)
+
+
+def _place_cell(row: RunRow, key: str) -> Cell:
+    value = row.scene[key]
+    return clock_words(float(value)) if key == _HOURS and value is not None else value
+
 
 # JSON --------------------------------------------------------------------------------------------
 

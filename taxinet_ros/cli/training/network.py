@@ -120,6 +120,14 @@ def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
         table.add_row(row.name, str(row.images), str(row.without_estimate), *cells)
     console.print(table)
     console.print('MAE: mean absolute error, with its 95 % confidence interval', style='dim')
+    for quantity, turned in rows[0].mirrored.items():
+        (name, unit), error = _QUANTITIES[quantity], rows[0].errors[quantity]['mae']
+        console.print(
+            f'{name}: the estimates fall where the truth rises. With the other sign, the MAE would '
+            f'be {turned:.3g} {unit} instead of {error:.3g}: left is positive; see "positive" in '
+            'the description of a network in ONNX, or the signs of its labels.',
+            soft_wrap=True, style='bold',
+        )
 
 
 def _error_cells(row: SliceErrors, quantity: str) -> tuple[str, str]:

@@ -334,7 +334,15 @@ def gains_text(gains: Mapping[str, float]) -> str:
 def is_steering_law(words: str) -> bool:
     """Whether a controller's description is that of the steering law: its changed gains."""
     known = SteeringGains.__dataclass_fields__
-    return all(word.partition('=')[0] in known for word in words.split())
+    pairs = (word.partition('=') for word in words.split())
+    return all(name in known and _is_number(value) for name, _, value in pairs)
+
+
+def _is_number(text: str) -> bool:
+    with contextlib.suppress(ValueError):
+        float(text)
+        return True
+    return False
 
 
 def parse_gains(words: str) -> dict[str, float]:

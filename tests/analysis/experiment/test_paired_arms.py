@@ -19,6 +19,8 @@ from taxinet_ros.analysis.experiment.report import (
     experiment_json,
     experiment_report,
     experiment_sentences,
+    range_words,
+    title_of,
 )
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.runs.campaign import holm
@@ -265,6 +267,26 @@ def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
         *experiment_sentences(some)]
     nothing = found([None], [None])
     assert 'no conclusion is possible' in ' '.join(experiment_sentences(nothing))
+
+
+def test_given_files_of_this_machine_then_the_page_has_their_names_only():
+    arms = tuple(
+        dataclasses.replace(
+            arm, perception='/home/me/mine.onnx', controller='/home/me/mine.py:steer')
+        for arm in WORSE.experiment.arms
+    )
+    here = dataclasses.replace(WORSE.experiment, program='/home/me/scenes.scenic', arms=arms)
+    report = experiment_report(dataclasses.replace(WORSE, experiment=here))
+    assert '/home' not in repr(report.facts)
+    assert report.facts['program'] == 'scenes.scenic'
+    assert 'perception mine.onnx, controller mine.py:steer' in report.facts['arm on']
+
+
+def test_given_an_experiment_over_the_day_then_its_times_are_clock_times():
+    assert title_of('time_of_day_h') == 'time of day'
+    assert range_words('time_of_day_h', 6.0, 17.25) == 'time of day 06:00 to 17:15'
+    assert range_words('heading_deg', -30.0, -2.5) == (
+        'start heading, nose left −30.0 to −2.5°')
 
 
 def test_given_an_experiment_then_report_json_and_table_hold_it():

@@ -43,6 +43,14 @@ def test_given_values_a_last_bit_beside_round_ones_then_none_is_lost(name, numbe
             assert one.mask.tolist() == one.holds(beside).tolist()
 
 
+@pytest.mark.parametrize('runs', [4, 12, 400])
+def test_given_runs_by_day_then_bins_end_where_they_do_and_not_at_midnight(runs):
+    cut = bins(BY_NAME['time_of_day_h'], pd.DataFrame({'time_of_day_h': np.linspace(6, 18, runs)}))
+    assert (cut[0].low, cut[-1].high) == (6, 18)
+    assert cut[0].label.startswith('06:00 to ')
+    assert cut[-1].label.endswith(' to 18:00')
+
+
 def test_given_words_then_a_bin_holds_its_own():
     frame = pd.DataFrame({'clouds': ['clear', 'stratus', 'clear']})
     clear, stratus = bins(BY_NAME['clouds'], frame)

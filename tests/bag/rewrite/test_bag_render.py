@@ -23,7 +23,7 @@ from taxinet_ros.bag.rewrite.frames import (
 )
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.core.motion.controller import gains_text, parse_gains
+from taxinet_ros.core.motion.controller import gains_text, is_steering_law, parse_gains
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
@@ -181,3 +181,14 @@ def test_given_gains_when_told_in_words_and_read_then_every_bit_is_there(cte_gai
 def test_given_words_that_are_no_gains_then_they_are_refused(words):
     with pytest.raises(ValueError, match=r'gain|convert|unpack'):
         parse_gains(words)
+
+
+@pytest.mark.parametrize(('words', 'ours'), [
+    ('', True), ('heading_gain=1.5', True), ('heading_gain=1.5 speed_mps=4.0', True),
+    ('my_pid', False), ('my_pid kp=1.0', False), ('heading_gain', False),
+    ('speed_mps=fast', False), ('heading_gain=1.5 and more', False),
+])
+def test_given_how_a_controller_names_itself_then_only_gains_are_those_of_the_law(words, ours):
+    assert is_steering_law(words) is ours
+    if ours:
+        assert len(parse_gains(words)) == len(words.split())

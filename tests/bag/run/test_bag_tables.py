@@ -11,8 +11,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from bag_faults import chunks_of
-from bag_samples import ROOT
-from whole_runs import PARTICIPANTS, RUN_ID, SCENE, SPECS, STEPS, TYPES, WEIGHTS, write_run
+from bag_samples import ROOT, make, serialise
+from whole_runs import (
+    PARTICIPANTS,
+    RUN_ID,
+    SCENE,
+    SPECS,
+    STEPS,
+    TYPES,
+    WEIGHTS,
+    run_messages,
+    write_run,
+)
 
 from taxinet_ros.bag import BagTruncated
 from taxinet_ros.bag.run.recording import open_recording
@@ -109,6 +119,21 @@ def test_given_a_run_when_its_facts_are_read_then_they_are_what_was_recorded(run
     assert facts.nodes['steering_controller'].implementation == 'heading_gain=1.5'
     assert facts.figures['max_cross_track_error'] == pytest.approx(2.5)
     assert facts.figures['left_runway'] is False
+
+
+def test_given_a_controller_of_somebody_else_then_the_run_names_it_and_has_no_gains(
+    tmp_path: Path
+) -> None:
+    law, theirs = (
+        serialise(make(
+            'taxinet_msgs/msg/NodeStatus', run_id=RUN_ID, node='steering_controller',
+            implementation=words,
+        )) for words in ('heading_gain=1.5', 'my_pid')
+    )
+    messages = [(topic, t, theirs if cdr == law else cdr) for topic, t, cdr in run_messages()]
+    assert sum(cdr == theirs for _, _, cdr in messages) == 1
+    told = open_recording(write_run(tmp_path / 'bag', messages)).run
+    assert (told.controller, told.gains) == ('my_pid', {})
 
 
 def test_given_a_run_cut_off_when_its_facts_are_read_then_those_so_far(

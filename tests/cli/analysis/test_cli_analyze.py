@@ -12,6 +12,7 @@ import pytest
 from taxinet_process import taxinet_apart
 
 from taxinet_ros.cli import main
+from taxinet_ros.cli.progress import HEARTBEAT
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 
@@ -106,12 +107,17 @@ def test_given_json_when_asked_then_only_that_is_printed(folder, monkeypatch, ca
     monkeypatch.setattr(analysis_folder, 'write_png', lambda *_: None)
     monkeypatch.setattr(report_page, 'write_report_page', lambda *_, **__: None)
     monkeypatch.chdir(folder)
+    monkeypatch.setenv(HEARTBEAT, '1e-9')
     monkeypatch.setattr(sys, 'argv', [
         'taxinet', 'analyze', 'better.parquet', '--json', '--viewers', '0'])
     with pytest.raises(SystemExit) as ended:
         main.main()
     assert ended.value.code == 0
-    values = json.loads(capsys.readouterr().out)
+    out, err = capsys.readouterr()
+    values = json.loads(out)
+    # Without a terminal it still says what it is at, as often as it is asked to.
+    said = [line for line in err.splitlines() if not line.startswith('taxinet: warning: ')]
+    assert len(said) > 3
     written = read_sealed(folder / 'better-analysis' / 'analysis.json').values
     assert values == written
     assert values['causes_why_not'] == '60 runs, no failure: no causes'

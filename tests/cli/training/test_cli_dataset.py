@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from taxinet_process import begun
+from training_samples import foreign_folder
 from waiting import wait_for
 
 from taxinet_ros.cli.main import _exit_code, app
@@ -56,6 +57,28 @@ def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
     row = next(line.split() for line in out.splitlines() if line.startswith('all '))
     assert row[1:3] == ['8', '0']
     assert float(row[3]) == pytest.approx(whole['errors']['cte_m']['mae'], abs=6e-4)
+
+
+def test_given_a_network_with_a_flipped_sign_when_measured_then_a_line_says_so(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    foreign_folder(tmp_path / 'set', images=9)  # image i stands i m to the left
+    for name, sign in (('right', '-'), ('left', '')):
+        Path(f'{name}.py').write_text(
+            'class Eyes:\n    seen = -1\n    def __call__(self, image):\n        self.seen += 1\n'
+            f'        return {sign}self.seen, 0.0\n'
+        )
+    words = ['evaluate', '--data', 'set', '--perception']
+    code, out, err = call(capsys, *words, 'right.py:Eyes')
+    assert (code, err) == (0, '')
+    assert (
+        'cross-track: the estimates fall where the truth rises. With the other sign, the MAE would '
+        'be 0 m instead of 8: left is positive; ' in out
+    )
+    (whole,) = json.loads(call(capsys, *words, 'right.py:Eyes', '--json')[1])['slices']
+    assert whole['mirrored'] == {'cte_m': 0.0}
+    assert 'other sign' not in call(capsys, *words, 'left.py:Eyes')[1]
 
 
 def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(tmp_path):
