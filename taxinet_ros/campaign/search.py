@@ -329,9 +329,9 @@ class Search:
         options, campaign = self.options, self._campaign
         space = self._source.space()
         self.notes = (*self._source.notes, *([whose] if whose else []))
-        self._sampler = self._make_sampler(space)
         if options.shard is not None:
             check_can_be_sharded(options.sampler)
+        self._sampler = self._make_sampler(space)
         if options.in_flight is None:
             self._sampler.ignore_results()
         else:
