@@ -557,8 +557,29 @@ def _parts(
     yield _data_part(system)
     yield Part(
         text='Every figure rests on recorded runs that are bound by hash',
-        found=(Verdict.SUPPORTED, 'ledger, tables and bags were checked'),
+        found=_records_verdict(system),
         solutions=_ledgers(system),
+    )
+
+
+def _judged(system: SystemFacts) -> int:
+    return sum(len(one.recorded.judged) for one in system.inputs)
+
+
+def _records_verdict(system: SystemFacts) -> tuple[Verdict, str]:
+    """Whether every judged run has a bag here that was checked, and a sentence on it."""
+    judged = _judged(system)
+    read = sum(
+        row.run_id in one.bags and row.run_id not in one.stored
+        for one in system.inputs for row in one.recorded.judged
+    )
+    if not judged:
+        return Verdict.UNDETERMINED, 'ledger and tables were checked; no run was judged'
+    if read == judged:
+        return Verdict.SUPPORTED, 'ledger, tables and bags were checked'
+    return Verdict.UNDETERMINED, (
+        f'ledger and tables were checked, and the bags of {read:,} of {judged:,} judged runs; the '
+        'others are not here'
     )
 
 
@@ -588,7 +609,8 @@ def _rate_part(
         return Part(text='How often the formula is satisfied is known',
                     found=(Verdict.SUPPORTED, told), solutions=(solution,))
     return Part(
-        text=f'Runs drawn by the program satisfy {system.spec} in at least {100 * claim:g} %',
+        text=f'Runs drawn by the program satisfy {system.spec} in at least '
+        f'{figures.percent(claim)} %',
         found=figures.claim_verdict(rates, claim), solutions=(solution,),
     )
 
@@ -599,7 +621,10 @@ def _cause_part(sources: _Sources, system: SystemFacts) -> Part:
     if not failed:
         return Part(
             text='There is no failed run to attribute',
-            found=(Verdict.SUPPORTED, 'none of the judged runs failed'),
+            found=(
+                (Verdict.SUPPORTED, 'none of the judged runs failed') if _judged(system)
+                else (Verdict.UNDETERMINED, 'no run was judged')
+            ),
             solutions=_ledgers(system),
         )
     if not system.causes:

@@ -7,6 +7,7 @@ arrow, *InContextOf* in a hollow one. Equal arguments give equal bytes.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,6 +19,7 @@ from PIL import ImageFont
 
 from taxinet_ros.analysis.report.parts import Theme
 from taxinet_ros.analysis.report.pictures import LIGHT
+from taxinet_ros.analysis.report.values import clean
 from taxinet_ros.study.evidence.argument import Argument, Kind, Node
 from taxinet_ros.study.evidence.figures import Verdict
 
@@ -35,6 +37,8 @@ _MARKS = {
 }
 _FAMILY = 'DejaVu Sans, Verdana, sans-serif'
 _MOST_LINES = 9
+_LONGEST_WORD = 600
+"""More letters than there is place for, so that measuring them does not take minutes."""
 _LEAST_CIRCLE = 140.0
 
 
@@ -220,6 +224,11 @@ def _box(node: Node, x: float, y: float, width: float) -> Box:
     return Box(node=node, lines=lines, x=x, y=y, width=width, height=height)
 
 
+def _escape(text: str) -> str:
+    """Text for XML, in which control characters are no text."""
+    return escape(clean(text))
+
+
 @lru_cache(maxsize=8)
 def _font(size: float) -> ImageFont.FreeTypeFont:
     """DejaVu Sans, as wide as any usual font, in whole pixels times ten."""
@@ -234,11 +243,19 @@ def _wrapped(text: str, width: float, size: float) -> tuple[str, ...]:
     def fits(words: str) -> bool:
         return font.getlength(words) / 10 <= width
 
+    def longest(word: str) -> int:
+        def beyond(end: int) -> bool:
+            return not fits(f'{word[:end]}-')
+        return max(1, bisect_left(range(1, len(word)), True, key=beyond))
+
     lines: list[str] = []
     line = ''
     for word in text.split():
+        if len(lines) > _MOST_LINES:  # no more are drawn
+            break
+        word = word[:_LONGEST_WORD]
         while not fits(word):
-            cut = next((n for n in range(len(word) - 1, 1, -1) if fits(f'{word[:n]}-')), 1)
+            cut = longest(word)
             if line:
                 lines.append(line)
                 line = ''
@@ -316,7 +333,7 @@ def _shape(box: Box, theme: Theme) -> str:
             shape = (f'<rect x="{_n(x)}" y="{_n(y)}" width="{_n(width)}" height="{_n(height)}" '
                      f'{style}/>')
     told = f'{node.name}: {node.text}' + (f' ({node.why})' if node.why else '')
-    return f'<g><title>{escape(told)}</title>{shape}{"".join(_texts(box, theme))}</g>'
+    return f'<g><title>{_escape(told)}</title>{shape}{"".join(_texts(box, theme))}</g>'
 
 
 def _texts(box: Box, theme: Theme) -> Iterator[str]:
@@ -331,7 +348,7 @@ def _texts(box: Box, theme: Theme) -> Iterator[str]:
     yield f'<text {at} y="{_n(y)}" fill="{theme.ink}" font-weight="bold">{node.name}</text>'
     for line in box.lines:
         y += _LINE
-        yield f'<text {at} y="{_n(y)}" fill="{theme.ink}">{escape(line)}</text>'
+        yield f'<text {at} y="{_n(y)}" fill="{theme.ink}">{_escape(line)}</text>'
     if node.kind is not Kind.GOAL:
         return
     y += _LINE
@@ -343,7 +360,7 @@ def _texts(box: Box, theme: Theme) -> Iterator[str]:
     for line in _wrapped(node.why, box.width - 2 * _PAD, _SMALL):
         y += _LINE
         yield (
-            f'<text {at} y="{_n(y)}" fill="{theme.ink}" font-size="{_SMALL}">{escape(line)}</text>'
+            f'<text {at} y="{_n(y)}" fill="{theme.ink}" font-size="{_SMALL}">{_escape(line)}</text>'
         )
 
 

@@ -121,12 +121,17 @@ def claim_verdict(rates: FormulaRates, target: float) -> tuple[Verdict, str]:
     if not rates.satisfied.drawn:
         return Verdict.UNDETERMINED, rates.satisfied.why_not
     low, high = rates.ends
-    words = f'95 % interval {interval_words(low, high)}, claim at least {100 * target:g} %'
+    words = f'95 % interval {interval_words(low, high)}, claim at least {percent(target)} %'
     if low >= target:
         return Verdict.SUPPORTED, f'{words}: all of it meets the claim'
     if high < target:
         return Verdict.REFUTED, f'{words}: all of it misses the claim'
     return Verdict.UNDETERMINED, f'{words}: the interval contains the claim'
+
+
+def percent(share: float) -> str:
+    """A share in percent as it was given: a claim of 99.99999 % is not one of 100 %."""
+    return f'{100 * share:.12g}'
 
 
 def interval_words(low: float, high: float) -> str:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +50,9 @@ TRUTH = 'truth'
 """The perception without a network."""
 _ID = re.compile(r'\s*([A-Za-z0-9][A-Za-z0-9_.-]*)\s*:\s+(.*\S)\s*', re.DOTALL)
 _LONGEST_REQUIREMENT = 4000
+_MOST_BYTES = 4 * _LONGEST_REQUIREMENT + 4
+_JOINERS = '\u00ad\u200c\u200d\u200e\u200f'
+"""Invisible signs that the writing of some languages needs."""
 _NEEDED = ('program', 'program_sha256', 'program_text', 'specs', 'perception_sha256', 'seed')
 """Facts without which runs cannot be bound to program, formula and network."""
 _SYSTEM = (
@@ -101,7 +104,9 @@ def read_requirement(given: str) -> Requirement:
     if not _is_file(path):
         return requirement_of(given, f'--requirement {given:.60}')
     try:
-        text = path.read_bytes().decode('utf-8')
+        with path.open('rb') as file:
+            data = file.read(_MOST_BYTES)
+        text = data.decode('utf-8', 'ignore' if len(data) == _MOST_BYTES else 'strict')
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
     return requirement_of(text, f'--requirement {given}')
@@ -124,6 +129,11 @@ def requirement_of(text: str, where: str) -> Requirement:
     Raises:
         UsageError: it has no identifier or no wording, or is too long.
     """
+    if hidden := next((sign for sign in text if _is_hidden(sign)), ''):
+        raise UsageError(
+            f'{where}: contains {hidden!a}, which cannot be seen or reorders what is seen; '
+            'remove it'
+        )
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
         raise UsageError(
@@ -131,6 +141,11 @@ def requirement_of(text: str, where: str) -> Requirement:
             f"shall …', in at most {_LONGEST_REQUIREMENT:,} characters; or a file with that"
         )
     return Requirement(name=found[1], text=' '.join(found[2].split()), given=text)
+
+
+def _is_hidden(sign: str) -> bool:
+    """Whether a sign is no text, or makes a text read otherwise than it is written."""
+    return not (sign.isprintable() or sign.isspace() or sign in _JOINERS)
 
 
 class Place(NamedTuple):
@@ -235,6 +250,8 @@ def read_campaign(
             f'{folder / LEDGER_NAME}: its first {parsed.unprotected} lines were written by an '
             'earlier version without checksums, so nothing binds its runs; run it again'
         )
+    recorded = _with_network(recorded)
+    content = recorded.content
     if lacking := [name for name in _NEEDED if recorded.facts.get(name) in (None, {})]:
         raise UsageError(
             f'{folder}: its record lacks {", ".join(lacking)}, so runs cannot be bound to program, '
@@ -264,6 +281,27 @@ def read_campaign(
         ledger_end=parsed.end,
         scenes=tuple((row.index, row.run_id, shas.get(row.index, '')) for row in content.rows),
     )
+
+
+def _with_network(recorded: RecordedCampaign) -> RecordedCampaign:
+    """Add the network's hash to the facts: ``taxinet run`` records it with each run only.
+
+    Raises:
+        UsageError: its runs had several networks, or another one than its facts say.
+    """
+    found = sorted({row.fingerprint for row in recorded.rows
+                    if row.outcome.judged and row.fingerprint})
+    told = recorded.facts.get('perception_sha256')
+    if len(found) > 1 or (found and told and found != [told]):
+        listed = ', '.join(f'{one[:12]}…' for one in sorted({*found, str(told or found[0])}))
+        raise UsageError(
+            f'{recorded.folder}: its runs had several networks (sha256 {listed}), so there is no '
+            'one system that they are runs of; run them as campaigns of their own'
+        )
+    if told is not None or not found:
+        return recorded
+    facts = {**recorded.content.campaign, 'perception_sha256': found[0]}
+    return replace(recorded, content=replace(recorded.content, campaign=facts))
 
 
 def _mend(folder: Path) -> str:

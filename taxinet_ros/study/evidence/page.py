@@ -11,6 +11,7 @@ from taxinet_ros.core.provenance import words
 from taxinet_ros.study.evidence.argument import Argument, Kind
 from taxinet_ros.study.evidence.document import Collected
 from taxinet_ros.study.evidence.drawing import argument_svg, drawing_size
+from taxinet_ros.study.evidence.figures import interval_words, percent
 from taxinet_ros.study.evidence.limits import SystemFacts
 
 _CHAIN = (
@@ -55,7 +56,7 @@ def _facts(content: Mapping[str, Any], json_sha256: str) -> dict[str, str]:
     claim = content['claim']
     facts = {
         'requirement': content['requirement']['text'] if content['requirement'] else 'not given',
-        'claim': 'none' if claim is None else f'satisfied in at least {100 * claim:g} % of runs',
+        'claim': 'none' if claim is None else f'satisfied in at least {percent(claim)} % of runs',
         'campaigns': ', '.join(one['name'] for one in content['campaigns']),
         'runs': f'{runs:,}',
         'evidence.json': json_sha256,
@@ -95,7 +96,7 @@ def _system_sentence(system: Mapping[str, Any]) -> str:
         sentence += f'; no rate: {formula["why_no_rate"]}'
     claim = system['claim']
     if claim is not None:
-        sentence += f'. The claim of at least {100 * claim["target"]:g} % is {claim["verdict"]}'
+        sentence += f'. The claim of at least {percent(claim["target"])} % is {claim["verdict"]}'
     return f'{sentence}.'
 
 
@@ -103,7 +104,7 @@ def _rate_words(share: Mapping[str, Any]) -> str:
     if share['rate'] is None:
         return ''
     return (
-        f'{100 * share["rate"]:.1f} % ({100 * share["low"]:.1f}–{100 * share["high"]:.1f} %)'
+        f'{100 * share["rate"]:.4g} % ({interval_words(share["low"], share["high"])})'
     )
 
 

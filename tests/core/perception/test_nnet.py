@@ -106,7 +106,7 @@ def test_given_another_way_of_writing_then_the_network_is_the_same(form):
     other = {
         'no commas at the ends': text.replace(',\n', '\n'),
         'CRLF': text.replace('\n', '\r\n'),
-        'other comments': '// é by somebody\n' + text,
+        'other comments': '// é by somebody,\x1c\x85 on two lines for some\n' + text,
         'no comment': '\n'.join(text.splitlines()[2:]) + '\n\n',
     }[form]
     one, same = (Nnet.parse(FILE, each.encode()) for each in (text, other))

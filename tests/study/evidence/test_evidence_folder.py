@@ -259,6 +259,21 @@ def test_given_an_edited_page_or_drawing_with_a_new_manifest_then_it_is_named(tm
     assert any(f'{name}: is not the' in line for line in found.damaged)
 
 
+def test_given_a_page_that_says_another_machine_made_it_then_it_is_checked_all_the_same(tmp_path):
+    out = made(tmp_path)
+    page = out / 'evidence.html'
+    text = page.read_text(encoding='utf-8')
+    elsewhere = re.sub('This page was made on [^<]*', 'This page was made on a toaster', text)
+    page.write_text(elsewhere, encoding='utf-8')
+    anew(out)
+    assert not verified(out).damaged
+    page.write_text(elsewhere.replace('Evidence toward', 'Proof of', 1), encoding='utf-8')
+    anew(out)
+    found = verified(out)
+    assert found.code != ExitCode.OK
+    assert any('is not the page that this version makes here' in line for line in found.unchecked)
+
+
 def test_given_a_moved_campaign_then_it_is_asked_for_and_found_by_its_hashes(tmp_path):
     out = made(tmp_path)
     (tmp_path / 'found').rename(tmp_path / 'elsewhere')

@@ -292,7 +292,8 @@ class _Lines:
             raise self._error('is only a Git LFS pointer; get the file with: git lfs pull')
         if text.lstrip()[:1] == '<':
             raise self._error('is a web page; download the raw file')
-        self._lines = text.splitlines()
+        # Not splitlines(), for which bytes of scripts end lines too.
+        self._lines = re.split('\r\n|\r|\n', text.removesuffix('\n').removesuffix('\r'))
         self._at = 0
         while self._at < len(self._lines) and self._lines[self._at].startswith('//'):
             self._at += 1
