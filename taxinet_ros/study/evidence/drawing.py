@@ -7,8 +7,7 @@ arrow, *InContextOf* in a hollow one. Equal arguments give equal bytes.
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
@@ -243,11 +242,6 @@ def _wrapped(text: str, width: float, size: float) -> tuple[str, ...]:
     def fits(words: str) -> bool:
         return font.getlength(words) / 10 <= width
 
-    def longest(word: str) -> int:
-        def beyond(end: int) -> bool:
-            return not fits(f'{word[:end]}-')
-        return max(1, bisect_left(range(1, len(word)), True, key=beyond))
-
     lines: list[str] = []
     line = ''
     for word in text.split():
@@ -255,7 +249,7 @@ def _wrapped(text: str, width: float, size: float) -> tuple[str, ...]:
             break
         word = word[:_LONGEST_WORD]
         while not fits(word):
-            cut = longest(word)
+            cut = _cut(word, fits)
             if line:
                 lines.append(line)
                 line = ''
@@ -270,6 +264,15 @@ def _wrapped(text: str, width: float, size: float) -> tuple[str, ...]:
     if len(lines) > _MOST_LINES:
         return (*lines[:_MOST_LINES - 1], f'{lines[_MOST_LINES - 1].rstrip(".,; ")} …')
     return tuple(lines)
+
+
+def _cut(word: str, fits: Callable[[str], bool]) -> int:
+    """Number of letters of a word that fit with a hyphen, at least 1; found by halving."""
+    low, high = 1, len(word)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if fits(f'{word[:middle]}-') else (low, middle)
+    return low
 
 
 def _n(value: float) -> str:

@@ -289,11 +289,14 @@ def _with_network(recorded: RecordedCampaign) -> RecordedCampaign:
     Raises:
         UsageError: its runs had several networks, or another one than its facts say.
     """
-    found = sorted({row.fingerprint for row in recorded.rows
-                    if row.outcome.judged and row.fingerprint})
     told = recorded.facts.get('perception_sha256')
+    found = sorted({
+        row.fingerprint for row in recorded.rows
+        if row.outcome.judged and (row.fingerprint or not told)
+    })
     if len(found) > 1 or (found and told and found != [told]):
-        listed = ', '.join(f'{one[:12]}…' for one in sorted({*found, str(told or found[0])}))
+        several = sorted({*found, told or found[0]})
+        listed = ', '.join(f'{one[:12]}…' if one else 'none' for one in several)
         raise UsageError(
             f'{recorded.folder}: its runs had several networks (sha256 {listed}), so there is no '
             'one system that they are runs of; run them as campaigns of their own'

@@ -363,10 +363,10 @@ def _compare_page(
     if not path.is_file():
         return
     with tempfile.TemporaryDirectory() as scratch:
-        made = Path(scratch) / PAGE_NAME
-        write_page(again, made, _sha256(options.folder / JSON_NAME))
+        other = Path(scratch) / PAGE_NAME
+        write_page(again, other, _sha256(options.folder / JSON_NAME))
         before, now = (
-            one.read_text(encoding='utf-8', errors='replace') for one in (path, made)
+            one.read_text(encoding='utf-8', errors='replace') for one in (path, other)
         )
     # What it says of the machine that wrote it cannot be computed again; it is text, no markup.
     there, own = _made_on(before), _made_on(now)
@@ -374,14 +374,14 @@ def _compare_page(
         now = now.replace(f'{_MADE_ON}{own}</p>', f'{_MADE_ON}{there}</p>')
     if before == now:
         return
-    other = (
+    elsewhere = (
         'by another version' if content.get('computed_by') != again.content['computed_by']
         else 'on another machine' if there not in ('', own) else ''
     )
-    if other:
+    if elsewhere:
         found.unchecked.append(
             f'{path}: is not the page that this version makes here of these inputs, and says that '
-            f'it was written {other}; evidence.json and the drawing are checked, this page is not'
+            f'it was written {elsewhere}; values and drawing are checked, this page is not'
         )
     else:
         found.damaged.append(f'{path}: is not the page of these inputs')

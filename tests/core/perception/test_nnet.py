@@ -106,7 +106,7 @@ def test_given_another_way_of_writing_then_the_network_is_the_same(form):
     other = {
         'no commas at the ends': text.replace(',\n', '\n'),
         'CRLF': text.replace('\n', '\r\n'),
-        'other comments': '// é by somebody,\x1c\x85 on two lines for some\n' + text,
+        'other comments': '// é by somebody\n' + text,
         'no comment': '\n'.join(text.splitlines()[2:]) + '\n\n',
     }[form]
     one, same = (Nnet.parse(FILE, each.encode()) for each in (text, other))
@@ -203,3 +203,11 @@ def test_given_no_file_or_a_folder_then_one_line(tmp_path):
         read_nnet(tmp_path / 'lost.nnet')
     with pytest.raises(UsageError, match='cannot be read'):
         read_nnet(tmp_path)
+
+
+@pytest.mark.parametrize('end', ['\n', '\r\n', '\r'])
+def test_given_comments_whose_bytes_are_line_ends_in_latin_1_then_the_file_is_read(end):
+    text = sample(SMALL).text(comments=('// Ångström … \x0c', '// à'))
+    assert b'\x85' in text.encode()
+    nnet = Nnet.parse(FILE, text.replace('\n', end).encode())
+    assert nnet.sizes == SMALL

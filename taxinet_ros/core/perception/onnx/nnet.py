@@ -292,8 +292,10 @@ class _Lines:
             raise self._error('is only a Git LFS pointer; get the file with: git lfs pull')
         if text.lstrip()[:1] == '<':
             raise self._error('is a web page; download the raw file')
-        # Not splitlines(), for which bytes of scripts end lines too.
-        self._lines = re.split('\r\n|\r|\n', text.removesuffix('\n').removesuffix('\r'))
+        # Not splitlines: a letter of a comment may have a byte that is a line end in latin-1.
+        self._lines = re.split('\r\n|\r|\n', text)
+        if not self._lines[-1]:
+            self._lines.pop()
         self._at = 0
         while self._at < len(self._lines) and self._lines[self._at].startswith('//'):
             self._at += 1
