@@ -91,8 +91,12 @@ class Paired:
 
     def sentence(self) -> str:
         """Display text."""
+        change = (
+            f'still {self.after}' if self.after == self.before
+            else f'{self.after} instead of {self.before}'
+        )
         return (
-            f'{self.words}, {self.after} instead of {self.before} of {self.scenes} fresh scenes '
+            f'{self.words}, {change} of {self.scenes} fresh scenes '
             f'are satisfied: {_points(self.difference)} points '
             f'({_points(self.low)} to {_points(self.high)}, p {p_words(self.p)})'
         )

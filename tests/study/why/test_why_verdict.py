@@ -1,6 +1,7 @@
 """The verdict: whose fault, where, how sure, what to do; and that it says no more than is known."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,8 @@ def test_given_an_experiment_without_effect_then_nothing_is_confirmed():
     assert cause.confirmed is False
     sure = judge(evidence(blames=Blames(network=16), causes=(cause,))).sentences[2]
     assert sure.startswith('Not confirmed by an experiment: dry, 10 instead of 9 of 20')
+    same = replace(HELPS_NOT, after=HELPS_NOT.before)
+    assert same.sentence().startswith('dry, still 9 of 20 fresh scenes are satisfied: ')
 
 
 def test_given_no_experiment_then_the_reason_is_said():
