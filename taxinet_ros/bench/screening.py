@@ -213,8 +213,7 @@ def measure_screening(
 
     Args:
         words: samplers, landscapes and networks, of which S_falsif is searched; without samplers
-            :data:`DEFAULT_SAMPLERS`, without
-            landscapes and networks :data:`DEFAULT_LANDSCAPES`.
+            :data:`DEFAULT_SAMPLERS`, without landscapes and networks :data:`DEFAULT_LANDSCAPES`.
         repeats: searches for each line, with the seeds 0, 1, ….
         runs: budget of each search [full runs]; None for the default one.
         progress: called with the number of lines done and their total.

@@ -173,6 +173,23 @@ class DefaultCommand(TyperGroup):
         return super().parse_args(ctx, args)
 
 
+def command_group(help_text: str, cls: type[TyperGroup] = TyperGroup) -> typer.Typer:
+    """A group of commands, which prints its help where no command is named.
+
+    Args:
+        help_text: what its commands are for.
+        cls: how it finds the command that is meant.
+    """
+    group = typer.Typer(cls=cls, rich_markup_mode=None, help=help_text)
+
+    @group.callback(invoke_without_command=True)
+    def show_help(context: typer.Context) -> None:
+        if context.invoked_subcommand is None:
+            print(context.get_help())
+
+    return group
+
+
 def _sections(commands: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
     told = {name for words in SECTIONS.values() for name in words}
     for title, words in (*SECTIONS.items(), ('Others', [*commands.keys() - told])):

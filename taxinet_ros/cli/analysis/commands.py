@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.completion import complete_gain, complete_setting, complete_spec
+from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
     BoundOption,
     CampaignArgument,
@@ -634,18 +635,10 @@ def spec(
     show_specs(formulas, duration_s=duration, settings=settings or (), as_json=as_json)
 
 
-forecast_app = typer.Typer(
-    rich_markup_mode=None, help='Lower bounds on the final robustness of runs in progress.'
-)
+forecast_app = command_group('Lower bounds on the final robustness of runs in progress.')
 _ForecastArgument = Annotated[
     Path, typer.Argument(metavar='FORECAST', help='file made by taxinet forecast calibrate')
 ]
-
-
-@forecast_app.callback(invoke_without_command=True)
-def _forecast(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @forecast_app.command('calibrate')
@@ -731,18 +724,10 @@ def show_forecast(
     )))
 
 
-odd_app = typer.Typer(
-    rich_markup_mode=None, help='Operational design domains (ODD), and what campaigns cover of one.'
-)
+odd_app = command_group('Operational design domains (ODD), and what campaigns cover of one.')
 _OddArgument = Annotated[
     str, typer.Argument(metavar='ODD', help='name of a shipped ODD, or a YAML file (docs/odd.md)')
 ]
-
-
-@odd_app.callback(invoke_without_command=True)
-def _odd(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @odd_app.command('show')
@@ -809,16 +794,9 @@ def export_odd(
     raise typer.Exit(export_odd(odd, out))
 
 
-assure_app = typer.Typer(
-    rich_markup_mode=None,
-    help='Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
+assure_app = command_group(
+    'Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
 )
-
-
-@assure_app.callback(invoke_without_command=True)
-def _assure(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @assure_app.command('calibrate')

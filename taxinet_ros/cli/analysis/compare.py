@@ -38,13 +38,12 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of,
     scenes_of_program,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, record_beside
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import make_atomically, write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
@@ -204,9 +203,8 @@ def _write(found: Compared, out: Path, campaigns: Sequence[Path]) -> None:
     write_atomically(out / JSON_NAME, text + '\n')
     write_report_page(report, out / PAGE_NAME)
     title = f'Comparison of {found.before.label} with {found.after.label}'
-    for record in dict.fromkeys(map(record_beside, campaigns)):
-        if record is not None:
-            add_page(record, out / PAGE_NAME, title)
+    for campaign in campaigns:
+        add_page_beside(campaign, out / PAGE_NAME, title)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from taxinet_ros.analysis.explain.report import explain_json, explain_report
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
-from taxinet_ros.campaign.record.facts import record_beside
+from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
@@ -29,7 +29,6 @@ from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.registry import KMWH
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 
@@ -192,6 +191,7 @@ def _write(found: Explanation, out: Path) -> Path:
     write_atomically(
         out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
     write_report_page(report, out / PAGE_NAME)
-    if (record := record_beside(found.bag)) is not None:
-        add_page(record, out / PAGE_NAME, f'Explanation of {found.run.request.run_id}')
+    add_page_beside(
+        found.bag, out / PAGE_NAME, f'Explanation of {found.run.request.run_id}'
+    )
     return out / PAGE_NAME

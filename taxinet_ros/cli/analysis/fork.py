@@ -24,7 +24,7 @@ from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
 from taxinet_ros.api.run import Run
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
-from taxinet_ros.campaign.record.facts import record_beside
+from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
@@ -32,7 +32,6 @@ from taxinet_ros.core.scenario_fields import BY_KEY, by_key
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 
 _GAIN = 'steering.'
 _MOST_POINTS = 1000
@@ -338,8 +337,9 @@ def _written(
 
 def _link(past: Past, picture: Path, words: str) -> None:
     """Let the pages of the run's campaign link to the picture."""
-    if (record := record_beside(past.recording.path)) is not None:
-        add_page(record, picture, f'Fork of {past.recording.run_id}: {words}')
+    add_page_beside(
+        past.recording.path, picture, f'Fork of {past.recording.run_id}: {words}'
+    )
 
 
 def _ends(interval: Any) -> list[float | None]:

@@ -22,11 +22,10 @@ from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.runs.campaign import GroupRate, distinct_labels, read_runs
 from taxinet_ros.campaign.odd.odd_file import find_odd, read_odd
 from taxinet_ros.campaign.odd.openodd import binding_path, openodd_texts
-from taxinet_ros.campaign.record.facts import record_beside
+from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 
 _WIDTH = 110
 _NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}
@@ -144,8 +143,8 @@ def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
         _print(_console(), found, options)
     if plot is not None:
         write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
-        for record in filter(None, map(record_beside, campaigns)):
-            add_page(record, plot, f'Coverage of ODD {odd.name}')
+        for campaign in campaigns:
+            add_page_beside(campaign, plot, f'Coverage of ODD {odd.name}')
         if not options.as_json:
             print(f'picture: {plot}')
     return ExitCode.OK

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.bag.limits import read_within_limits
+from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import OwnControllerOption, RunOption, refuse_given
 
 BagArgument = Annotated[
@@ -139,9 +140,8 @@ def golden(
     raise typer.Exit(run_golden(folder, update=update))
 
 
-bag_app = typer.Typer(
-    rich_markup_mode=None,
-    help='Inspect, check, repair and export bags. Exit codes: 0 the bag is '
+bag_app = command_group(
+    'Inspect, check, repair and export bags. Exit codes: 0 the bag is '
     'whole, 2 bad input, or nothing in the bag can be read, 3 something in it is lost or wrong, 4 '
     'no disk space for the output.',
 )
@@ -149,12 +149,6 @@ RecordedBagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
 JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
-
-
-@bag_app.callback(invoke_without_command=True)
-def _bag(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @bag_app.command()

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from taxinet_ros.cli.completion import complete_experiment, complete_gain, complete_perception
+from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -407,13 +408,7 @@ def shrink(
     raise typer.Exit(run_shrink(options, run, quiet=quiet))
 
 
-xplane_app = typer.Typer(rich_markup_mode=None, help='X-Plane as camera and as world.')
-
-
-@xplane_app.callback(invoke_without_command=True)
-def _xplane(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
+xplane_app = command_group('X-Plane as camera and as world.')
 
 
 @xplane_app.command('doctor')
@@ -436,13 +431,7 @@ def xplane_doctor(
     raise typer.Exit(run_xplane_doctor(setup))
 
 
-place_app = typer.Typer(rich_markup_mode=None, help='Places where runs take place.')
-
-
-@place_app.callback(invoke_without_command=True)
-def _place(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
+place_app = command_group('Places where runs take place.')
 
 
 @place_app.command('list')
@@ -473,13 +462,7 @@ def show_place(
     show_place(place, out)
 
 
-aircraft_app = typer.Typer(rich_markup_mode=None, help='Aircraft that taxi.')
-
-
-@aircraft_app.callback(invoke_without_command=True)
-def _aircraft(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
+aircraft_app = command_group('Aircraft that taxi.')
 
 
 @aircraft_app.command('list')
@@ -722,15 +705,7 @@ def experiment(
     )
 
 
-flightgear_app = typer.Typer(
-    rich_markup_mode=None, help='FlightGear as a camera: start it, and see whether it works.'
-)
-
-
-@flightgear_app.callback(invoke_without_command=True)
-def _flightgear(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
+flightgear_app = command_group('FlightGear as a camera: start it, and see whether it works.')
 
 
 @flightgear_app.command('start')

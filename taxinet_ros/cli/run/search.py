@@ -42,7 +42,7 @@ from taxinet_ros.campaign.experiment import (
 )
 from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, record_beside
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -368,8 +368,8 @@ def run_shrink(options: ShrinkOptions, run: Path, *, quiet: bool) -> int:
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
     page = options.campaign.out / 'shrink.html'
-    if page.is_file() and (record := record_beside(run)) is not None:
-        add_page(record, page, f'Shrunk run of {options.run.run_id}')
+    if page.is_file():
+        add_page_beside(run, page, f'Shrunk run of {options.run.run_id}')
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.completion import complete_gain
-from taxinet_ros.cli.help import DefaultCommand
+from taxinet_ros.cli.help import DefaultCommand, command_group
 from taxinet_ros.cli.options import (
     AuditOption,
     ClusterOption,
@@ -245,17 +245,11 @@ def tune(
     )))
 
 
-evidence_app = typer.Typer(
-    cls=DefaultCommand, rich_markup_mode=None,
-    help='Write evidence toward a requirement, all by hash, and verify it. '
+evidence_app = command_group(
+    'Write evidence toward a requirement, all by hash, and verify it. '
     'taxinet evidence CAMPAIGN... --out DIR is short for taxinet evidence write CAMPAIGN...',
+    DefaultCommand,
 )
-
-
-@evidence_app.callback(invoke_without_command=True)
-def _evidence(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @evidence_app.command('write')

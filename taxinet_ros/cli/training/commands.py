@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.completion import complete_setting, one_of
+from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
     AircraftOption,
     AirportOption,
@@ -166,10 +167,7 @@ def evaluate(
     )
 
 
-camera_app = typer.Typer(
-    rich_markup_mode=None,
-    help='Render camera frames, and compare them with labelled images.',
-)
+camera_app = command_group('Render camera frames, and compare them with labelled images.')
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -180,10 +178,6 @@ SetOption = Annotated[
         autocompletion=complete_setting,
     ),
 ]
-@camera_app.callback(invoke_without_command=True)
-def _camera(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
 
 
 @camera_app.command('list')
@@ -336,16 +330,7 @@ def compare(
     )
 
 
-network_app = typer.Typer(
-    rich_markup_mode=None,
-    help='Networks of others: convert them, and see what they see.',
-)
-
-
-@network_app.callback(invoke_without_command=True)
-def _network(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        print(context.get_help())
+network_app = command_group('Networks of others: convert them, and see what they see.')
 
 
 @network_app.command('from-nnet')
