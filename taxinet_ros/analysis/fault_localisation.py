@@ -31,6 +31,7 @@ from taxinet_ros.analysis.report.parts import (
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
@@ -181,6 +182,27 @@ def localisation(
     return Localisation(
         spec=spec, specs=specs, perception=perception, failed=failed, runs=runs,
         chosen_by=chosen_by, words=tuple(words), cases=tuple(cases),
+    )
+
+
+def localisation_of(
+    campaign: RecordedCampaign, rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str],
+    perception: str,
+) -> Localisation:
+    """The localisation of a campaign.
+
+    Args:
+        campaign: the campaign.
+        rows: its failed runs that were analysed.
+        trials: their trials.
+        words: requested substitutions, the control first.
+        perception: word or file of the network; of a file its name is shown.
+    """
+    return localisation(
+        rows, trials, words=words, spec=campaign.judging.headline,
+        specs=len(campaign.judging.specs), perception=Path(perception).name,
+        failed=len(campaign.counterexamples), runs=len(campaign.judged),
+        chosen_by=campaign.sampler,
     )
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from taxinet_ros.cli.main import main
 
-for _room in ('analysis', 'core', 'training'):  # the browser; small networks; labelled folders
+# The browser; small networks; planted evidence; labelled folders.
+for _room in ('analysis', 'core', 'study/evidence', 'training'):
     _folder = str(Path(__file__).resolve().parents[1] / _room)
     if _folder not in sys.path:
         sys.path.append(_folder)

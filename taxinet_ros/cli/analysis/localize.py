@@ -11,8 +11,8 @@ from rich.console import Console
 from taxinet_ros.analysis.fault_localisation import (
     JSON_NAME,
     Localisation,
-    localisation,
     localisation_json,
+    localisation_of,
     localisation_report,
     localisation_sentences,
     worst_cases,
@@ -53,11 +53,8 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
             options, lambda done: show('trials', done, options.wanted), lambda: bool(asked)
         )
     campaign = options.campaign
-    found = localisation(
-        options.rows, trials, words=options.words, spec=campaign.judging.headline,
-        specs=len(campaign.judging.specs), perception=Path(options.perception).name,
-        failed=len(campaign.counterexamples), runs=len(campaign.judged),
-        chosen_by=campaign.sampler,
+    found = localisation_of(
+        campaign, options.rows, trials, words=options.words, perception=options.perception
     )
     unfinished = len(trials) < options.wanted
     written = _write(found, campaign, options.out)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from taxinet_ros.analysis.odd.coverage import coverage_json
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.mtl.specs import SIGNALS, parse_spec
@@ -342,7 +343,7 @@ def _system(system: SystemFacts, claim: float | None) -> dict[str, Any]:
         'timing': facts.get('timing', ''),
         'campaigns': [name for name, _ in system.campaigns],
         'figures': figures.counts_json(system.inputs, specs),
-        'odd': None if system.coverage is None else figures.domain_json(system.coverage),
+        'odd': None if system.coverage is None else coverage_json(system.coverage),
         'claim': None if verdict is None else {
             'target': claim, 'formula': system.spec, 'verdict': verdict[0].value,
             'why': verdict[1],
@@ -675,5 +676,5 @@ def _data_part(system: SystemFacts) -> Part:
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Text of ``evidence.json``: sorted keys, and a checksum of itself at its end."""
-    return sealed_text(json.loads(json.dumps(content, sort_keys=True, allow_nan=False)))
+    """Text of ``evidence.json``, whose keys are sorted, with a checksum of itself at its end."""
+    return sealed_text(content)

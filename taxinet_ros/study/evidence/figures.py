@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.analysis.fault_localisation import Blame, localisation_json
-from taxinet_ros.analysis.odd.coverage import OddCoverage, coverage_json, odd_coverage
+from taxinet_ros.analysis.odd.coverage import OddCoverage, odd_coverage
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign.odd.odd_file import Odd
 from taxinet_ros.campaign.rates import (
@@ -173,14 +173,11 @@ def infra_json(campaigns: Sequence[CampaignInput]) -> dict[str, Any]:
     anytime = len(campaigns) > 1 or any(
         rate_of(one.rows, lambda row: True, one.planned).anytime for one in campaigns
     )
-    known = rate(sum(drawn), len(drawn), anytime=anytime) if drawn else None
-    return {
-        'runs': len([row for row in rows if row.outcome.judged]) + len(broken),
-        'hits': len(broken), 'drawn': len(drawn), 'drawn_hits': sum(drawn), 'any_time': anytime,
-        'rate': known.rate if known else None, 'low': known.low if known else None,
-        'high': known.high if known else None,
-        'kinds': count_kinds(row.kind for row in broken if row.kind),
-    }
+    found = ProgramRate(
+        runs=sum(row.outcome.judged for row in rows) + len(broken), hits=len(broken),
+        drawn=len(drawn), drawn_hits=sum(drawn), anytime=anytime,
+    )
+    return share_json(found) | {'kinds': count_kinds(row.kind for row in broken if row.kind)}
 
 
 def rho_json(campaigns: Sequence[CampaignInput], spec: str) -> dict[str, Any]:
@@ -259,11 +256,6 @@ def domain_of(
         replace(read_runs(one.folder, spec), label=one.name) for one in campaigns
     ]
     return odd_coverage(odd, runs, limit=limit)
-
-
-def domain_json(found: OddCoverage) -> dict[str, Any]:
-    """The coverage for JSON."""
-    return coverage_json(found)
 
 
 def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
-from taxinet_ros.analysis.fault_localisation import localisation, localisation_json
+from taxinet_ros.analysis.fault_localisation import localisation_json, localisation_of
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.campaign.options import check_new, make_out
@@ -128,12 +128,8 @@ def _localize(
     trials = localize(
         options, lambda done: on_progress('trials', done, options.wanted), lambda: False
     )
-    campaign = options.campaign
-    found = localisation(
-        options.rows, trials, words=options.words, spec=campaign.judging.headline,
-        specs=len(campaign.judging.specs), perception=Path(options.perception).name,
-        failed=len(campaign.counterexamples), runs=len(campaign.judged),
-        chosen_by=campaign.sampler,
+    found = localisation_of(
+        options.campaign, options.rows, trials, words=options.words, perception=options.perception
     )
     write_sealed(out / LOCALISE_NAME, localisation_json(found), (), [out / TRIALS_NAME])
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
-from taxinet_ros.analysis.fault_localisation import Localisation, localisation
+from taxinet_ros.analysis.fault_localisation import Localisation, localisation_of
 from taxinet_ros.bag.store import stored_bag
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
@@ -503,20 +503,13 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Local
     return LocalisationInput(
         folder=folder, campaign=found[0],
         files={one.name: file_sha256(one) for one in (summary, path)},
-        found=localisation(
-            [row for row in campaign.counterexamples if row.run_id in runs],
+        found=localisation_of(
+            campaign, [row for row in campaign.counterexamples if row.run_id in runs],
             {(trial.run_id, trial.word): trial for trial in trials},
-            words=tuple(dict.fromkeys((AS_RECORDED, *words))), spec=campaign.judging.headline,
-            specs=len(campaign.judging.specs), perception=Path(str(facts_word(campaign))).name,
-            failed=len(campaign.counterexamples), runs=len(campaign.judged),
-            chosen_by=campaign.sampler,
+            words=tuple(dict.fromkeys((AS_RECORDED, *words))),
+            perception=str(campaign.facts['perception']),
         ),
     )
-
-
-def facts_word(campaign: RecordedCampaign) -> str:
-    """Word or file of the perception of a campaign."""
-    return str(campaign.facts['perception'])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from taxinet_ros.core.provenance import words
 from taxinet_ros.study.evidence.argument import Argument, Kind
 from taxinet_ros.study.evidence.document import Collected
 from taxinet_ros.study.evidence.drawing import argument_svg, drawing_size
-from taxinet_ros.study.evidence.figures import interval_words, percent
+from taxinet_ros.study.evidence.figures import QUANTILES, interval_words, percent
 from taxinet_ros.study.evidence.limits import SystemFacts
 
 _CHAIN = (
@@ -264,16 +264,12 @@ def _cells(share: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def _rho_table(name: str, sources: Sequence[tuple[str, Mapping[str, Any]]]) -> Table:
-    shares = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
-    rows = tuple(
-        (
-            campaign, formula['formula'], formula['rho']['runs'],
-            *(
-                {one['share']: one['rho'] for one in formula['rho']['quantiles']}.get(share)
-                for share in shares
-            ),
-        ) for campaign, found in sources for formula in found['formulas']
-    )
+    rows: list[tuple[Cell, ...]] = []
+    for campaign, found in sources:
+        for formula in found['formulas']:
+            rho = formula['rho']
+            known = {one['share']: one['rho'] for one in rho['quantiles']}
+            rows.append((campaign, formula['formula'], rho['runs'], *map(known.get, QUANTILES)))
     titles = ('least', '5 %', '25 %', 'median', '75 %', '95 %', 'largest')
     return Table(
         name=f'{name}-rho', title='Robustness',
@@ -283,10 +279,10 @@ def _rho_table(name: str, sources: Sequence[tuple[str, Mapping[str, Any]]]) -> T
             Column(name='runs', title='runs'),
             *(
                 Column(name=f'rho_{round(100 * share)}', title=title, decimals=3)
-                for share, title in zip(shares, titles, strict=True)
+                for share, title in zip(QUANTILES, titles, strict=True)
             ),
         ),
-        rows=rows,
+        rows=tuple(rows),
     )
 
 

@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
-
-_FOLDER = str(Path(__file__).resolve().parents[2] / 'study' / 'evidence')
-if _FOLDER not in sys.path:
-    sys.path.append(_FOLDER)
-
-from planted_evidence import FAIL, PASS, planted  # noqa: E402
+from planted_evidence import FAIL, PASS, planted
 
 
 @pytest.mark.parametrize(('outcomes', 'claim', 'code'), [
