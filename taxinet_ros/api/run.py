@@ -369,8 +369,9 @@ def run(
         The run with its trace, robustness and outcome.
 
     Warns:
-        UserWarning: a requirement is likely mistaken, the run violated an assumed bound or rate, or
-            the perception needs no picture and so cannot notice faults of the camera.
+        UserWarning: a requirement is likely mistaken, the run violated an assumed bound or rate,
+            the perception needs no picture and so cannot notice faults of the camera, or the
+            controller's monitor is calibrated for another perception.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
@@ -390,7 +391,8 @@ def run(
     gains = hands.gains if isinstance(hands, SteeringLaw) else None
     check_others(asked, scenario)
     unseen = [] if eyes.needs_image else unseen_faults(scenario)
-    for line in (*check_specs(asked, scenario, gains).warnings, *unseen):
+    strange = hands.doubts(eyes) if isinstance(hands, Assured) else []
+    for line in (*check_specs(asked, scenario, gains).warnings, *unseen, *strange):
         warnings.warn(line, stacklevel=CALLER)
     done = drive(scenario, eyes, hands, judging=judging, timing=timing, world=chosen)
     broken = (step for step in done.steps if not all(reading.trusted for reading in step.readings))

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
+from taxinet_ros.core.assurance.monitor import monitor_doubts
 from taxinet_ros.core.assurance.switch import check_controller, parts_of
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.motion.aircraft import checked_aircraft
@@ -229,7 +230,11 @@ class CampaignOptions:
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []
         again = find_world(self.world).again_words
         told = [f'{again}, so every frame is recorded'] if again and self.bags else []
-        return dataclasses.replace(found, warnings=(*found.warnings, *doubts, *unseen, *told))
+        parts = None if self.standing_graph else parts_of(self.controller)
+        strange = [] if parts is None else monitor_doubts(parts.monitor, self.perception)
+        return dataclasses.replace(
+            found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told)
+        )
 
     @property
     def standing_graph(self) -> bool:

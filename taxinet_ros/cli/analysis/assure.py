@@ -17,7 +17,12 @@ from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.assurance.monitor import SUSTAINED, make_monitor, monitor_names
+from taxinet_ros.core.assurance.monitor import (
+    SUSTAINED,
+    make_monitor,
+    monitor_doubts,
+    monitor_names,
+)
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.errors import ExitCode, UsageError
@@ -66,6 +71,8 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     Raises:
         UsageError: bad input.
     """
+    for warning in monitor_doubts(options.monitor, options.perception):
+        Console(stderr=True).print(warning, soft_wrap=True, markup=False, highlight=False)
     with stage_bars(Console(stderr=True)) as show:
         judged = judge(options, show)
     if as_json:

@@ -39,7 +39,7 @@ from taxinet_ros.core.assurance.checks import (
     Usual,
     features,
 )
-from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import RunCode, UserCode, find_user_code, names_user_code
@@ -132,6 +132,22 @@ class Calibration:
     rate: float
     thresholds: Mapping[str, float]
     fitted: Fitted
+
+    def doubts(self, monitor: str, perception: str, sha256: str) -> list[str]:
+        """A warning if it watches another perception than its own, whose errors it does not know.
+
+        Args:
+            monitor: word of the monitor.
+            perception: word of the perception that it watches.
+            sha256: its fingerprint.
+        """
+        if sha256 == self.perception_sha256:
+            return []
+        return [
+            f'monitor {monitor} is calibrated for {self.perception}, and watches {perception}, '
+            'whose usual errors it does not know: it may give alarms often, or never; calibrate '
+            f'one: taxinet assure calibrate PROGRAM --perception {perception}'
+        ]
 
     def to_bytes(self) -> bytes:
         """Content of a calibration file; equal calibrations give equal bytes."""
@@ -381,6 +397,23 @@ def check_monitor(word: str) -> str:
     if names_user_code(word):
         return find_user_code(word, 'monitor').sha256
     return read_calibration(_calibration_path(word))[1]
+
+
+def monitor_doubts(word: str, perception: str) -> list[str]:
+    """Warnings on a monitor that watches a perception (:meth:`Calibration.doubts`).
+
+    Args:
+        word: as for :func:`make_monitor`.
+        perception: word or file; a node tells only later what it is, so there is no warning.
+
+    Raises:
+        UsageError: as :func:`check_monitor` and :func:`.check_perception`.
+    """
+    if names_user_code(word):
+        return []
+    calibration, _ = read_calibration(_calibration_path(word))
+    sha256 = check_perception(perception, graph=True)
+    return calibration.doubts(word, perception, sha256) if sha256 else []
 
 
 def _calibration_path(word: str) -> Path:

@@ -19,7 +19,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, check_monitor, make_monitor
+from taxinet_ros.core.assurance.monitor import (
+    CalibratedMonitor,
+    RuntimeMonitor,
+    Seen,
+    check_monitor,
+    make_monitor,
+)
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
 from taxinet_ros.core.motion import controller as plain
 from taxinet_ros.core.motion.controller import STEERING, STOP, Controller, SteeringGains
@@ -181,6 +187,15 @@ class Assured(Controller):
         self._monitor.begin(scenario)
         if self._second is not None:
             self._second.begin()
+
+    def doubts(self, perception: Perception) -> list[str]:
+        """Warnings on its monitor with a perception (:meth:`.Calibration.doubts`)."""
+        watching = self._monitor
+        if not isinstance(watching, CalibratedMonitor):
+            return []
+        return watching.calibration.doubts(
+            watching.word, perception.word, perception.fingerprint
+        )
 
     def see(self, image: NDArray[np.uint8]) -> None:
         """Take the frame of the next estimate."""

@@ -159,10 +159,7 @@ def _of_system(system: SystemFacts) -> Iterator[Limit]:
                     f'stopped before {system.spec} was decided. They have no verdict on it, and '
                     'which they are depends on their results.')
     if len(system.campaigns) > 1:
-        yield Limit('pooled', name, f'The runs of {len(system.campaigns)} campaigns '
-                    'of equal program, formula, network, controller and world are also added up. '
-                    'That interval is the one valid at any time, since whether to run another '
-                    'campaign may have depended on the results so far.')
+        yield from _of_adding(system)
     if system.coverage is None:
         yield Limit('no-odd', name, 'No operational design domain was given '
                     '(--odd), so nothing is said about conditions that were not run.')
@@ -188,6 +185,17 @@ def _of_system(system: SystemFacts) -> Iterator[Limit]:
         yield Limit('monitor-program', name, 'The table of the run-time monitor '
                     f'names its program by the word {program} only, not by a hash{also}. Its '
                     f'{one.judged.runs:,} scenes were drawn with seed {one.options.get("seed")}.')
+
+
+def _of_adding(system: SystemFacts) -> Iterator[Limit]:
+    yield Limit('pooled', system.name, f'The runs of {len(system.campaigns)} campaigns '
+                'of equal program, formula, network, controller and world are also added up. '
+                'That interval is the one valid at any time, since whether to run another '
+                'campaign may have depended on the results so far.')
+    stacks = [stack for one in system.inputs for stack in recorded_stacks(one.facts).values()]
+    if differ := differences(*stacks):
+        yield Limit('pooled-stacks', system.name, 'The campaigns added up were made on several '
+                    f'machines or versions: {differ}.')
 
 
 def _of_world(system: SystemFacts) -> Iterator[Limit]:

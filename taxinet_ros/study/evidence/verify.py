@@ -162,6 +162,8 @@ def verify(
     _compare(kept.content, again, options, found)
     if options.sample:
         _drive_again(again, options, found, on_progress)
+    else:
+        found.notes.append('no run was driven again, as asked by --sample 0')
     return found
 
 

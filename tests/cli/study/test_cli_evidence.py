@@ -40,6 +40,7 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
     taxinet('evidence', 'found', '--out', 'evidence')
     code, out, err = taxinet('evidence', 'verify', 'evidence', '--sample', '0')
     assert (code, err) == (0, '')
+    assert 'note    no run was driven again, as asked by --sample 0' in out
     assert out.rstrip().endswith('all holds')
     code, out, _ = taxinet('evidence', 'verify', 'evidence', '--json')
     assert code == 3  # without bags no run can be driven again

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from taxinet_ros.core.assurance.monitor import RuntimeMonitor
+import taxinet_ros as tx
+from taxinet_ros.core.assurance.monitor import RuntimeMonitor, monitor_doubts
 from taxinet_ros.core.assurance.switch import (
     SLOW_MPS,
     Assured,
@@ -129,6 +130,20 @@ def test_given_a_function_of_a_file_then_it_is_a_monitor_whose_file_is_in_the_ha
     before = switch.fingerprint
     mine.write_text(mine.read_text() + '\n')
     assert check_controller(word) != before
+
+
+def test_given_a_monitor_of_another_perception_then_it_is_said_and_who_cannot_be_known_is_not(mine):
+    said = (
+        'monitor original is calibrated for original, and watches taxinet, whose usual errors it '
+        'does not know: it may give alarms often, or never; calibrate one: taxinet assure '
+        'calibrate PROGRAM --perception taxinet'
+    )
+    assert monitor_doubts('original', 'taxinet') == [said]
+    assert monitor_doubts('original', 'original') == []
+    assert monitor_doubts('original', 'external') == []
+    assert monitor_doubts(f'{mine}:often', 'taxinet') == []
+    with pytest.warns(UserWarning, match='is calibrated for original, and watches truth, whose'):
+        tx.run(tx.Scenario(duration_s=0.5), controller='steering+original+watch')
 
 
 def test_given_a_monitor_that_returns_no_number_then_the_run_ends_with_its_line(mine):
