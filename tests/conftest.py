@@ -8,7 +8,7 @@ import signal
 
 import psutil
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 import taxinet_ros  # noqa: F401 (before numpy, which it restricts)
 
@@ -24,8 +24,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # How long an example takes is the machine's affair; pytest's timeout ends what hangs. Examples are
 # the same each time, so that a change is judged by itself; --hypothesis-profile=search draws
 # others.
-settings.register_profile('same', deadline=None, derandomize=True)
-settings.register_profile('search', deadline=None)
+TIMELESS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile('same', TIMELESS, derandomize=True)
+settings.register_profile('search', TIMELESS)
 settings.load_profile('same')
 
 

@@ -76,7 +76,9 @@ PARTITIONS = [*map(all_of, range(1, 8)), ['1/2', '2/4', '4/4'], ['3/3', '1/6', '
 
 
 @settings(
-    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=5, deadline=None, suppress_health_check=[
+        HealthCheck.too_slow, HealthCheck.function_scoped_fixture,
+    ],
 )
 @given(
     sampler=st.sampled_from([*((name, {}) for name in BY_INDEX), ('halton', {'floor': '0.3'}),

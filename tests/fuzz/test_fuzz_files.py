@@ -105,7 +105,9 @@ def readers(tmp_path_factory) -> dict[str, tuple[list[Any], Callable[[bytes], ob
 
 @pytest.mark.parametrize('name', STRUCTURED)
 @given(data=st.data())
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[
+    HealthCheck.too_slow, HealthCheck.function_scoped_fixture,
+])
 def test_given_a_value_of_another_kind_anywhere_when_read_then_one_line_or_a_result(
     name: str, readers: dict[str, Any], data: st.DataObject
 ) -> None:

@@ -161,7 +161,7 @@ def test_given_an_estimate_of_a_frame_to_come_then_the_perception_is_named(tmp_p
 
 @pytest.mark.parametrize('topic', [ESTIMATE, COMMAND], ids=lambda topic: topic.publishers[0])
 def test_given_an_answer_that_is_left_out_then_the_watchdog_names_who_owes_it(topic, tmp_path):
-    result = tampered_run(tmp_path, topic, only_at(STEP), answer_timeout=1.0)
+    result = tampered_run(tmp_path, topic, only_at(STEP), answer_timeout=5.0)
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'timeout')
     assert (result.who, result.last_seq) == (topic.publishers[0], STEP)
 

@@ -140,7 +140,7 @@ def test_given_a_run_that_broke_and_a_recorder_that_hangs_then_the_first_cause_i
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(Recorder, '_end', lambda *_: None)
-    with remapped_graph(tmp_path, {}, answer_timeout=2.0) as (graph, _nodes):
+    with remapped_graph(tmp_path, {}, answer_timeout=5.0) as (graph, _nodes):
         tamper(graph, COMMAND, lambda step, message: [changed(message, speed=-1.0)])
         (result,) = run(graph, request(duration=1.0))
     assert (result.kind, result.who) == (InfraKind.PROTOCOL, STEERING_CONTROLLER), result

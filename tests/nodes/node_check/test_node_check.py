@@ -232,7 +232,7 @@ def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, capf
     with pytest.raises(UsageError, match='breaks: starts'):
         run_check(
             str(program), role='controller', external=False, domain=None, frames=8,
-            patience_s=1.0, log=tmp_path / 'node.log', as_json=False,
+            patience_s=60.0, log=tmp_path / 'node.log', as_json=False,
         )
     assert 'exit code 3: out of paint' in capfd.readouterr().out
     assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
