@@ -85,7 +85,6 @@ def missing_line(shown: str, printed: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.timeout(3600)  # seconds of work, beside whatever else the machine does
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_given_a_tutorial_when_followed_then_every_command_does_as_the_page_says(page, tmp_path):
     printed = ''

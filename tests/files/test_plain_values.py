@@ -61,3 +61,18 @@ def test_given_yaml_of_a_bag_then_a_key_twice_is_read_and_a_merge_key_is_not() -
     assert load_yaml('a: 1\na: 2') == {'a': 2}
     with pytest.raises(ValueError, match='not YAML of plain values'):
         load_yaml('b: &b {a: 1}\nc: {<<: *b}')
+
+
+@pytest.mark.parametrize('text', ['- ' * 200_000 + 'x', '? ' * 200_000 + 'x', '[' * 200_000,
+                                  ''.join(f'{" " * at}a:\n' for at in range(200))])
+def test_given_yaml_of_a_bag_that_is_nested_too_deeply_then_it_is_refused_at_once(
+    text: str
+) -> None:
+    with pytest.raises(ValueError, match='not YAML of plain values'):
+        load_yaml(text)
+
+
+def test_given_yaml_of_a_bag_when_aliases_are_not_allowed_then_it_is_refused() -> None:
+    assert load_yaml('a: &one [1]\nb: *one') == {'a': [1], 'b': [1]}
+    with pytest.raises(ValueError, match='not YAML of plain values'):
+        load_yaml('a: &one [1]\nb: *one', aliases=False)

@@ -18,7 +18,7 @@ MUTANTS = {'onnx': 150, 'table': 60, 'parameters': 60}
 
 
 @pytest.mark.parametrize('target', MUTANTS)
-@pytest.mark.timeout(900 * ROUNDS)
+@pytest.mark.timeout(3600 * ROUNDS)
 def test_given_mutants_when_read_in_a_process_then_it_lives_and_says_one_line_about_each(
     target: str, tmp_path: Path
 ) -> None:

@@ -72,7 +72,7 @@ def test_given_a_hostile_program_when_drawn_then_it_is_refused_in_one_line(
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.timeout(900 * ROUNDS)
+@pytest.mark.timeout(3600 * ROUNDS)
 def test_given_mutants_of_the_shipped_programs_when_drawn_then_refused_in_one_line_or_drawn(
     source: SceneSource, tmp_path: Path
 ) -> None:

@@ -51,7 +51,7 @@ def rows(count: int) -> list[RunRow]:
 
 def asked(address: str, path: str | None = None, **headers: str) -> tuple[int, bytes]:
     parts = urlsplit(address)
-    connection = http.client.HTTPConnection(parts.netloc, timeout=60)
+    connection = http.client.HTTPConnection(parts.netloc)
     try:
         connection.request('GET', parts.path if path is None else path, headers=headers)
         answer = connection.getresponse()

@@ -32,7 +32,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.running.domain import own_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 CTRL_C = b'\x03'
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')

@@ -32,12 +32,12 @@ def sim() -> Iterator[FakeXPlane]:
 
 
 def udp(sim: FakeXPlane, **more: float) -> NativeUdp:
-    return sim.client(NativeUdp('127.0.0.1', sim.native_port, **{'timeout_s': 5.0, **more}))
+    return sim.client(NativeUdp('127.0.0.1', sim.native_port, **{'timeout_s': 30.0, **more}))
 
 
 def plugin(sim: FakeXPlane, **more: float) -> XPlaneConnect:
     return sim.client(
-        XPlaneConnect('127.0.0.1', sim.connect_port, **{'timeout_s': 5.0, **more})
+        XPlaneConnect('127.0.0.1', sim.connect_port, **{'timeout_s': 30.0, **more})
     )
 
 
@@ -114,7 +114,7 @@ def test_a_late_packet_answers_no_later_question(sim, make):
     with pytest.raises(InfraError):
         link.read(RAIN)
     sim.values[RAIN] = 0.75
-    link._timeout_s = 5.0
+    link._timeout_s = 30.0
     assert link.read(RAIN) == [0.75]
 
 

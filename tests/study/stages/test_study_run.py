@@ -269,7 +269,7 @@ def test_f9_given_a_study_whose_folder_is_moved_then_it_ends_with_one_line(finis
         assert study.stdout.readline() == 'waiting\n'
         out.rename(tmp_path / 'moved')
         study.send_signal(signal.SIGINT)
-        _, complaints = study.communicate(timeout=60)
+        _, complaints = study.communicate()
     assert f'RecordError: {out}/stages.jsonl: was moved, deleted or replaced' in complaints
     assert not out.exists()
     (tmp_path / 'moved' / 'wait.txt').unlink()
