@@ -105,6 +105,16 @@ def stored_bag(folder: Path) -> StoredBag | None:
         raise UsageError(f'{path}: damaged ({error})') from error
 
 
+def is_elsewhere(folder: Path) -> bool:
+    """Whether files of a run's folder are in a store alone.
+
+    Raises:
+        UsageError: its record is damaged.
+    """
+    stored = stored_bag(folder)
+    return stored is not None and not all((folder / name).exists() for name in stored.files)
+
+
 def store_bag(folder: Path, url: str, *, keep: bool = False) -> bool:
     """Upload a bag, verify it there, and remove the files here.
 

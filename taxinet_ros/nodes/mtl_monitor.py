@@ -71,8 +71,7 @@ class MtlMonitor(Participant):
         self._stop_on = StopOn.NEVER
         for topic in _INPUTS:
             self.listen(topic, functools.partial(self._collect, topic.name))
-        topic = interface.TIMING
-        self.create_subscription(topic.type, topic.name, self._guarded(self._settle), topic.qos)
+        self.listen(interface.TIMING, self._settle)
 
     def prepare(self, scenario: Scenario) -> None:
         """Create a new monitor for every formula of the run."""

@@ -214,10 +214,10 @@ class Recorder(Participant):
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
         self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
-        for topic, hear in (
-            (interface.OBITUARY, self._on_death_notice), (interface.TIMING, self._on_timing),
-        ):
-            self.create_subscription(topic.type, topic.name, self._guarded(hear), topic.qos)
+        self.listen(interface.TIMING, self._on_timing)
+        topic = interface.OBITUARY
+        told = self._guarded(self._on_death_notice)
+        self.create_subscription(topic.type, topic.name, told, topic.qos)
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
@@ -230,7 +230,7 @@ class Recorder(Participant):
         self.clear()
         self._ended = None
         self._written = 0
-        self._head_complete = False
+        self._head_complete = self._free = False
         self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
@@ -252,7 +252,7 @@ class Recorder(Participant):
         self._steps = StepCollector(self._expected)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
-        self._free = False
+        self._timed = False
         self._account: FreeRunAccount | None = None
         self._arrived = {
             topic.name: -1 for topic in (*self._stepped, interface.TIMING)
@@ -349,7 +349,8 @@ class Recorder(Participant):
         """In a free run frames may have no answer, and time does not wait for the recorder."""
         if self._writer is None or timing.run_id != self.run_id:
             return
-        self._free = True
+        self._timed = True
+        self._check_timed()
         if timing.ended:
             self._account = account_of(timing)
             self._finish_if_whole()
@@ -362,6 +363,14 @@ class Recorder(Participant):
         self._arrived[interface.TIMING.name] = timing.seq
         self._write_steps()
         self._report_free()
+
+    def _check_timed(self) -> None:
+        """Refuse timing in a lockstep run; the simulator's READY tells which kind this one is."""
+        if self._head_complete and self._timed and not self._free:
+            topic = interface.TIMING.name
+            raise InfraError(
+                InfraKind.INTRUDER, UNKNOWN, -1, f'{topic} was published in a lockstep run'
+            )
 
     def _report_free(self) -> None:
         now = max(self._written - 1, 0), max(min(self._arrived.values()), 0)
@@ -447,10 +456,11 @@ class Recorder(Participant):
         for node, cdr in sorted(self._ready_for(self.run_id).items()):
             if node == interface.SIMULATOR:
                 told = deserialize_message(cdr, NodeStatus)
-                self._free |= is_free(told.implementation)
+                self._free = is_free(told.implementation)
                 if not (told.implementation or told.detail):
                     continue  # Default timing in the shipped world: nothing to record.
             self._write(interface.NODE_STATUS, cdr, 0)
+        self._check_timed()
         camera = scenario_of(self._scenario_message).camera_model
         self._write(interface.TF_STATIC, camera_transform(camera), 0)
 

@@ -260,7 +260,9 @@ class Cluster:
                 logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
         if self._where.startswith(LOCAL):
             # Threads of this process: no port by which others of this machine could run programs.
+            scratch = self._left.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-dask-'))
             self._local = distributed.LocalCluster(
+                local_directory=scratch,
                 n_workers=int(self._where.removeprefix(LOCAL)), threads_per_worker=1,
                 processes=False, protocol='inproc://', dashboard_address='127.0.0.1:0',
                 worker_dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL + 1,

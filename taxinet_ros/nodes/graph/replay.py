@@ -81,9 +81,10 @@ class Player(Node):
         self.finished = Future(executor=executor)
         self._seq, self._ready, self._asked = -1, False, False
         self._heard_at = time.monotonic()
+        heard = [interface.TIMING] if target in interface.TIMING.subscribers else []
         self._speakers = {
             topic.name: self.create_publisher(topic.type, topic.name, topic.qos)
-            for topic in (interface.SCENARIO, *speaks)
+            for topic in (interface.SCENARIO, *heard, *speaks)
         }
         self._listeners = [
             self.create_subscription(

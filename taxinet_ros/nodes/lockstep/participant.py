@@ -116,10 +116,16 @@ class Participant(Node):
             state=state,
             seq=seq,
             detail=detail,
-            listens=[heard.topic.name for heard in self._listeners] if ready else [],
+            listens=self._declared() if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
         ))
+
+    def _declared(self) -> list[str]:
+        """Topics it declares; the simulator knows who must hear of a free run's timing."""
+        return [
+            heard.topic.name for heard in self._listeners if heard.topic is not interface.TIMING
+        ]
 
     def progress(self, seq: int, stamp_ns: int) -> bytes:
         """Serialised status for progress up to control step ``seq``."""

@@ -99,6 +99,8 @@ def declare(node: Node, parameter: Parameter) -> Any:
         span_text = f'; allowed: {parameter.allowed}' if parameter.limits else ''
         reason = ' '.join(str(error).split())
         raise UsageError(f'{where}: {reason}{span_text}') from error
+    if value is None and isinstance(parameter.default, list):
+        value = []  # an empty list has no type, so rclpy takes it for no value
     if parameter.words and value not in parameter.words:
         raise UsageError(f'{where}: {value!r} is unknown; known: {parameter.allowed}')
     return value
