@@ -7,8 +7,10 @@ beside goes on after its alarm, so the same runs tell what other thresholds woul
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
+import hashlib
 import io
 import json
 import math
@@ -42,8 +44,9 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.atomic import sync_folder, write_atomically
+from taxinet_ros.files.journal import Journal, damaged_line, open_journal
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.study.assurance.calibrate import REQUIREMENT
 from taxinet_ros.training.data.dataset import draw_scenes
@@ -53,6 +56,8 @@ WITHOUT = 'without'
 REACH_S = 10.0
 """Time within which the requirement lets the aircraft reach the line."""
 TRIALS_NAME, ALARMS_NAME, RESULT_NAME = 'trials.csv', 'alarms.csv', 'assurance.json'
+SCENES_NAME = 'scenes.jsonl'
+"""Journal of the scenes that are done; the same command goes on after them."""
 FACTORS = tuple(2.0 ** (half / 2) for half in range(-5, 7))
 """Multiples of all thresholds for which the first alarm is noted too."""
 BRAKING_S = 2.0
@@ -74,10 +79,10 @@ class JudgeOptions:
         runs: number of scenes.
         seed: of the scenes.
         workers: processes; same results.
-        out: new folder.
+        out: new folder, or one of an earlier judgement.
 
     Raises:
-        UsageError: a word is unknown, or the folder exists.
+        UsageError: a word is unknown, or the folder has something else.
     """
 
     program: str
@@ -99,7 +104,14 @@ class JudgeOptions:
             )
         for word in self.words.values():
             check_controller(word)
-        check_new(self.out)
+        if not (self.out / SCENES_NAME).is_file():
+            check_new(self.out)
+
+    @property
+    def fingerprints(self) -> Mapping[str, str]:
+        """Fingerprints of the perception, and of the controllers by fallback."""
+        controllers = {name: check_controller(word) for name, word in self.words.items()}
+        return {**controllers, 'perception': check_perception(self.perception)}
 
     @property
     def words(self) -> Mapping[str, str]:
@@ -250,6 +262,29 @@ class Driven:
 
     trials: tuple[Trial, ...]
     alarms_s: Floats
+
+    def plain(self) -> dict[str, Any]:
+        """Its values for JSON; null is NaN."""
+        found: dict[str, Any] = _finite({
+            'trials': [dataclasses.asdict(one) for one in self.trials],
+            'alarms_s': self.alarms_s.tolist(),
+        })
+        return found
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> Driven:
+        """From the values of :meth:`plain`.
+
+        Raises:
+            LookupError, TypeError, ValueError: they are others.
+        """
+        kinds = {field.name: field.type for field in dataclasses.fields(Trial)}
+        trials = tuple(Trial(**{
+            name: math.nan if value is None and kinds[name] == 'float' else value
+            for name, value in trial.items()
+        }) for trial in values['trials'])
+        times = [math.nan if time_s is None else float(time_s) for time_s in values['alarms_s']]
+        return cls(trials=trials, alarms_s=np.array(times))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -480,34 +515,88 @@ def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def judge(options: JudgeOptions, progress: Progress) -> Judged:
-    """Make all runs and write their table and the summary.
+    """Make all runs that are not made yet, and write their table and the summary.
 
     Args:
         options: what to judge.
         progress: called with the stage, the scenes done and their number.
 
     Raises:
-        UsageError: the perception sees no pictures, or the program cannot be used.
+        UsageError: the perception sees no pictures, the program cannot be used, or the folder has
+            runs of other options.
         InfraError: a run broke.
+        RecordError: the folder was moved, deleted or replaced.
     """
     if not make_perception(options.perception).needs_image:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
     scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
     make_out(options.out)
-    driven: list[Driven] = []
-    for found in _runs(options, scenes):
-        driven.append(found)
-        progress('scenes', len(driven), len(scenes))
+    driven = _drive(options, scenes, progress)
     trials = [trial for one in driven for trial in one.trials]
     trade = trade_of([one.trials[0] for one in driven], [one.alarms_s for one in driven])
     judged = dataclasses.replace(summarize(trials), trade=trade)
     write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
     write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
-    write_atomically(
-        options.out / RESULT_NAME,
-        json.dumps(plain_result(options, judged), indent=2, allow_nan=False) + '\n',
+    write_sealed(
+        options.out / RESULT_NAME, plain_result(options, judged),
+        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME)],
     )
     return judged
+
+
+def _drive(
+    options: JudgeOptions, scenes: Sequence[Scenario], progress: Progress
+) -> list[Driven]:
+    """Runs of all scenes; those in the journal are taken from it."""
+    path = options.out / SCENES_NAME
+    journal = open_journal(path, 'taxinet assure judge')
+    with contextlib.closing(journal):
+        sync_folder(options.out)
+        known = _earlier(options, path, journal)
+        keys = [_key(scene) for scene in scenes]
+        missing = [number for number, key in enumerate(keys) if (number, key) not in known]
+        made = len(scenes) - len(missing)
+        found = _runs(options, [(number, scenes[number]) for number in missing])
+        for number, driven in zip(missing, found, strict=True):
+            known[number, keys[number]] = driven
+            journal.append({
+                'event': 'scene', 'scene': number, 'scenario': keys[number], **driven.plain()
+            })
+            journal.sync()
+            made += 1
+            progress('scenes', made, len(scenes))
+        journal.check_in_place()
+    return [known[number, key] for number, key in enumerate(keys)]
+
+
+def _earlier(
+    options: JudgeOptions, path: Path, journal: Journal
+) -> dict[tuple[int, str], Driven]:
+    """Scenes of earlier sittings, by number and key."""
+    settings = {
+        'event': 'settings', 'requirement': REQUIREMENT, 'fingerprints': dict(options.fingerprints),
+        'monitor': options.monitor, 'fallbacks': list(options.fallbacks),
+    }
+    if not journal.events:
+        journal.append(settings)
+        journal.sync()
+        return {}
+    if journal.events[0] != settings:
+        raise UsageError(
+            f'--out {options.out}: has runs of another perception, controller, monitor or '
+            'fallback; choose another folder'
+        )
+    known = {}
+    for number, event in enumerate(journal.events[1:], 2):
+        try:
+            known[int(event['scene']), str(event['scenario'])] = Driven.from_plain(event)
+        except (LookupError, TypeError, ValueError) as error:
+            raise damaged_line(path, number, str(error)) from error
+    return known
+
+
+def _key(scene: Scenario) -> str:
+    return hashlib.sha256(repr(scene).encode()).hexdigest()[:32]
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
@@ -581,7 +670,10 @@ def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
                 f'{folder}: no result of taxinet assure judge: {needed.name} is not there'
             )
     try:
-        values = load_json(path.read_bytes())
+        sealed = read_sealed(path)
+        for name in (TRIALS_NAME, ALARMS_NAME):
+            sealed.check_file(folder / name, 'judge again')
+        values = sealed.values
         options, told = values['options'], values['judged']
         words = options['perception'], options['fingerprints']['perception'], options['program']
         if not all(isinstance(word, str) for word in words):
@@ -619,9 +711,7 @@ def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
     """Options, results and provenance for JSON; null is not known, or not bounded."""
     told = dataclasses.asdict(options)
     told['out'] = str(options.out)
-    told['fingerprints'] = {
-        name: check_controller(word) for name, word in options.words.items()
-    } | {'perception': check_perception(options.perception)}
+    told['fingerprints'] = dict(options.fingerprints)
     result: dict[str, Any] = _finite({'options': told, 'judged': _plain(judged)})
     return {**result, 'stack': dict(provenance())}
 
@@ -668,11 +758,15 @@ def _scene(given: tuple[int, Scenario]) -> Driven:
     return _worker[-1].drive_scene(*given)
 
 
-def _runs(options: JudgeOptions, scenes: Sequence[Scenario]) -> Iterator[Driven]:
-    """Runs of each scene, in order, whatever the number of processes."""
+def _runs(
+    options: JudgeOptions, scenes: Sequence[tuple[int, Scenario]]
+) -> Iterator[Driven]:
+    """Runs of each scene with its number, in order, whatever the number of processes."""
+    if not scenes:
+        return
     if options.workers == 1:
         _start_worker(options)
-        yield from map(_scene, enumerate(scenes))
+        yield from map(_scene, scenes)
         return
     with process_pool(options.workers, 'judging worker', _start_worker, options) as pool:
-        yield from pool.map(_scene, enumerate(scenes), chunksize=2)
+        yield from pool.map(_scene, scenes, chunksize=2)

@@ -18,7 +18,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
-from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
+from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, Timing, TrackingError, Verdict
 from tf2_msgs.msg import TFMessage
 from waiting import wait_for
 
@@ -71,6 +71,13 @@ def amid_the_run(graph: Any, act: Callable[[], object]) -> list[object]:
     return done
 
 
+every_topic = pytest.mark.parametrize(
+    # Nobody needs to hear of pictures.
+    'topic', [topic for topic in interface.TOPICS if topic is not interface.IMAGE],
+    ids=lambda topic: topic.name.replace('/', '-'),
+)
+
+
 def ears(graph: Any, topic: Topic) -> list[Any]:
     """The subscriptions of the graph's nodes to a topic."""
     name = '/' + topic.name.lstrip('/')
@@ -89,6 +96,8 @@ def forged(topic: Topic, run_id: str = 'run') -> Any:
         interface.NODE_STATUS.name: NodeStatus(
             run_id=run_id, node=RECORDER, state=NodeStatus.DONE, detail='PASS', seq=3),
         interface.VERDICT.name: Verdict(run_id=run_id, complete=True, satisfied=True),
+        interface.TIMING.name: Timing(
+            run_id=run_id, seq=STEP, unestimated=list(range(STEP, STEP + 100))),
     }.get(topic.name, topic.type())
 
 
@@ -125,9 +134,7 @@ def assert_bag_has_no_verdict(bag: Path, who: str) -> None:
     assert len(steps) >= STEP
 
 
-@pytest.mark.parametrize('topic', [
-    topic for topic in interface.TOPICS if topic is not interface.IMAGE
-], ids=lambda topic: topic.name.replace('/', '-'))
+@every_topic
 def test_f4_given_a_peer_that_speaks_amid_a_run_then_it_ends_without_a_verdict_and_names_him(
     topic, tmp_path
 ):
@@ -142,15 +149,29 @@ def test_f4_given_a_peer_that_speaks_amid_a_run_then_it_ends_without_a_verdict_a
     assert_bag_has_no_verdict(tmp_path / 'run', PEER)
 
 
-def test_f4_given_a_peer_that_comes_speaks_once_and_goes_then_the_run_has_no_verdict(tmp_path):
+@every_topic
+def test_f4_given_a_peer_that_comes_speaks_once_and_goes_then_the_run_has_no_verdict(
+    topic, tmp_path
+):
     def come_and_go(graph: Any) -> None:
         with peer(graph) as node:
-            speak(graph, node, interface.RUN_STATUS)
+            speak(graph, node, topic)
 
     result = disturbed(tmp_path, come_and_go)
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
     assert result.who in (PEER, speakers.UNKNOWN)
     assert_bag_has_no_verdict(tmp_path / 'run', result.who)
+
+
+def test_f4_given_timing_in_a_lockstep_run_then_it_excuses_nothing_whoever_sent_it(tmp_path):
+    def say(graph: Any) -> bool:
+        node_of(graph, interface.SIMULATOR)._say(interface.TIMING, forged(interface.TIMING))
+        return True
+
+    result = disturbed(tmp_path, say)
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert result.detail == 'timing was published in a lockstep run'
+    assert result.rho == {}
 
 
 @pytest.mark.parametrize('name', [PEER, interface.PERCEPTION])

@@ -11,7 +11,8 @@ import taxinet_ros as tx
 from taxinet_ros.cli.analysis.assure import judged_lines, run_judge, run_show
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.study.assurance import judge as judging_module
 from taxinet_ros.study.assurance.calibrate import (
     CalibrateOptions,
     calibrate,
@@ -19,12 +20,15 @@ from taxinet_ros.study.assurance.calibrate import (
 )
 from taxinet_ros.study.assurance.judge import (
     FACTORS,
+    SCENES_NAME,
     WITHOUT,
     JudgeOptions,
     Trial,
     due_s,
+    judge,
     off_ratio,
     per_hour,
+    read_judged,
     summarize,
     trade_of,
 )
@@ -138,7 +142,9 @@ ego = new Plane at (Range(-0.5, 0.5), Range(1700, 2000))
 """
 
 
-def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path, capsys):
+def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(
+    tmp_path, capsys, monkeypatch
+):
     program = tmp_path / 'near.scenic'
     program.write_text(SCENE)
     few = {'perception': 'taxinet', 'program': str(program), 'seed': 1, 'workers': 1}
@@ -161,8 +167,58 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(tmp_path
     assert len((tmp_path / 'out' / 'alarms.csv').read_text().splitlines()) == 3
     assert (tmp_path / 'out' / 'trade.png').stat().st_size > 5000
     assert [one['factor'] for one in kept['judged']['trade']] == list(FACTORS)
+    goes_on_after_an_end_amid(tmp_path, judging, monkeypatch)
+
+
+def goes_on_after_an_end_amid(tmp_path, judging, monkeypatch):
+    """What is done is kept and not driven again, and what is damaged is not taken."""
+    out = tmp_path / 'out'
+    whole = {path.name: path.read_bytes() for path in out.iterdir()}
+    lines = whole[SCENES_NAME].splitlines(keepends=True)
+    assert len(lines) == 3
+    driven = []
+    drive = judging_module._scene
+    monkeypatch.setattr(
+        judging_module, '_scene', lambda given: driven.append(given[0]) or drive(given))
+    (out / SCENES_NAME).write_bytes(b''.join(lines[:2]) + lines[2][:40])
+    assert run_judge(JudgeOptions(**judging, out=out), as_json=False) == 0
+    assert driven == [1]
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == whole
+    with pytest.raises(UsageError, match='has runs of another perception, controller, monitor'):
+        judge(JudgeOptions(**{**judging, 'fallbacks': ('stop',)}, out=out), no_progress)
+    (out / 'trials.csv').write_bytes(whole['trials.csv'].replace(b'1', b'2', 1))
+    with pytest.raises(UsageError, match=r'trials\.csv: was modified .* judge again'):
+        read_judged(out)
+    (out / SCENES_NAME).write_bytes(whole[SCENES_NAME].replace(b'0', b'1', 1))
+    with pytest.raises(UsageError, match=r'scenes\.jsonl:\d: damaged line'):
+        judge(JudgeOptions(**judging, out=out), no_progress)
+    (out / SCENES_NAME).unlink()
     with pytest.raises(UsageError, match='exists'):
-        JudgeOptions(**judging, out=tmp_path / 'out')
+        JudgeOptions(**judging, out=out)
+
+
+def test_f9_given_a_folder_that_is_moved_then_the_judgement_ends_and_makes_nothing_anew(
+    tmp_path, monkeypatch
+):
+    program = tmp_path / 'near.scenic'
+    program.write_text(SCENE)
+    (tmp_path / 'mon.py').write_text('def low(seen):\n    return seen.image.mean() * 1e-9\n')
+    drive = judging_module._scene
+
+    def move_and_drive(given):
+        out.rename(tmp_path / 'moved')
+        return drive(given)
+
+    monkeypatch.setattr(judging_module, '_scene', move_and_drive)
+    out = tmp_path / 'out'
+    options = JudgeOptions(
+        perception='taxinet', program=str(program), seed=1, workers=1, controller='steering',
+        monitor=f'{tmp_path}/mon.py:low', fallbacks=(), runs=2, out=out,
+    )
+    with pytest.raises(RecordError, match=r'scenes\.jsonl: was moved, deleted or replaced'):
+        judge(options, no_progress)
+    assert not out.exists()
+    assert len((tmp_path / 'moved' / SCENES_NAME).read_text().splitlines()) == 2
 
 
 def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, capsys):
