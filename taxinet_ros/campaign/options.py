@@ -48,7 +48,7 @@ from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs,
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import FULL_DISK
+from taxinet_ros.files.atomic import FULL_DISK, make_folder
 from taxinet_ros.files.plain_values import Section, read_yaml
 from taxinet_ros.registry import KMWH
 
@@ -491,7 +491,7 @@ def make_out(out: Path) -> None:
         OSError: the disk is full, or broken.
     """
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
     except OSError as error:
         if error.errno in FULL_DISK:
             raise

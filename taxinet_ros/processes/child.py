@@ -175,9 +175,12 @@ class ChildProcess:
         """Last line of its log that does not begin with ``but``, or ''."""
         if self.log is None:
             return ''
-        with self.log.open('rb') as log:
-            log.seek(max(0, self.log.stat().st_size - _LAST_BYTES))
-            lines = log.read().decode(errors='replace').strip().splitlines()
+        try:
+            with self.log.open('rb') as log:
+                log.seek(max(0, os.fstat(log.fileno()).st_size - _LAST_BYTES))
+                lines = log.read().decode(errors='replace').strip().splitlines()
+        except FileNotFoundError:  # its folder was moved meanwhile, which others tell
+            return ''
         told = [line for line in lines if but is None or not line.startswith(but)]
         return told[-1] if told else ''
 

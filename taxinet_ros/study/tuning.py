@@ -34,7 +34,7 @@ from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGa
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.atomic import sync_folder
+from taxinet_ros.files.atomic import make_folder, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line, open_journal
 
 if TYPE_CHECKING:
@@ -367,7 +367,7 @@ class Tuning:
         try:
             if out.is_dir() and not path.exists() and any(out.iterdir()):
                 raise UsageError(f'--out {out}: contains something else; choose another folder')
-            out.mkdir(parents=True, exist_ok=True)
+            make_folder(out)
             self._journal: Journal = open_journal(path, 'taxinet tune')
             sync_folder(out)
         except OSError as error:

@@ -24,7 +24,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
@@ -193,7 +193,7 @@ def json_text(values: dict[str, Any]) -> str:
 def _begin(out: Path) -> None:
     """Create the folder, remove the files of an earlier analysis, and mark it."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         for name in _written_before(out) or ():
             path = PurePosixPath(name)
             if not path.is_absolute() and '..' not in path.parts:

@@ -51,7 +51,7 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.files.atomic import sync_folder
+from taxinet_ros.files.atomic import make_folder, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.registry import KMWH
@@ -430,7 +430,7 @@ def _open(options: LocalizeOptions) -> Journal:
     try:
         if options.out.is_dir() and not path.exists() and any(options.out.iterdir()):
             raise UsageError(f'--out {options.out}: contains something else; choose another folder')
-        options.out.mkdir(parents=True, exist_ok=True)
+        make_folder(options.out)
         journal = Journal(path)
         sync_folder(options.out)
     except BlockingIOError as error:

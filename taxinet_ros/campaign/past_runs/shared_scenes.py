@@ -46,7 +46,7 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import sync_folder
+from taxinet_ros.files.atomic import make_folder, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line, open_journal
 from taxinet_ros.registry import KMWH
 from taxinet_ros.version import __version__
@@ -268,7 +268,7 @@ class SharedTrials:
         try:
             if out.is_dir() and not path.exists() and any(out.iterdir()):
                 raise UsageError(f'--out {out}: contains something else; choose another folder')
-            out.mkdir(parents=True, exist_ok=True)
+            make_folder(out)
             self._journal: Journal = open_journal(path, 'taxinet compare or bisect')
             sync_folder(out)
         except OSError as error:

@@ -28,7 +28,7 @@ from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.atomic import make_folder, write_atomically
 from taxinet_ros.registry import KMWH
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 
@@ -174,7 +174,7 @@ def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
 
 def _make(out: Path) -> None:
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
     except OSError as error:
         raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
 

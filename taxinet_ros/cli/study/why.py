@@ -118,6 +118,7 @@ def run_why(options: WhyOptions) -> int:
             evidence = work.evidence()
         except StoppedError as stopped:
             return stopped.code
+        log.check_in_place()
         verdict = judge(evidence)
         todo = tuple(_actions(evidence, verdict, path, kind))
         worst = _worst(work, evidence)

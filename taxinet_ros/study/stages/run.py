@@ -10,6 +10,7 @@ from pathlib import Path
 from taxinet_ros.campaign.options import AUDIT
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import STUDY_OUT
 from taxinet_ros.processes.child import ChildProcess, exit_words, package_environment
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.study.stages.log import StageLog, stack_warning
@@ -31,7 +32,7 @@ _GRACE_S = 20.0
 
 
 def run_command(
-    command: Sequence[str], folder: Path, log: Path | None = None
+    command: Sequence[str], out: Path, folder: Path, log: Path | None = None
 ) -> tuple[int, bool, str]:
     """Run a command to its end.
 
@@ -40,6 +41,7 @@ def run_command(
 
     Args:
         command: the program with its arguments.
+        out: folder of the study, which it does not make anew.
         folder: working directory.
         log: file to which its output is appended; None: it is shown.
 
@@ -49,8 +51,8 @@ def run_command(
     """
     asked: list[bool] = []
     with ChildProcess(
-        'stage', command, folder=folder, environment=package_environment(), new_session=False,
-        log=log,
+        'stage', command, folder=folder, new_session=False, log=log,
+        environment={**package_environment(), STUDY_OUT: str(out.absolute())},
     ) as child:
 
         def pass_on() -> None:
@@ -143,6 +145,7 @@ class StudyRun:
 
     def _stage(self, number: int, stage: Stage, state: State) -> int:
         """Run one stage; return 0 if it is done."""
+        self._log.check_in_place()
         resume = self._make_room(stage, state)
         rest = self._stages[number - 1:]
         left_s = seconds_left(rest, self._stages, self._log.records, self._workers)
@@ -159,7 +162,9 @@ class StudyRun:
         words = stage.command(resume=resume)
         begun = time.monotonic()
         output = self._logs and self._logs / f'{stage.name}.log'
-        code, interrupted, said = run_command([*self._command, *words], self._folder, output)
+        code, interrupted, said = run_command(
+            [*self._command, *words], self._out, self._folder, output
+        )
         wall_s = time.monotonic() - begun
         self._log.check_in_place()  # first, so that no missing file is reported instead
         trouble = self._trouble(stage, code)

@@ -32,7 +32,7 @@ from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import FULL_DISK, draft_path, write_atomically
+from taxinet_ros.files.atomic import FULL_DISK, draft_path, make_folder, write_atomically
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line
 from taxinet_ros.files.plain_values import check_kind
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
@@ -233,7 +233,7 @@ def _check_new(out: Path) -> None:
 def _begin(out: Path, request: Mapping[str, Any]) -> None:
     """Create the folder and write the request into it."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         _write_once(out / REQUEST, sealed_text(request).encode())
         (out / IMAGES).mkdir()
     except OSError as error:

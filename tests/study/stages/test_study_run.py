@@ -22,7 +22,7 @@ from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.study.stages.log import LOG_NAME, StageLog, read_records
 from taxinet_ros.study.stages.plan import stages
 from taxinet_ros.study.stages.progress import State, seconds_left, state_of
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StudyRun, run_command
 from taxinet_ros.study.stages.stage import Kind, Stage
 
 RUN = 'import sys, pathlib, studies; code, lines = studies.run_study(pathlib.Path(sys.argv[1])); ' \
@@ -276,6 +276,27 @@ def test_f9_given_a_study_whose_folder_is_moved_then_it_ends_with_one_line(finis
     asked(tmp_path / 'moved')
     assert run_study(tmp_path / 'moved')[0] == 0
     assert len(asked(tmp_path / 'moved')) == 2, 'what was not done, and no more'
+
+
+MOVES = """
+import sys
+from pathlib import Path
+from taxinet_ros.files.atomic import make_folder
+study = Path(sys.argv[1])
+study.rename(study.with_name('moved'))
+print('moved', flush=True)
+make_folder(study / 'analyze')
+"""
+
+
+def test_f9_given_a_folder_that_is_moved_during_a_stage_then_nothing_is_made_in_its_place(tmp_path):
+    out = tmp_path / 'study'
+    (out / 'logs').mkdir(parents=True)
+    code, interrupted, said = run_command(
+        [sys.executable, '-c', MOVES, str(out)], out, tmp_path, out / 'logs' / 'analyze.log')
+    assert (code, interrupted, said) == (1, False, '')
+    assert 'RecordError' in (tmp_path / 'moved' / 'logs' / 'analyze.log').read_text()
+    assert not out.exists()
 
 
 def test_f1_given_a_full_disk_at_the_first_file_then_the_study_can_be_begun_again(
