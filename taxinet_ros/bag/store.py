@@ -105,6 +105,13 @@ def stored_bag(folder: Path) -> StoredBag | None:
         raise UsageError(f'{path}: damaged ({error})') from error
 
 
+def bag_files(folder: Path) -> list[Path]:
+    """Files of a run's folder by name, without the record of its store."""
+    return [
+        path for path in sorted(folder.iterdir()) if path.is_file() and path.name != STORED_NAME
+    ]
+
+
 def is_elsewhere(folder: Path) -> bool:
     """Whether files of a run's folder are in a store alone.
 
@@ -153,8 +160,8 @@ def store_bag(folder: Path, url: str, *, keep: bool = False) -> bool:
 
 def _files_here(folder: Path) -> dict[str, FileTold]:
     return {
-        path.name: (path.stat().st_size, file_sha256(path)) for path in sorted(folder.iterdir())
-        if path.is_file() and path.name != STORED_NAME and not path.name.startswith('.')
+        path.name: (path.stat().st_size, file_sha256(path)) for path in bag_files(folder)
+        if not path.name.startswith('.')
     }
 
 

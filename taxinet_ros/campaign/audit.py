@@ -18,6 +18,7 @@ from taxinet_ros.bag.check.compare import TopicComparison, compare_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import made_on
+from taxinet_ros.bag.store import bag_files
 from taxinet_ros.campaign.options import AUDIT, AUDIT_FOLDER, LOOP
 from taxinet_ros.campaign.record.facts import FACTS_NAME
 from taxinet_ros.campaign.worker_pool import WorkerPool, encode_line, result_to_json
@@ -123,7 +124,7 @@ class Auditor:
 
 def bag_difference(one: Path, other: Path) -> str:
     """Text on the first difference of two bags of one run, in simulated time; '' if none."""
-    digests = [{file.name: file_sha256(file) for file in bag.iterdir()} for bag in (one, other)]
+    digests = [{file.name: file_sha256(file) for file in bag_files(bag)} for bag in (one, other)]
     if digests[0] == digests[1]:
         return ''
     try:

@@ -278,14 +278,16 @@ BAD = {
 }
 
 
-def built(parameters: dict[str, object]) -> SearchOptions | None:
-    """Build the node in this process; what it is to search."""
+def built(parameters: dict[str, object], *words: str) -> SearchOptions | None:
+    """Build the node in this process, also with words of its command line; what it is to search."""
     with own_domain() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
         try:
             overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-            return StandaloneSampler(context=context, parameter_overrides=overrides).search
+            return StandaloneSampler(
+                context=context, parameter_overrides=overrides, cli_args=['--ros-args', *words],
+            ).search
         finally:
             rclpy.try_shutdown(context=context)
 
@@ -300,6 +302,14 @@ def test_given_bad_parameters_then_one_line_names_the_parameter(case, tmp_path, 
     assert '--' not in str(caught.value)
     assert '\n' not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_f8_given_an_empty_list_then_it_is_none_and_participants_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    search = built({'sampler': 'ce'}, '-p', 'specs:=[]', '-p', 'set:=[]')
+    assert search is not None
+    with pytest.raises(UsageError, match=r'participants: a run needs .*, got only nobody'):
+        built({'sampler': 'ce'}, '-p', 'participants:=[]')
 
 
 def test_s4_given_the_word_program_then_the_programs_sampler_is_taken(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -168,6 +168,8 @@ class Cluster:
             UsageError: Dask is missing, nothing answers at the address, or no worker is fit.
         """
         with contextlib.ExitStack() as left:
+            if self._where.startswith(LOCAL):
+                left.enter_context(_scratch())
             left.callback(self._close)
             self._connect_first()
             needs = to_json(self._needs)
@@ -260,9 +262,7 @@ class Cluster:
                 logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
         if self._where.startswith(LOCAL):
             # Threads of this process: no port by which others of this machine could run programs.
-            scratch = self._left.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-dask-'))
             self._local = distributed.LocalCluster(
-                local_directory=scratch,
                 n_workers=int(self._where.removeprefix(LOCAL)), threads_per_worker=1,
                 processes=False, protocol='inproc://', dashboard_address='127.0.0.1:0',
                 worker_dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL + 1,
@@ -526,6 +526,19 @@ def _briefly(function: Callable[[], Any]) -> None:
     thread = threading.Thread(target=call, name='cluster', daemon=True)
     thread.start()
     thread.join(_ANSWER_S)
+
+
+@contextlib.contextmanager
+def _scratch() -> Iterator[None]:
+    """A folder for what Dask's local servers write, which is removed after them."""
+    with tempfile.TemporaryDirectory(prefix='taxinet-dask-', ignore_cleanup_errors=True) as folder:
+        try:
+            import dask
+        except ImportError:  # told when Dask is needed
+            yield
+            return
+        with dask.config.set({'temporary-directory': folder}):
+            yield
 
 
 def _versions() -> dict[str, str]:

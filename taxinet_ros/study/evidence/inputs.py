@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.analysis.fault_localisation import Localisation, localisation_of
-from taxinet_ros.bag.store import STORED_NAME, is_elsewhere, stored_bag
+from taxinet_ros.bag.store import bag_files, is_elsewhere, stored_bag
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, Trial
@@ -330,8 +330,7 @@ def _bags(folder: Path, rows: Sequence[RunRow]) -> tuple[dict[str, str], tuple[s
 def bag_sha256(bag: Path) -> str:
     """SHA-256 of a bag: of the lines ``SHA-256  NAME`` of its files, as ``sha256sum`` has them."""
     return _files_sha256({
-        path.name: file_sha256(path) for path in sorted(bag.iterdir())
-        if path.is_file() and path.name != STORED_NAME
+        path.name: file_sha256(path) for path in bag_files(bag)
     })
 
 

@@ -7,6 +7,7 @@ import http.server
 import json
 import os
 import socket
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -124,7 +125,10 @@ def test_given_this_machine_then_it_describes_itself_and_misses_a_folder_or_a_ne
         describe(to_json(dataclasses.replace(NEEDS, perception='gone.safetensors')))
 
 
-def test_given_local_workers_then_nobody_elsewhere_can_reach_them(tmp_path):
+def test_given_local_workers_then_nobody_elsewhere_can_reach_them_and_nothing_is_left(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
     needs = dataclasses.replace(NEEDS, perception='truth')
     with Cluster('local:2', needs, out=tmp_path / 'out') as cluster:
         assert cluster.threads == 2
