@@ -1,11 +1,12 @@
-"""What is checked for every command before it begins: the files it would write.
+"""What is checked for every command before it begins: its numbers, and the files it would write.
 
-A file that an option names to be written
+A number from the command line is finite. A file that an option names to be written
 (``typer.Option(writable=True)``) replaces no record, no input and nothing but a regular file.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -46,14 +47,16 @@ _SUFFIX = re.compile(r'\.\w+$')
 
 
 class CheckedCommand(TyperCommand):
-    """A command that begins only if its output replaces no record."""
+    """A command that begins only if its numbers are finite and its output replaces no record."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Check the outputs, and run the command.
+        """Check the parameters, and run the command.
 
         Raises:
-            UsageError: an output would destroy something.
+            UsageError: a number is not finite, or an output would destroy something.
         """
+        for param in self.params:
+            _check_numbers(_name(param), ctx.params.get(param.name))
         for param, path in outputs(self, ctx.params):
             info = _info(param)
             given = (value for name, value in ctx.params.items() if name != param.name)
@@ -144,6 +147,12 @@ def _same(path: Path, other: Path) -> bool:
         return path.samefile(other)
     except (OSError, ValueError):  # not there, or no path
         return False
+
+
+def _check_numbers(name: str, value: Any) -> None:
+    for one in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(one, float) and not math.isfinite(one):
+            raise UsageError(f'{name} {one}: expected a finite number')
 
 
 def _paths(values: Iterable[Any]) -> Iterator[Path]:

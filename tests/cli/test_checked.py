@@ -1,4 +1,4 @@
-"""Every command: no output replaces a record, an input or a special file."""
+"""Every command: no output replaces a record, an input or a special file; numbers are finite."""
 
 from __future__ import annotations
 
@@ -209,3 +209,38 @@ def test_given_weights_whose_other_files_would_be_records_then_they_are_refused(
     assert end(*words) == 2
     assert 'c/runs.csv: is the name of a record in c' in capsys.readouterr().err
     assert digests(campaign) == before
+
+
+NUMBERS = sorted(
+    (name, max(param.opts, key=len)) for name, command in COMMANDS.items()
+    for param in command.params if 'float' in str(param.type_descriptor.annotation)
+)
+ARGUMENTS = {
+    'forecast calibrate': ('c', '--out', 'f.json'), 'forecast check': ('f', 'c'),
+    'odd coverage': ('c', '--odd', 's_falsif'), 'assure calibrate': (
+        's_falsif', '--perception', 'original', '--out', 'x.npz'),
+    'gate': ('c',), 'fork': (BAG,), 'train': ('s_falsif', '--out', 'n.safetensors'),
+    'analyze': ('c',), 'forecast show': ('f', BAG), 'bag replay': (BAG,),
+    'bag compare': (BAG, BAG), 'estimate': ('s_falsif',), 'falsify': ('s_falsif',),
+    'spec': ('phi_always',), 'camera compare': ('c',), 'check-node': ('true',),
+}
+
+
+def test_given_all_commands_then_there_are_numbers_to_be_checked():
+    assert len(NUMBERS) >= 37
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('command', 'option'), NUMBERS)
+def test_given_what_is_no_finite_number_then_it_is_refused_by_name(
+    command, option, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    limited = f"taxinet: error: Invalid value for '{option}': Input should be "
+    for number in ('nan', 'inf', '-inf', '1e999'):
+        assert end(*command.split(), *ARGUMENTS.get(command, ()), f'{option}={number}') == 2
+        out, err = capsys.readouterr()
+        assert (out, err.count('\n')) == ('', 1)
+        told = f'taxinet: error: {option} {float(number)}: expected a finite number'
+        assert err.startswith((told, limited)), err
+    assert list(tmp_path.iterdir()) == []
