@@ -7,7 +7,6 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +47,8 @@ from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.provenance import differences
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.version import __version__
 
@@ -237,7 +237,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
             **scenes.judging.facts(),
         },
     )
-    make_atomically(out / PARQUET_NAME, partial(judged.table().to_parquet, index=False))
+    write_table(out / PARQUET_NAME, judged.table())
     return judged
 
 
@@ -257,7 +257,7 @@ def _left_table(judged: _Judged, junit: Path | None) -> Path | None:
     if junit is None or judged.again:
         return own if own.is_file() else None
     beside = _beside(junit)
-    make_atomically(beside, partial(judged.table().to_parquet, index=False))
+    write_table(beside, judged.table())
     return beside
 
 
