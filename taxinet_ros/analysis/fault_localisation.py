@@ -38,6 +38,7 @@ from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CT
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
 from taxinet_ros.files.atomic import make_atomically
+from taxinet_ros.files.sealed_table import write_table
 
 
 class Blame(enum.StrEnum):
@@ -339,7 +340,7 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
     frame = cases_frame(found)
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
     make_atomically(csv, lambda draft: frame.to_csv(draft, index=False))
-    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
+    write_table(parquet, frame)
     return csv, parquet
 
 # Sentences ---------------------------------------------------------------------------------------

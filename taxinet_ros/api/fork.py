@@ -46,8 +46,15 @@ from taxinet_ros.core.motion.aircraft import Placed
 from taxinet_ros.core.motion.controller import STEERING, Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import Perception, perception_names
+from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY, HEADING, HUMAN_KEYS, by_key
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    HEADING,
+    HUMAN_KEYS,
+    along_words,
+    by_key,
+)
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -167,7 +174,8 @@ def fork(
             length of the whole run.
         moved: offsets by which the aircraft is placed anew then: ``distance_m``, ``cte_m`` (left
             positive), ``heading_deg`` (left positive), ``speed_mps``. It then rolls straight, in
-            the attitude in which it taxis.
+            the attitude in which it taxis, within the limits of a start at this place, or no
+            farther out than it was.
         perception: from then on, as for :func:`taxinet_ros.run`; None: the run's own.
         controller: likewise.
 
@@ -194,8 +202,12 @@ def fork(
 def fork_past(
     past: Past, *, at_s: float, settings: Mapping[str, Any], moved: Mapping[str, float],
     perception: str | Perception | Look | None, controller: str | Controller | Steer | None,
+    anywhere: bool = False,
 ) -> Run:
-    """Fork a run that has been read; arguments and errors as for :func:`fork`."""
+    """Fork a run that has been read; arguments and errors as for :func:`fork`.
+
+    With ``anywhere`` the place of the aircraft has no limits.
+    """
     recorded, step = past.recording.run, past.step_at(at_s)
     before = recorded.request.scenario
     gains = {name: value for name, value in settings.items() if name.startswith(_GAIN)}
@@ -212,8 +224,8 @@ def fork_past(
     )
     how = Fork(
         run_id=recorded.request.run_id, sha256=past.sha256, step=step, scenario=after,
-        placed=_placed(past, step, before, after, moved), perception=recorded.perception,
-        controller=recorded.controller or STEERING,
+        placed=_placed(past, step, before, after, moved, anywhere=anywhere),
+        perception=recorded.perception, controller=recorded.controller or STEERING,
     )
     world = forked_world(how)
     return drive(
@@ -314,7 +326,8 @@ def _controller(
 
 
 def _placed(
-    past: Past, step: int, before: Scenario, after: Scenario, moved: Mapping[str, float]
+    past: Past, step: int, before: Scenario, after: Scenario, moved: Mapping[str, float], *,
+    anywhere: bool,
 ) -> Placed | None:
     """Where the aircraft is placed anew at a step; None if it rolls on."""
     for name, value in moved.items():
@@ -324,15 +337,37 @@ def _placed(
             raise UsageError(f'fork: the offset {name} is {told(value)}, not a number')
     if not moved and not needs_other_model(before, after):
         return None
-    along_m, cte_m, he_rad, speed_mps = _motion(past.states[step], before, step)
-    speed_mps += moved.get('speed_mps', 0.0)
+    along_m, cte_m, he_rad, was_mps = _motion(past.states[step], before, step)
+    speed_mps = was_mps + moved.get('speed_mps', 0.0)
     if not speed_mps >= 0:
         raise UsageError(f'fork: the aircraft would roll at {speed_mps:g} m/s, which is backwards')
+    if not anywhere:
+        here = dict(zip(MOVES, (along_m, cte_m, he_rad / HEADING.si, was_mps), strict=True))
+        for name in moved:
+            _check_move(before, name, here[name], moved[name])
     x_m, y_m, yaw_rad = before.line.pose(
         along_m + moved.get('distance_m', 0.0), cte_m + moved.get('cte_m', 0.0),
         he_rad + moved.get('heading_deg', 0.0) * HEADING.si,
     )
     return Placed(x_m, y_m, yaw_rad, speed_mps)
+
+
+def _check_move(scenario: Scenario, name: str, here: float, offset: float) -> None:
+    """Check that a moved aircraft is where a run may begin, or no farther out than it is."""
+    line = scenario.line
+    low, high, unit = {
+        'distance_m': (0.0, line.last_start_m, f'm {along_words(scenario.track)}'),
+        'cte_m': (-line.farthest_start_m, line.farthest_start_m, 'm left of the line'),
+        'heading_deg': (HEADING.low / HEADING.si, HEADING.high / HEADING.si, 'deg, left positive'),
+        'speed_mps': (0.0, scenario.aircraft_model.taxi_speed_mps[1], 'm/s'),
+    }[name]
+    there = here + offset
+    if not min(low, here) <= there <= max(high, here):
+        place = find_place(scenario.place).reference
+        raise UsageError(
+            f'fork: the offset {name} of {offset:g} leads to {there:.6g}, outside '
+            f'{low:g}..{high:g} {unit}, at {place}'
+        )
 
 
 def _motion(
@@ -402,6 +437,7 @@ def find_rescue(
             forks[step] = fork_past(
                 past, at_s=step * CONTROL_PERIOD_NS / NS_PER_S, settings=settings, moved=moved,
                 perception=perception, controller=controller,
+                anywhere=step > 0,  # offsets that are possible at the start are no larger later
             )
             on_fork(forks[step])
         return forks[step].outcome is Outcome.PASS

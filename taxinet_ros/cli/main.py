@@ -43,6 +43,7 @@ from taxinet_ros.cli.analysis.commands import (
     spec,
 )
 from taxinet_ros.cli.bag.commands import bag_app
+from taxinet_ros.cli.checked import check_commands
 from taxinet_ros.cli.completion import ASKED_BY, answer_shell
 from taxinet_ros.cli.help import CommandSections, add_examples
 from taxinet_ros.cli.options import asks_for_study, given_options
@@ -335,6 +336,7 @@ def node(
 
 
 add_examples(app)
+check_commands(app)
 
 
 @app.callback(invoke_without_command=True)

@@ -211,7 +211,10 @@ RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw a
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 PictureOption = Annotated[
     Path | None,
-    typer.Option(metavar='FILE.png', help='picture to write; must be new (default: below bags/)'),
+    typer.Option(
+        metavar='FILE.png', writable=True, dir_okay=False,
+        help='picture to write; must be new (default: below bags/)',
+    ),
 ]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
 PerceptionOption = Annotated[

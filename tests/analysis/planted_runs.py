@@ -48,8 +48,10 @@ def planted_table(
 
 
 def planted_runs(table: pd.DataFrame, folder: Path, spec: str | None = None) -> CampaignRuns:
-    """The table as that of a campaign of so many runs in ``folder``."""
+    """The table as that of a campaign of so many runs in ``folder``; ``rho`` is the headline's."""
     path = folder / 'runs.parquet'
+    if {'rho', 'rho_phi'} <= set(table.columns):
+        table = table.assign(rho=table['rho_phi'])
     table.to_parquet(path, index=False)
     (folder / 'campaign.json').write_text(json.dumps({'runs': len(table)}))
     return read_runs(path, spec)

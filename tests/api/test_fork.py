@@ -174,11 +174,43 @@ def test_given_a_perception_that_is_not_reproducible_then_the_fork_is_refused():
     (1.0, {'settings': {'duration_s': 0.5}}, 'duration_s is 0.5, before 1 s'),
     (1.0, {'moved': {'y': 1}}, "unknown offset 'y'"),
     (1.0, {'moved': {'speed_mps': -9}}, 'backwards'),
+    (1.0, {'moved': {'speed_mps': 90}}, r'speed_mps of 90 leads to 94.*, outside 0\.\.10 m/s'),
+    (1.0, {'moved': {'cte_m': 1e6}}, r'cte_m of 1e\+06 leads to .*, outside -15\.\.15 m left of'),
+    (1.0, {'moved': {'cte_m': 1e308}}, r'cte_m of 1e\+308 leads to 1e\+308, outside'),
+    (1.0, {'moved': {'cte_m': float('nan')}}, 'cte_m of nan leads to nan, outside'),
+    (1.0, {'moved': {'heading_deg': 1e9}}, r'heading_deg of .*, outside -90\.\.90 deg'),
+    (1.0, {'moved': {'distance_m': -1e9}}, r'outside 0\.\.2600 m past the threshold, at kmwh_04'),
+    (1.0, {'moved': {'distance_m': float('inf')}}, 'distance_m of inf leads to inf'),
     (1.0, {'perception': 'nope'}, 'unknown'),
 ])
 def test_given_what_cannot_change_then_one_line_says_so(rainy, at_s, change, words):
     with pytest.raises(tx.UsageError, match=words):
         rainy.fork(at_s, **change)
+
+
+def test_given_an_aircraft_beyond_a_limit_then_it_may_be_placed_nearer_but_no_farther():
+    run = tx.run(
+        tx.Scenario(cross_track_m=14.9, heading_rad=1.0, duration_s=3),
+        specs='far=always(cte <= 99)', controller=lambda estimate: (0.0, 5.0),
+    )
+    assert 15 < run.trace.cte_m[20] < 24
+    nearer = run.fork(2.0, moved={'cte_m': -0.5}, controller='steering').trace
+    assert nearer.cte_m[20] - run.trace.cte_m[20] == pytest.approx(-0.5, abs=1e-6)
+    with pytest.raises(tx.UsageError, match=r'outside -15\.\.15 m left of the line'):
+        run.fork(2.0, moved={'cte_m': 0.5}, controller='steering')
+
+
+def test_given_an_offset_when_searched_then_it_has_limits_at_the_start_only(tmp_path):
+    run = tx.run(
+        tx.Scenario(cross_track_m=13, heading_rad=1.0, duration_s=3), perception=drifting,
+        specs='right=always(cte < 14)', controller=lambda estimate: (0.0, 5.0),
+    )
+    assert run.outcome == 'FAIL'
+    past = read_past(open_recording(run.save_bag(tmp_path / 'run', images=False)))
+    change = {'settings': {}, 'perception': 'truth', 'controller': lambda estimate: (0.0, 5.0)}
+    assert find_rescue(past, moved={'cte_m': 1.0}, **change).saved is None
+    with pytest.raises(tx.UsageError, match='cte_m of 5 leads to 18, outside'):
+        find_rescue(past, moved={'cte_m': 5.0}, **change)
 
 
 def test_given_a_violated_run_then_the_point_of_no_return_is_that_of_trying_every_step(tmp_path):

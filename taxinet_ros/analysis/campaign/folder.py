@@ -26,6 +26,7 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.files.sealed_table import write_table
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
 
@@ -208,7 +209,7 @@ def _write_runs(findings: Findings, out: Path) -> None:
     """All judged runs with cause and group, as CSV and Parquet."""
     frame = explained_runs(findings)
     make_atomically(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
-    make_atomically(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))
+    write_table(out / PARQUET_NAME, frame)
 
 
 def _written_before(out: Path) -> list[str] | None:

@@ -494,7 +494,7 @@ def calibrate(
         UsageError: its runs are no fixed number of independent draws, or too few.
     """
     steps = every_s / STEP_S
-    every_steps = round(steps)
+    every_steps = round(steps) if math.isfinite(steps) else 0
     if not 1 <= every_steps <= 10_000 or abs(steps - every_steps) > 1e-6:
         raise UsageError(f'--every {every_s:g}: needs to be a multiple of {STEP_S:g} s')
     outcomes = {row.index: row.outcome for row in campaign.rows}

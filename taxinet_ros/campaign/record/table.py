@@ -26,7 +26,8 @@ from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_table import is_sealed_table, write_table
 
 if TYPE_CHECKING:  # slow import that should not delay a run
     import pandas as pd
@@ -112,7 +113,7 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
     write_atomically(csv, csv_text(frame))
-    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
+    write_table(parquet, frame)
     if facts is not None:
         seal_facts(folder, facts, [csv, parquet])
 
@@ -138,7 +139,7 @@ def read_table(folder: Path) -> pd.DataFrame:
     if not path.is_file():
         raise UsageError(f'{path}: no such table; is {folder} a campaign?')
     specs = check_tables(path.parent, path)
-    frame = read_any_table(path)
+    frame = read_any_table(path)  # once more checked, by the checksum in it
     _check_rows(path, frame, specs)
     return frame
 
@@ -148,13 +149,14 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
 
     Args:
         folder: folder of the campaign.
-        wanted: the table to be read; without a checksum there is a warning.
+        wanted: the table to be read; without a checksum, there or in itself, there is a warning.
 
     Returns:
         Names of the formulas that determined the outcomes, as far as known.
 
     Raises:
         UsageError: a table differs from its checksum.
+        OSError: the wanted one cannot be read.
     """
     facts = read_facts(folder)
     mend = f'rebuild the tables from the ledger: taxinet doctor --mend {folder}'
@@ -162,7 +164,7 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
     for path in (folder / CSV_NAME, folder / PARQUET_NAME):
         if facts is not None and path.is_file():
             vouched |= facts.check_file(path, mend) and path == wanted
-    if wanted is not None and not vouched:
+    if wanted is not None and not vouched and not is_sealed_table(wanted, wanted.read_bytes()):
         where = 'is not there' if facts is None else 'has no checksums of them'
         warn_once(f'{folder}: its tables are unverified, since {FACTS_NAME} {where}')
     ledger = folder / LEDGER_NAME
@@ -180,14 +182,18 @@ def read_any_table(path: Path) -> pd.DataFrame:
     """Read a table of runs, with or without checksum, with the types of :func:`table`.
 
     Raises:
-        UsageError: it is damaged.
+        UsageError: it is damaged, or differs from the checksum in it.
     """
     import pyarrow.parquet
 
     try:
-        columns = pyarrow.parquet.read_table(path)
+        data = path.read_bytes()
+        is_sealed_table(path, data)
+        columns = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
         columns.validate(full=True)  # such as invalid UTF-8
         frame = columns.to_pandas()
+    except UsageError:
+        raise
     except Exception as error:  # third-party reader on untrusted bytes
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
@@ -254,8 +260,11 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     for name in frame.select_dtypes('float64').columns:
         if not str(name).startswith('rho'):
             _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
-    if specs := _specs_of(frame):
+    specs = _specs_of(frame)
+    if specs:
         _check_robustness(path, frame, [name for name in own if name in specs], specs)
+    if 'rho' in frame.columns:
+        _check_headline(path, frame, [*own, *specs][:1])
 
 
 def _check_robustness(
@@ -279,6 +288,20 @@ def _check_robustness(
             below |= upper <= 0
     _refuse(path, passed & ~above, 'PASS, but a robustness is not above 0')
     _refuse(path, failed & ~below, 'FAIL, but no robustness is 0 or less')
+
+
+def _check_headline(path: Path, frame: pd.DataFrame, headline: Sequence[str]) -> None:
+    """Check that ``rho`` repeats the headline's robustness, as far as that is in the table."""
+    passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
+    rho = frame['rho']
+    _refuse(path, ~(passed | failed) & rho.notna(), 'a robustness without a verdict')
+    _refuse(path, passed & (rho <= 0), 'PASS, but rho is not above 0')
+    for name in headline:
+        other = frame.get(f'{_RHO}{name}', rho)
+        same = (rho == other) | (rho.isna() & other.isna())
+        _refuse(path, ~same, f'rho is not {_RHO}{name}')
+    if not headline:
+        _refuse(path, failed & (rho > 0), 'FAIL, but rho is above 0')
 
 
 def _refuse(path: Path, wrong: Any, what: str) -> None:

@@ -420,8 +420,10 @@ def gate(
         ),
     ] = 'report',
     junit: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='JUnit XML file to write, one test case per '
-        'criterion; the table of the runs is written beside it')
+        Path | None, typer.Option(
+            metavar='FILE', writable=True, dir_okay=False, help='JUnit XML file to write, one test '
+            'case per criterion; the table of the runs is written beside it'
+        )
     ] = None,
     out: Annotated[
         Path | None,
@@ -578,7 +580,7 @@ def monitor(
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar='FILE.png|DIR',
+            metavar='FILE.png|DIR', writable=True,
             help='PNG plot of signals, bounds and robustness over time; a folder for several bags',
         ),
     ] = None,
@@ -644,7 +646,12 @@ _ForecastArgument = Annotated[
 @forecast_app.command('calibrate')
 def calibrate_forecast(
     campaign: CampaignArgument,
-    out: Annotated[Path, typer.Option(metavar='FILE.json', help='file to write; must be new')],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='FILE.json', writable=True, dir_okay=False, help='file to write; must be new'
+        ),
+    ],
     spec: Annotated[
         str | None,
         typer.Option(metavar='NAME', help='requirement to forecast (default: the headline)'),
@@ -707,7 +714,11 @@ def show_forecast(
     ] = 'run',
     run_id: RunOption = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar='FILE.png', help='picture of the bounds over time')
+        Path | None,
+        typer.Option(
+            metavar='FILE.png', writable=True, dir_okay=False, help='picture of the bounds over '
+            'time'
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -764,7 +775,11 @@ def cover_odd(
         int, typer.Option(min=1, max=3, help='largest number of cells in a combination')
     ] = 3,
     plot: Annotated[
-        Path | None, typer.Option(metavar='FILE.png', help='picture of cells and pairs of cells')
+        Path | None,
+        typer.Option(
+            metavar='FILE.png', writable=True, dir_okay=False, help='picture of cells and pairs '
+            'of cells'
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -785,7 +800,10 @@ def cover_odd(
 def export_odd(
     odd: _OddArgument,
     out: Annotated[
-        Path, typer.Option(metavar='FILE.yaml', help='file to write; must be new')
+        Path,
+        typer.Option(
+            metavar='FILE.yaml', writable=True, dir_okay=False, help='file to write; must be new'
+        ),
     ],
 ) -> None:
     """Write an ODD as ASAM OpenODD 1.0 YAML, with a binding file for openodd-py beside it."""
@@ -806,7 +824,12 @@ def assure_calibrate(
         'to, such as that of its training')
     ],
     perception: Annotated[str, typer.Option(help='network: word or file')],
-    out: Annotated[Path, typer.Option(metavar='FILE.npz', help='calibration; must be new')],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='FILE.npz', writable=True, dir_okay=False, help='calibration; must be new'
+        ),
+    ],
     runs: Annotated[
         int, typer.Option(min=1, max=100_000, help='runs that set the thresholds; a quarter as '
         'many more say what is usual')

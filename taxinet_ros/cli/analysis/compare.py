@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -43,7 +42,8 @@ from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
@@ -184,7 +184,7 @@ def _driven(
             if len(found) < len(scenes.scenes):
                 return None
             frame = trials.table(network)
-            make_atomically(out / name, partial(frame.to_parquet, index=False))
+            write_table(out / name, frame)
             tables.append(runs_of(frame, out / name))
     return tables
 

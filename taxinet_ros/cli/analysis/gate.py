@@ -7,7 +7,6 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +40,15 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import recorded_shard
 from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
 from taxinet_ros.campaign.record.table import table as table_of
+from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.provenance import differences
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.version import __version__
 
@@ -118,8 +119,7 @@ def run_gate(asked: GateInput, options: GateOptions) -> int:
     if asked.inconclusive not in INCONCLUSIVE_WORDS:
         known = ', '.join(INCONCLUSIVE_WORDS)
         raise UsageError(f'--inconclusive {asked.inconclusive}: unknown; known: {known}')
-    if asked.junit is not None and not asked.junit.parent.is_dir():
-        raise UsageError(f'--junit {asked.junit}: no such folder: {asked.junit.parent}')
+    _check_junit(asked)
     judged = _judged(asked)
     if judged is None:
         return ExitCode.INTERRUPTED
@@ -141,8 +141,7 @@ def run_gate(asked: GateInput, options: GateOptions) -> int:
             judged.rows, answer, judged.folder, judged.facts, table=table,
             inconclusive_passes=asked.inconclusive == 'pass', documents=asked.junit.parent,
         )
-        for name, text in rerun_documents(judged.rows, judged.facts).items():
-            write_atomically(asked.junit.parent / name, text)
+        _write_documents(judged, asked.junit)
         write_atomically(asked.junit, document)
     if asked.as_json:
         values = _json(answer, options)
@@ -154,6 +153,28 @@ def run_gate(asked: GateInput, options: GateOptions) -> int:
         print(_words(answer, judged.folder, paired, table))
     codes = {Verdict.PASS: ExitCode.OK, Verdict.FAIL: ExitCode.VIOLATED}
     return codes.get(answer.verdict, INCONCLUSIVE_WORDS[asked.inconclusive])
+
+
+def _check_junit(asked: GateInput) -> None:
+    """Check that the table beside the JUnit file can be written, and that its folder exists."""
+    if asked.junit is None:
+        return
+    if not asked.junit.parent.is_dir():
+        raise UsageError(f'--junit {asked.junit}: no such folder: {asked.junit.parent}')
+    inputs, beside = (asked.campaign, asked.baseline), _beside(asked.junit)
+    check_output(
+        f'--junit {asked.junit}: {beside}', beside, inputs=[one for one in inputs if one],
+        own=beside.suffix,
+    )
+
+
+def _write_documents(judged: _Judged, junit: Path) -> None:
+    """Write the documents of the commands in the JUnit file beside it."""
+    texts = rerun_documents(judged.rows, judged.facts)
+    for name in texts:
+        check_output(f'--junit {junit}: {junit.parent / name}', junit.parent / name)
+    for name, text in texts.items():
+        write_atomically(junit.parent / name, text)
 
 
 def _judged(asked: GateInput) -> _Judged | None:
@@ -216,7 +237,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
             **scenes.judging.facts(),
         },
     )
-    make_atomically(out / PARQUET_NAME, partial(judged.table().to_parquet, index=False))
+    write_table(out / PARQUET_NAME, judged.table())
     return judged
 
 
@@ -235,9 +256,13 @@ def _left_table(judged: _Judged, junit: Path | None) -> Path | None:
     own = judged.folder / PARQUET_NAME
     if junit is None or judged.again:
         return own if own.is_file() else None
-    beside = junit.with_name(f'{junit.stem}-{PARQUET_NAME}')
-    make_atomically(beside, partial(judged.table().to_parquet, index=False))
+    beside = _beside(junit)
+    write_table(beside, judged.table())
     return beside
+
+
+def _beside(junit: Path) -> Path:
+    return junit.with_name(f'{junit.stem}-{PARQUET_NAME}')
 
 
 def _record_notes(content: LedgerContent) -> Iterator[str]:

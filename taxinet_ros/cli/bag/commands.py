@@ -207,7 +207,7 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            metavar='FILE|DIR',
+            metavar='FILE|DIR', writable=True,
             help='a new .csv, .parquet, .mp4 or .gif, or a folder for a table per topic',
         ),
     ],

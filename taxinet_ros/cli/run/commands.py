@@ -367,7 +367,10 @@ def learned(
             metavar='DIMENSION=LOW:HIGH', help='print the probability of such values; repeatable'
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar='FILE.png', writable=True, dir_okay=False, help='picture to write'),
+    ] = None,
 ) -> None:
     """Combine the learned distributions of searches with different seeds."""
     from taxinet_ros.cli.run.learned import show_learned
@@ -612,7 +615,10 @@ def check_node(
         ),
     ] = 10.0,
     log: Annotated[
-        Path | None, typer.Option(metavar='FILE', help="file for the node's output")
+        Path | None,
+        typer.Option(
+            metavar='FILE', writable=True, dir_okay=False, help="file for the node's output"
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:

@@ -70,9 +70,9 @@ from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.cli.run.live_page import live_page_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
-from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
@@ -313,7 +313,7 @@ def _report(
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
-    make_atomically(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    write_table(pairs, frame)
     # Two swapped arms would be valid campaigns, each with the other's name.
     write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [

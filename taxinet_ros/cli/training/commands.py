@@ -31,7 +31,12 @@ from taxinet_ros.errors import UsageError
 
 def train(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help='weights file to write, NAME.safetensors')],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='NAME.safetensors', writable=True, dir_okay=False, help='weights file to write'
+        ),
+    ],
     program: PicturesArgument = None,
     data: Annotated[
         list[Path] | None,
@@ -339,8 +344,8 @@ def from_nnet(
     out: Annotated[
         Path,
         typer.Option(
-            metavar='NAME.onnx', help='network to write, with its description NAME.yaml; must be '
-            'new',
+            metavar='NAME.onnx', writable=True, dir_okay=False,
+            help='network to write, with its description NAME.yaml; must be new',
         ),
     ],
     description: Annotated[

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
 from taxinet_ros.campaign.options import read_settings
+from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.training.camera import new_picture, write_picture
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.onnx.nnet import (
@@ -36,6 +37,8 @@ def convert_nnet(file: Path, out: Path, description: str) -> None:
     content, source = description_of(description)
     beside = sidecar_path(out)
     own = beside.exists() and source.exists() and beside.samefile(source)
+    if not own:
+        check_output(f'--out {out}: {beside}', beside)
     for path in (out, *(() if own else (beside,))):
         if path.exists() or path.is_symlink():
             raise UsageError(f'--out {out}: {path} already exists; choose a new name')

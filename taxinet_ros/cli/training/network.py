@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.weights import card_path
 from taxinet_ros.core.provenance import provenance
@@ -49,7 +50,14 @@ def run_dataset(options: DatasetOptions) -> None:
 
 
 def run_train(options: TrainOptions) -> None:
-    """Train, with a bar per stage, and print the errors on the validation images."""
+    """Train, with a bar per stage, and print the errors on the validation images.
+
+    Raises:
+        UsageError: an option is invalid, or a file beside the weights would replace a record.
+    """
+    beside = card_path(options.out), options.curves_path, options.history_path
+    for path in beside if options.out.suffix else ():
+        check_output(f'train: --out {options.out}: {path}', path)
     console = Console(highlight=False)
     with stage_bars(console) as show:
         card = train(options, show)

@@ -14,8 +14,9 @@ from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.campaign.experiment import PAGE_NAME as EXPERIMENT_PAGE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import make_atomically, write_atomically
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.pages import add_page
+from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.study.report.claim import Claim
 from taxinet_ros.study.report.paper import judge_claims
 from taxinet_ros.study.report.results import Results, read_results, read_tables
@@ -156,4 +157,4 @@ def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _write_table(frame: pd.DataFrame, path: Path) -> None:
-    make_atomically(path, lambda draft: frame.to_parquet(draft, index=False))
+    write_table(path, frame)

@@ -207,11 +207,15 @@ def test_f2_given_a_campaign_json_that_was_edited_then_it_is_not_written_over_in
         read_ledger(campaign / LEDGER_NAME)
 
 
-def test_f2_given_a_table_alone_then_it_is_said_to_be_unverified(campaign, capsys, tmp_path):
+def test_f2_given_a_table_alone_and_of_pandas_then_it_is_said_to_be_unverified(
+    campaign, capsys, tmp_path
+):
     (tmp_path / 'alone').mkdir()
     shutil.copy(campaign / PARQUET_NAME, tmp_path / 'alone')
     read_runs(campaign)
-    assert capsys.readouterr().err == ''
+    assert len(read_runs(tmp_path / 'alone').frame) == RUNS
+    assert capsys.readouterr().err == '', 'it has a checksum in itself'
+    read_table(campaign).to_parquet(tmp_path / 'alone' / PARQUET_NAME)
     assert len(read_runs(tmp_path / 'alone').frame) == RUNS
     said = 'its tables are unverified, since campaign.json is not there'
     assert capsys.readouterr().err == f'taxinet: warning: {tmp_path / "alone"}: {said}\n'
@@ -294,6 +298,7 @@ def test_f2_given_a_row_that_cannot_be_then_the_ledgers_line_is_named(
 
 @pytest.mark.parametrize(('column', 'value', 'said'), [
     ('rho_tight', -1.0, 'PASS, but a robustness is not above 0'),
+    ('rho', -1.0, 'PASS, but rho is not above 0'),
     ('outcome', 'FAIL', 'FAIL, but no robustness is 0 or less'),
     ('outcome', 'INFRA_ERROR', 'a robustness without a verdict'),
     ('outcome', 'GREAT', 'an unknown word for outcome'),

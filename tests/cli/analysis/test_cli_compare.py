@@ -15,6 +15,7 @@ from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.files.pages import PAGES_NAME
+from taxinet_ros.files.sealed_table import is_sealed_table
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 WET = """
@@ -60,7 +61,9 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
     assert (code, err) == (0, '')
     assert 'Of 3 scenes that both were run in, original satisfies near in 0, truth in 3' in said
     out = tmp_path / 'out'
-    tables = [pd.read_parquet(out / f'{name}.parquet') for name in ('before', 'after')]
+    paths = [out / f'{name}.parquet' for name in ('before', 'after')]
+    assert all(is_sealed_table(path, path.read_bytes()) for path in paths)
+    tables = [pd.read_parquet(path) for path in paths]
     assert tables[0]['distance_m'].tolist() == tables[1]['distance_m'].tolist()
     assert [table['perception'].unique().tolist() for table in tables] == [['original'], ['truth']]
     assert trials(out) == 6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -83,6 +84,33 @@ def test_given_a_baseline_then_worse_scenes_fail_it_and_are_named_with_runs_and_
     assert 'the loss is +7.5 points, with 95 % confidence each at least' in text
     assert text.endswith('next: taxinet compare before after')
     assert read_runs(tmp_path / 'gate-runs.parquet').failed.sum() == 7
+
+
+def test_given_a_junit_file_then_it_replaces_its_own_and_neither_a_record_nor_a_pipe(
+    before, tmp_path, taxinet
+):
+    words = ('gate', 'before', '--min-satisfaction', '0.3', '--junit')
+    for _ in range(2):
+        assert taxinet(*words, 'gate.xml')[0] == 0
+    assert len(read_runs(tmp_path / 'gate-runs.parquet').failed) == 80
+    ledger = (before / LEDGER_NAME).read_bytes()
+    for name in (LEDGER_NAME, 'runs.csv', 'campaign.json'):
+        code, said, err = taxinet(*words, f'before/{name}')
+        assert (code, said) == (2, '')
+        assert f'error: --junit before/{name}: is the name of a record in before' in err
+    assert (before / LEDGER_NAME).read_bytes() == ledger
+    table = bytearray((tmp_path / 'gate-runs.parquet').read_bytes())
+    table[len(table) // 3] ^= 1
+    (tmp_path / 'gate-runs.parquet').write_bytes(table)
+    code, _, err = taxinet('analyze', 'gate-runs.parquet', '--out', 'a')
+    assert (code, 'gate-runs.parquet: was modified (its SHA-256' in err) == (2, True), err
+    (tmp_path / 'gate-runs.parquet').unlink()
+    os.mkfifo(tmp_path / 'gate-runs.parquet')
+    (tmp_path / 'gate.xml').unlink()
+    code, _, err = taxinet(*words, 'gate.xml')
+    assert (code, 'gate-runs.parquet: is not a regular file' in err) == (2, True), err
+    assert not (tmp_path / 'gate.xml').exists()
+    assert (tmp_path / 'gate-runs.parquet').is_fifo()
 
 
 def test_given_too_few_changes_then_it_is_unclear_and_none_of_80_pass(before, tmp_path, taxinet):

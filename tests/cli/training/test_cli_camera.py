@@ -159,7 +159,7 @@ BAD = {
     'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], 'heading_deg: given by the'),
     'bad light': (['compare', 'DRIVE', '--set', 'clouds=fog'], "clouds is 'fog'"),
     'off our runway': (['compare', 'DRIVE', '--distance-offset', '9000'], '--distance-offset'),
-    'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'number of metres'),
+    'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'a finite number'),
     'no key': (['frame', '--set', 'clouds'], 'expected key=value'),
     'unknown key': (['frame', '--set', 'cloud=clear'], "unknown key 'cloud'"),
     'key twice': (['frame', '--set', 'rain=1', '--set', 'rain=2'], 'rain is given twice'),

@@ -1,0 +1,175 @@
+"""What is checked for every command before it begins: its numbers, and the files it would write.
+
+A number from the command line is finite. A file that an option names to be written
+(``typer.Option(writable=True)``) replaces no record, no input and nothing but a regular file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import is_sealed
+
+RECORD_NAMES = frozenset({
+    'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json', 'pages.json',
+    'metadata.yaml', 'stored.json', 'stack.json', 'trials.jsonl', 'experiment.json',
+    'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
+    'assurance.json', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl', 'improve.json',
+    'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv', 'labels.parquet',
+    'evidence.json', 'MANIFEST',
+})
+"""Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
+
+_READ = frozenset({
+    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.jsonl',
+})
+"""Suffixes of files that commands read, and that only an option for such files may replace."""
+_RECORDING = '.mcap'
+_LOOK = 65_536
+_TABLE = '.parquet'
+_STARTS = (
+    (b'PAR1', 'a table (Parquet)'),
+    (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
+    (b'{"chain":"', 'a journal'),
+    (b'{"event":', 'a journal'),
+    (b'run_id,index,', 'a table of runs'),
+    (b'rosbag2_bagfile_information:', 'the description of a bag'),
+)
+_SUFFIX = re.compile(r'\.\w+$')
+
+
+class CheckedCommand(TyperCommand):
+    """A command that begins only if its numbers are finite and its output replaces no record."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Check the parameters, and run the command.
+
+        Raises:
+            UsageError: a number is not finite, or an output would destroy something.
+        """
+        for param in self.params:
+            _check_numbers(_name(param), ctx.params.get(param.name))
+        for param, path in outputs(self, ctx.params):
+            info = _info(param)
+            given = (value for name, value in ctx.params.items() if name != param.name)
+            own = _SUFFIX.search(info.metavar or '')
+            check_output(
+                f'{_name(param)} {path}', path, inputs=_paths(given), folder=info.dir_okay,
+                own=own[0] if own else '',
+            )
+        return super().invoke(ctx)
+
+
+def check_commands(app: typer.Typer) -> None:
+    """Make every command of an app, and of the apps in it, a :class:`CheckedCommand`."""
+    for info in app.registered_commands:
+        info.cls = CheckedCommand
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            check_commands(group.typer_instance)
+
+
+def outputs(command: Any, params: dict[str, Any]) -> Iterator[tuple[Any, Path]]:
+    """Options of a command that name a file to write, and what they are given."""
+    for param in command.params:
+        path = params.get(param.name)
+        if isinstance(path, Path) and getattr(_info(param), 'writable', False):
+            yield param, path
+
+
+def check_output(
+    where: str, path: Path, *, inputs: Iterable[Path] = (), folder: bool = False, own: str = ''
+) -> None:
+    """Refuse to write a file in the place of a record, an input or what is no regular file.
+
+    An earlier output of the same kind may be replaced, if the command does that.
+
+    Args:
+        where: option and value, which begin the message.
+        path: the file.
+        inputs: files that the command reads.
+        folder: whether a folder may be there.
+        own: suffix of the files that the option writes, which it may replace.
+
+    Raises:
+        UsageError: it would destroy something.
+    """
+    if path.is_dir():
+        if folder:
+            return
+        raise UsageError(f'{where}: is a folder; name a file')
+    there = path.exists()
+    if there and not path.is_file():
+        raise UsageError(f'{where}: is not a regular file; choose another name')
+    names = {path.name, path.resolve().name}
+    if any(name.endswith(_RECORDING) for name in names):
+        raise UsageError(f'{where}: {_RECORDING} is the name of a recording; choose another name')
+    beside = path.parent
+    if names & RECORD_NAMES and (there or _holds_records(beside)):
+        raise UsageError(f'{where}: is the name of a record in {beside}; choose another name')
+    if not there:
+        return
+    if any(_same(path, one) for one in inputs):
+        raise UsageError(f'{where}: is read by this command; choose another name')
+    if not path.suffix == own == _TABLE and (what := _record(path)):
+        raise UsageError(f'{where}: is {what}, which is not overwritten; choose another name')
+    if path.suffix in _READ - {own}:
+        raise UsageError(
+            f'{where}: there is a {path.suffix} file, which is not overwritten; choose another name'
+        )
+
+
+def _holds_records(folder: Path) -> bool:
+    return any((folder / name).exists() for name in RECORD_NAMES) or any(
+        folder.glob(f'*{_RECORDING}'))
+
+
+def _record(path: Path) -> str:
+    """What kind of record a file is by its content; '' if it is none."""
+    with path.open('rb') as file:
+        head = file.read(_LOOK)
+    for start, what in _STARTS:
+        if head.startswith(start):
+            return what
+    return 'a sealed record' if is_sealed(path) else ''
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # not there, or no path
+        return False
+
+
+def _check_numbers(name: str, value: Any) -> None:
+    for one in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(one, float) and not math.isfinite(one):
+            raise UsageError(f'{name} {one}: expected a finite number')
+
+
+def _paths(values: Iterable[Any]) -> Iterator[Path]:
+    """All paths that the values may name: as they are, as FILE:NAME, KEY=FILE or FILE=COUNT."""
+    for value in values:
+        for one in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(one, Path):
+                yield one
+            elif isinstance(one, str):
+                words = {one, *one.partition('=')[::2], one.rpartition('=')[0]}
+                words |= {word.partition(':')[0] for word in words}
+                yield from (Path(word) for word in words if word and '\0' not in word)
+
+
+def _name(param: Any) -> str:
+    return str(max(param.opts, key=len))
+
+
+def _info(param: Any) -> Any:
+    return getattr(getattr(param, 'type_descriptor', None), 'parameter_info', None)
