@@ -44,6 +44,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.reading import read_file, read_text
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.study.assurance.calibrate import REQUIREMENT
 from taxinet_ros.training.data.dataset import draw_scenes
@@ -531,7 +532,7 @@ def read_trials(path: Path) -> list[Trial]:
         UsageError: ``path:line: message`` if a line is damaged; or it cannot be read.
     """
     try:
-        lines = csv.reader(io.StringIO(path.read_text(encoding='utf-8')), strict=True)
+        lines = csv.reader(io.StringIO(read_text(path)), strict=True)
         names = next(lines, [])
         if names != [field.name for field in dataclasses.fields(Trial)]:
             raise UsageError(f'{path}: is no table of taxinet assure judge')
@@ -581,7 +582,7 @@ def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
                 f'{folder}: no result of taxinet assure judge: {needed.name} is not there'
             )
     try:
-        values = load_json(path.read_bytes())
+        values = load_json(read_file(path))
         options, told = values['options'], values['judged']
         words = options['perception'], options['fingerprints']['perception'], options['program']
         if not all(isinstance(word, str) for word in words):
