@@ -22,6 +22,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / 'c'
 
 
+FROM_NNET = (
+    'network', 'from-nnet', 'n.nnet', '--out', 'n.onnx', '--description', 'tinytaxinet',
+)
+
+
 def pipe(path: Path) -> None:
     os.mkfifo(path)
 
@@ -47,8 +52,8 @@ def a_socket(path: Path) -> None:
     (pipe, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (a_socket, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (device, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
-    (pipe, 'n.nnet', ('network', 'from-nnet', 'n.nnet', '--out', 'n.onnx')),
-    (device, 'n.nnet', ('network', 'from-nnet', 'n.nnet', '--out', 'n.onnx')),
+    (pipe, 'n.nnet', FROM_NNET),
+    (device, 'n.nnet', FROM_NNET),
 ])
 def test_given_what_may_never_end_in_the_place_of_a_file_then_one_line_says_so(
     made, tmp_path, make, name, words
