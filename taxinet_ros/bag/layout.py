@@ -12,6 +12,7 @@ from pathlib import Path
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
 from taxinet_ros.bag.store import STORED_NAME, bring_back
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import UnfitFileError, check_regular
 
 METADATA_FILE = 'metadata.yaml'
 STORAGE_ID = 'mcap'
@@ -59,7 +60,8 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         BagForeign: the folder contains a bag of another storage.
     """
     bring_back(path if path.is_dir() else path.parent)
-    if path.is_file():
+    if not path.is_dir() and path.exists():
+        _check_regular(path)
         if path.name.endswith(f'.{STORAGE_ID}.zstd'):
             raise BagForeign(compressed(path, 'file'), path=path)
         if path.suffix == '.db3':
@@ -72,10 +74,21 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         raise BagForeign(compressed(path, 'file'), path=path)
     files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
     if files:
+        for file in files:
+            _check_regular(file)
         return tuple(files)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
     raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
+
+
+def _check_regular(path: Path) -> None:
+    try:
+        check_regular(path)
+    except UnfitFileError as error:
+        raise UsageError(f'{path}: {error.what}') from None
+    except OSError as error:
+        raise UsageError(f'{path}: cannot be read: {error.strerror}') from error
 
 
 def _sqlite3(path: Path) -> BagForeign:

@@ -3,7 +3,7 @@
 A stored bag's folder holds ``stored.json`` in place of its files, or beside them: where they are,
 with size and SHA-256 of each. Nothing is removed here before it was read back from there and found
 equal. An upload that was interrupted goes on with the files that are missing; what is there already
-under the same name with other content is never overwritten.
+under the same name with other content is never overwritten, but for a bag that got frames here.
 
 Credentials come from the environment, as the store's library reads them (``AWS_ACCESS_KEY_ID``,
 ``AWS_PROFILE``, ``AWS_ENDPOINT_URL``); an address that contains some is refused.
@@ -14,7 +14,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,13 @@ _KINDS = ('s3', 'file', 'gs', 'abfs', 'sftp', 'hdfs')
 _SECRETS = ('AWS_SECRET_ACCESS_KEY', 'AWS_SESSION_TOKEN', 'AWS_ACCESS_KEY_ID')
 _BLOCK_BYTES = 8 << 20
 
+_BEFORE = '.stored'
+"""Folder beside the files of a bag for what is stored of it, while the two are compared."""
+
 FileTold = tuple[int, str]
 """Size of a file in bytes, and its SHA-256."""
+Replaces = Callable[[Path, Path, frozenset[str]], bool]
+"""Whether a bag replaces the stored one: folder of that, of this, and the files that differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,32 +128,40 @@ def is_elsewhere(folder: Path) -> bool:
     return stored is not None and not all((folder / name).exists() for name in stored.files)
 
 
-def store_bag(folder: Path, url: str, *, keep: bool = False) -> bool:
+def store_bag(
+    folder: Path, url: str, *, keep: bool = False,
+    replaces: Replaces = lambda before, now, names: False,
+) -> bool:
     """Upload a bag, verify it there, and remove the files here.
 
     Args:
         folder: folder of the run.
         url: folder there; that of the run below it has its name.
         keep: do not remove the files here.
+        replaces: asked about a stored bag that was changed here.
 
     Returns:
         Whether anything was uploaded.
 
     Raises:
-        UsageError: another file is there under the same name.
+        UsageError: another file is there under the same name, the bag was changed here, or a file
+            that is not here is missing there.
         RecordError: the store failed; nothing was removed here.
         OSError: the bag cannot be read.
     """
     target, before = f'{url}/{folder.name}', stored_bag(folder)
     files = _files_here(folder)
     there = before.files if before is not None and before.url == target else {}
+    far, uploaded = _Far(target), False
+    for name in there.keys() - files.keys():
+        far.check_there(name, there[name])
     if there and not files:
         return False
     changed = not there or not files.items() <= there.items()
     if changed:
         bring_back(folder)
         files = _files_here(folder)
-    far, uploaded = _Far(target), False
+        _check_change(folder, far, files, there, replaces)
     for name, told in files.items():  # also those stored before: they may be gone there
         uploaded |= far.put(folder / name, told, replaces=there.get(name))
     if changed:
@@ -156,6 +170,46 @@ def store_bag(folder: Path, url: str, *, keep: bool = False) -> bool:
         for name in files:
             (folder / name).unlink()
     return uploaded
+
+
+def check_stored(folder: Path) -> None:
+    """Check that the files of a stored bag that are not here are there, by their sizes.
+
+    Raises:
+        UsageError: its record is damaged, or a file there is missing or another one.
+        RecordError: the store failed.
+    """
+    stored = stored_bag(folder)
+    missing = [name for name in stored.files if not (folder / name).exists()] if stored else []
+    if stored is not None and missing:
+        far = _Far(stored.url)
+        for name in missing:
+            far.check_there(name, stored.files[name])
+
+
+def _check_change(
+    folder: Path, far: _Far, files: Mapping[str, FileTold], there: Mapping[str, FileTold],
+    replaces: Replaces,
+) -> None:
+    """Refuse to replace stored files by others, unless ``replaces`` allows it."""
+    names = frozenset(name for name in files if files[name] != there.get(name, files[name]))
+    if not names:
+        return
+    before = folder / _BEFORE
+    shutil.rmtree(before, ignore_errors=True)
+    before.mkdir()
+    try:
+        for name, told in there.items():  # an interrupted upload has replaced some of them
+            done = name in names and far.told(name) == files[name]
+            far.get(before / name, files[name] if done else told)
+        if not replaces(before, folder, names):
+            name = min(names)
+            raise UsageError(
+                f'{folder / name}: differs from the stored one, {far.url}/{name}, which is never '
+                'overwritten; delete it here to get that back, or choose another store'
+            )
+    finally:
+        shutil.rmtree(before, ignore_errors=True)
 
 
 def _files_here(folder: Path) -> dict[str, FileTold]:
@@ -220,6 +274,23 @@ class _Far:
         except _MissingError:
             return None
         return size, sha256.hexdigest()
+
+    def check_there(self, name: str, told: FileTold) -> None:
+        """Check that a file is there and has its size, without reading it.
+
+        Raises:
+            UsageError: it is missing, or another one.
+        """
+        with self._named():
+            self._fs.invalidate_cache()
+            try:
+                size = self._fs.info(f'{self.url}/{name}')['size']
+            except FileNotFoundError:
+                raise UsageError(f'{self.url}/{name}: is missing in the store and here') from None
+        if size != told[0]:
+            raise UsageError(
+                f'{self.url}/{name}: is not the file that was stored ({size} bytes, not {told[0]})'
+            )
 
     def put(self, path: Path, told: FileTold, *, replaces: FileTold | None = None) -> bool:
         """Upload a file unless it is there, and verify it; whether it was uploaded."""

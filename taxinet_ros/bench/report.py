@@ -13,6 +13,7 @@ from taxinet_ros.bench.subjects.campaign import WORKERS, figure_name
 from taxinet_ros.core.provenance import COMMIT
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
 Report = dict[str, Any]
 """``machine``: facts; ``figures``: measurements by name; both ready for JSON."""
@@ -52,7 +53,7 @@ def read_report(
         UsageError: there is no such file, or it is not a report.
     """
     try:
-        report = load_json(path.read_bytes())
+        report = load_json(read_file(path, MAX_TEXT_BYTES))
     except OSError as error:
         raise UsageError(f'bench: cannot read {path}: {error.strerror}') from error
     except ValueError:

@@ -31,6 +31,7 @@ from taxinet_ros.campaign.scenes.search_space import (
     standard_values,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
 _WIDTH = 100
 _CALL = re.compile(
@@ -62,7 +63,7 @@ def learned_program(
             the reason.
     """
     try:
-        source = program.read_bytes().decode()  # keeps its line ends
+        source = read_file(program, MAX_TEXT_BYTES).decode()  # keeps its line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
     text = _Text(program=program.resolve(), source=source)

@@ -18,7 +18,8 @@ from typing import Self
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.store import bring_back, store_bag, stored_bag
+from taxinet_ros.bag.rewrite.frames import only_frames_added
+from taxinet_ros.bag.store import bring_back, check_stored, store_bag, stored_bag
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.errors import RecordError, UsageError
@@ -40,15 +41,27 @@ def store_campaign(
         Number of bags in the store, and of those that were uploaded now.
 
     Raises:
-        UsageError: not a campaign, a bag is damaged, or another file is there.
+        UsageError: not a campaign, a bag is damaged or was changed here, another file is there, or
+            a bag that is not here is missing there; of these, the other bags are stored before.
         RecordError: the store failed.
     """
     bags = uploaded = 0
+    lost: list[UsageError] = []
     for row in open_campaign(folder).rows:
         if row.outcome.judged and row.bag:
             on_bag(folder / row.bag)
+            try:
+                check_stored(folder / row.bag)
+            except UsageError as error:
+                lost.append(error)
+                continue
             uploaded += _store_run(folder, row, url, keep=keep)
             bags += 1
+    if lost:
+        others = f' (and {len(lost) - 1} bags more)' if len(lost) > 1 else ''
+        raise UsageError(
+            f'{lost[0]}{others}; {bags} other bags are stored, {uploaded} uploaded now'
+        )
     return bags, uploaded
 
 
@@ -78,7 +91,14 @@ def _store_run(folder: Path, row: RunRow, url: str, *, keep: bool = False) -> bo
                 raise UsageError(f'{bag}: is not stored, {wrong.where}: {wrong.what}')
         except BagError as error:
             raise UsageError(f'{bag}: is not stored: {error}') from error
-    return store_bag(bag, place, keep=keep)
+    return store_bag(bag, place, keep=keep, replaces=_has_got_frames)
+
+
+def _has_got_frames(before: Path, now: Path, names: frozenset[str]) -> bool:
+    """Whether a bag differs from the stored one as ``taxinet bag render`` changes it."""
+    return any(Path(name).suffix == f'.{STORAGE_ID}' for name in names) and (
+        only_frames_added(before, now)
+    )
 
 
 class BagUploads:

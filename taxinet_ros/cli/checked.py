@@ -22,9 +22,9 @@ RECORD_NAMES = frozenset({
     'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json', 'pages.json',
     'metadata.yaml', 'stored.json', 'stack.json', 'trials.jsonl', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl', 'improve.json',
-    'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv', 'labels.parquet',
-    'evidence.json', 'MANIFEST',
+    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
+    'improve.json', 'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv',
+    'labels.parquet', 'evidence.json', 'MANIFEST',
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
 

@@ -7,12 +7,15 @@ output closed by its reader.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import functools
 import importlib
+import logging
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -381,6 +384,7 @@ def _command(output_closed: bool) -> object:
     with contextlib.suppress(OSError):  # few commands need the working directory to exist
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
+    _have_matplotlib_somewhere()
     refuse_special_files()
     if ASKED_BY in os.environ or {*sys.argv[1:2]} & _COMPLETING:  # these end the process
         return answer_shell(lambda: app(standalone_mode=False, prog_name='taxinet'), os.environ)
@@ -417,6 +421,31 @@ def _have_ros_log_somewhere() -> None:
         os.environ['ROS_LOG_DIR'] = os.path.join(
             tempfile.gettempdir(), f'taxinet_ros_log_{os.getuid()}'
         )
+
+
+def _have_matplotlib_somewhere() -> None:
+    """Set a folder for matplotlib, removed at exit, if it has none; its children share it."""
+    # Otherwise it prints lines about folders and fonts before ours.
+    logging.getLogger('matplotlib').setLevel(logging.ERROR)
+    own = os.environ.get('MPLCONFIGDIR')
+    home = os.path.expanduser('~')
+    usual = [
+        os.path.join(os.environ.get(f'XDG_{name.upper()}_HOME') or f'{home}/.{name}', 'matplotlib')
+        for name in ('config', 'cache')
+    ]
+    if all(map(_takes_folders, [own] if own else usual)):
+        return
+    with contextlib.suppress(OSError):
+        folder = tempfile.mkdtemp(prefix='taxinet_matplotlib_')
+        os.environ['MPLCONFIGDIR'] = folder
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+
+
+def _takes_folders(path: str) -> bool:
+    """Whether this folder is writable, or can be made."""
+    while not os.path.lexists(path) and os.path.dirname(path) != path:
+        path = os.path.dirname(path)
+    return os.path.isdir(path or '.') and os.access(path or '.', os.W_OK | os.X_OK)
 
 
 def _exit_code(command: Callable[[], object]) -> int:

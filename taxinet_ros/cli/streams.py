@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Any, TextIO
 
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import FOUND
 from taxinet_ros.processes.child import fill_standard_descriptors
 
 
@@ -102,8 +103,7 @@ def _through(kind: type[io.FileIO], stream: TextIO) -> TextIO:
     )
 
 
-_FOUND = {stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket', stat.S_IFCHR: 'a device',
-          stat.S_IFBLK: 'a device'}
+_ENDLESS = ('/dev/zero', '/dev/full')
 _watched: list[bool] = []
 
 
@@ -111,7 +111,7 @@ def refuse_special_files() -> None:
     """Install an audit hook that raises :class:`UsageError` when a special file is opened.
 
     Paths below ``/dev`` are allowed: ``/dev/null``, ``/dev/stdin``, and the ``/dev/fd/63`` of a
-    shell's ``<(command)``.
+    shell's ``<(command)``; but not those of which reading never ends.
     """
     if not _watched:
         _watched.append(True)
@@ -122,11 +122,11 @@ def _check_opened_file(event: str, arguments: tuple[Any, ...]) -> None:
     if event != 'open' or not isinstance(arguments[0], str | bytes):
         return
     path = os.fsdecode(arguments[0])
-    if path.startswith(('/dev/', '/proc/')):
+    if path.startswith(('/dev/', '/proc/')) and path not in _ENDLESS:
         return
     try:
         kind = stat.S_IFMT(os.stat(path).st_mode)
     except (OSError, ValueError):
         return
-    if kind in _FOUND:
-        raise UsageError(f'{path}: is {_FOUND[kind]}, not a regular file')
+    if kind in FOUND:
+        raise UsageError(f'{path}: is {FOUND[kind]}, not a regular file')

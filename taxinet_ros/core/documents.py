@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, load_json
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
 
 NAME = re.compile(r'[a-z][a-z0-9_]{0,39}')
 _REFERENCE = re.compile(r'[a-z0-9][a-z0-9_]*@[0-9a-f]{12}')
@@ -128,7 +129,7 @@ class Catalogue(Generic[_T]):
         """
         if text.lower().endswith('.json') and not text.startswith('{'):
             try:
-                return self.find(Path(text).read_text(encoding='utf-8'))
+                return self.find(read_text(Path(text), MAX_TEXT_BYTES))
             except (OSError, UnicodeDecodeError) as error:
                 why = error.strerror if isinstance(error, OSError) else 'not UTF-8'
                 raise UsageError(f'{self.key} {text}: cannot be read: {why}') from None

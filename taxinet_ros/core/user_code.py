@@ -28,6 +28,7 @@ from typing import Any, Final, TypeGuard, TypeVar
 
 from taxinet_ros.arguments import can_be_called
 from taxinet_ros.errors import UsageError, plain_line
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 from taxinet_ros.processes.interrupts import RECEIVED_STOPS, refuse_exits
 from taxinet_ros.registry import Extension
 
@@ -376,7 +377,7 @@ def _parsed(path: Path, source: bytes) -> ast.Module:
 
 def _source(path: Path, role: str = '') -> bytes:
     try:
-        return path.read_bytes()
+        return read_file(path, MAX_TEXT_BYTES)
     except OSError as error:
         raise UsageError(f'{role} {path}: {error.strerror}'.strip()) from error
 

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple, Self
 from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import disk_error
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.reading import read_file
 
 _DIGITS = 32
 _LINE = re.compile(rb'\{"chain":"([0-9a-f]{32})([0-9a-f]{32})",(.+\})', re.DOTALL)
@@ -108,7 +109,7 @@ class Journal:
         self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            content = parse_journal(path.read_bytes())
+            content = parse_journal(read_file(path))
             self.events = _sound_events(path, content)
             os.ftruncate(self._fd, content.whole)
         except BaseException:
@@ -180,7 +181,7 @@ def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, 
         OSError: it cannot be read.
         UsageError: ``path:line: message`` for the first error.
     """
-    content = parse_journal(path.read_bytes())
+    content = parse_journal(read_file(path))
     events = _sound_events(path, content)
     if ended is not None and (why := lost_end(content, ended)):
         raise damaged_line(path, len(content.lines) + 1, why)
@@ -244,7 +245,7 @@ def journal_end(path: Path) -> JournalEnd:
     Raises:
         OSError: it cannot be read.
     """
-    return parse_journal(path.read_bytes()).end
+    return parse_journal(read_file(path)).end
 
 
 def _sound_events(path: Path, content: JournalContent) -> list[dict[str, Any]]:

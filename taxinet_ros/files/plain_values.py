@@ -16,6 +16,7 @@ from typing import Any, TypeGuard
 import yaml
 
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import read_file
 
 MAX_DEPTH = 100
 """Limit of nested brackets; PyYAML takes seconds for a thousand."""
@@ -89,9 +90,7 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
         UsageError: it cannot be read, is not YAML, or repeats a key.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise UsageError(f'{path}: has more than {MAX_BYTES >> 20} MiB; is it the right file?')
-        return parse_yaml(path, path.read_bytes(), mend=mend)
+        return parse_yaml(path, read_file(path, MAX_BYTES), mend=mend)
     except OSError as error:
         where = f'{option} {path}'.strip()
         raise UsageError(f'{where}: cannot be read: {error.strerror}') from error

@@ -20,6 +20,7 @@ from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.journal import JournalEnd, journal_end
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.reading import open_regular, read_file
 
 _SEAL, _CHECKSUM = 'seal', 'checksum'
 _END = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
@@ -96,7 +97,7 @@ def read_sealed(path: Path) -> SealedJson:
         OSError: it cannot be read.
         UsageError: it is damaged, or was edited.
     """
-    data = path.read_bytes()
+    data = read_file(path)
     found = _END.search(data)
     if found and hashlib.sha256(data[:found.start()]).hexdigest().encode() != found[1]:
         raise _damaged(path, 'its checksum differs')
@@ -138,7 +139,7 @@ def is_sealed(path: Path) -> bool:
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal digits."""
-    with path.open('rb') as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, 'sha256').hexdigest()
 
 

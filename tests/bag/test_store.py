@@ -13,7 +13,14 @@ from far_store import KEYS, local_store, s3_server
 
 from taxinet_ros.bag import store as store_module
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.store import STORED_NAME, bring_back, check_store, store_bag, stored_bag
+from taxinet_ros.bag.store import (
+    STORED_NAME,
+    bring_back,
+    check_store,
+    check_stored,
+    store_bag,
+    stored_bag,
+)
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.sealed_json import write_sealed
 
@@ -157,10 +164,73 @@ def test_given_a_stored_bag_that_was_changed_here_then_its_new_files_replace_the
     bring_back(bag)
     (bag / 'r_0.mcap').write_bytes(b'with frames')
     (bag / 'metadata.yaml').unlink()  # as if only one file had been brought back
-    assert store_bag(bag, url)
+    asked = []
+
+    def replaces(before: Path, now: Path, names: frozenset[str]) -> bool:
+        asked.append((content(before), now, names))
+        return True
+
+    assert store_bag(bag, url, replaces=replaces)
+    assert asked == [(FILES, bag, {'r_0.mcap'})]
     assert far_content(f'{url}/r') == {**FILES, 'r_0.mcap': b'with frames'}
     bring_back(bag)
     assert content(bag) == {**FILES, 'r_0.mcap': b'with frames'}
+
+
+@pytest.mark.parametrize('name', sorted(FILES))
+def test_given_a_stored_bag_that_was_edited_here_then_the_stored_one_is_never_overwritten(
+    name, url, bag
+):
+    store_bag(bag, url)
+    bring_back(bag)
+    (bag / name).write_bytes(FILES[name] + b'# a remark')
+    with pytest.raises(UsageError, match=rf'{bag}/{name}: differs from the stored one, {url}/r/'):
+        store_bag(bag, url)
+    assert far_content(f'{url}/r') == FILES
+    assert content(bag) == {**FILES, name: FILES[name] + b'# a remark'}
+
+
+def test_given_a_replacement_that_was_interrupted_then_it_goes_on(url, bag, monkeypatch):
+    store_bag(bag, url)
+    bring_back(bag)
+    new = {'metadata.yaml': b'rosbag2: 2\n', 'r_0.mcap': b'with frames'}
+    for name, data in new.items():
+        (bag / name).write_bytes(data)
+    put = store_module._Far.put
+
+    def fails_at_last(far, path, *words, **named):
+        if path.name == 'r_0.mcap':
+            raise RecordError('connection reset')
+        return put(far, path, *words, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store_module._Far, 'put', fails_at_last)
+        with pytest.raises(RecordError, match='connection reset'):
+            store_bag(bag, url, replaces=lambda *words: True)
+    assert content(bag) == new
+    assert store_bag(bag, url, replaces=lambda *words: True)
+    assert far_content(f'{url}/r') == new
+    bring_back(bag)
+    assert content(bag) == new
+
+
+@pytest.mark.parametrize('here', [[], ['metadata.yaml']])
+@pytest.mark.parametrize('damage', ['gone', 'shorter'])
+def test_given_a_stored_file_that_is_neither_there_nor_here_then_storing_again_names_it(
+    here, damage, url, bag
+):
+    store_bag(bag, url)
+    for name in here:
+        (bag / name).write_bytes(FILES[name])
+    files, place = fsspec.core.url_to_fs(f'{url}/r/r_0.mcap')
+    files.rm(place)
+    if damage == 'shorter':
+        files.pipe_file(place, MCAP[:9])
+    said = 'is missing in the store and here' if damage == 'gone' else 'is not the file that was'
+    for look in (lambda: store_bag(bag, url), lambda: check_stored(bag)):
+        with pytest.raises(UsageError, match=rf'{url}/r/r_0.mcap: {said}'):
+            look()
+    assert sorted(content(bag)) == here
 
 
 def test_given_a_stored_bag_when_stored_elsewhere_then_it_is_moved_there(url, bag, tmp_path):

@@ -22,6 +22,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / 'c'
 
 
+FROM_NNET = (
+    'network', 'from-nnet', 'n.nnet', '--out', 'n.onnx', '--description', 'tinytaxinet',
+)
+
+
 def pipe(path: Path) -> None:
     os.mkfifo(path)
 
@@ -47,6 +52,8 @@ def a_socket(path: Path) -> None:
     (pipe, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (a_socket, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (device, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
+    (pipe, 'n.nnet', FROM_NNET),
+    (device, 'n.nnet', FROM_NNET),
 ])
 def test_given_what_may_never_end_in_the_place_of_a_file_then_one_line_says_so(
     made, tmp_path, make, name, words
@@ -66,3 +73,15 @@ def test_given_what_a_shell_offers_as_a_file_then_it_is_read(made):
         check=False,
     )
     assert 'not a regular file' not in done.stderr
+
+
+@pytest.mark.parametrize('words', [
+    ('/dev/zero', '--description', 'tinytaxinet'), ('n.nnet', '--description', '/dev/zero'),
+    ('/dev/urandom', '--description', 'tinytaxinet'), ('n.nnet', '--description', '/dev/urandom'),
+])
+def test_given_a_device_by_its_own_name_then_one_line_says_so_and_little_is_read(tmp_path, words):
+    (tmp_path / 'n.nnet').write_text('1,1,1,1,\n')
+    done = taxinet_apart('network', 'from-nnet', *words, '--out', 'n.onnx', cwd=tmp_path)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stdout + done.stderr
+    assert 'is a device, not a regular file' in done.stderr
+    assert not (tmp_path / 'n.onnx').exists()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from taxinet_ros.bag.cdr.decode import definition_hash
@@ -13,8 +14,9 @@ from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.rewrite.copying import copy_of, named_message, storable_topic, write_steps
 from taxinet_ros.bag.storage.summary import read_statistics
-from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.bag.writer import BagSummary
+from taxinet_ros.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,7 @@ def recover(source: Path, folder: Path) -> Recovery:
                        path=source)
     damage: list[str] = []
     topics = [t for topic in info.topics if (t := storable_topic(topic, damage.append)) is not None]
+    topics = [_with_sound_definition(topic, damage.append) for topic in topics]
     names = {topic.name for topic in topics}
     size = sum(file.stat().st_size for file in storage_files(source))
     sound = stored_messages(
@@ -77,6 +80,24 @@ def recover(source: Path, folder: Path) -> Recovery:
         f'another: {declared[name].type}' for (name, kind), count in other.items()
     ]
     return Recovery(bag=bag.summary, damage=tuple(damage), declared=_declared(source))
+
+
+def _with_sound_definition(topic: TopicInfo, tell: Callable[[str], None]) -> TopicInfo:
+    """The topic; with the installed definition if its own is damaged and the hashes are equal."""
+    try:
+        if definition_hash(topic) == topic.type_hash:
+            return topic
+    except BagError:
+        pass
+    try:
+        if type_hash(topic.type) != topic.type_hash:
+            return topic
+        definition = message_definition(topic.type)
+    except UsageError:
+        return topic
+    tell(f'topic {topic.name!r}: its definition is damaged; the installed one of {topic.type}, '
+         'which has the recorded type hash, takes its place')
+    return replace(topic, definition=definition)
 
 
 def _alike(one: TopicInfo, other: TopicInfo) -> bool:

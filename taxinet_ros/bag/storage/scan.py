@@ -13,10 +13,10 @@ import mmap
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 import zstandard
 from mcap.opcode import Opcode
@@ -33,9 +33,10 @@ from taxinet_ros.bag.storage.records import (
     open_chunk,
     parse_record,
 )
-from taxinet_ros.bag.storage.summary import check_summary, sound_summary
+from taxinet_ros.bag.storage.summary import Summary, check_summary, sound_summary
 
 OnDamage = Callable[[BagError], None]
+_Declaration = TypeVar('_Declaration', Schema, Channel)
 
 PROFILE = 'ros2'
 
@@ -45,7 +46,7 @@ _NOT_IN_DATA = frozenset({
     0, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.STATISTICS,
     Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
 })
-_DATA_END_BYTES = 4
+_DATA_END_BYTES, _LENGTH_BYTES = 4, 4
 _LAST_KNOWN = max(Opcode)
 
 _RECORD_HEAD = re.compile(b'[\x03\x04\x06\x07\x09\x0c\x0f][\x00-\xff]{4}\x00{4}')
@@ -74,6 +75,9 @@ def scan(path: Path, on_damage: OnDamage | None = None) -> Iterator[McapRecord]:
 
     Chunks are opened, checked as a whole, and yielded only if intact. A channel always precedes its
     messages, and a schema its channels.
+
+    Schemas and channels outside the chunks have no checksum. They are held back until the first
+    chunk, and if a copy with a checksum differs, in a chunk or in the summary, that one is yielded.
 
     Args:
         path: an ``.mcap`` file.
@@ -137,6 +141,9 @@ class _Scanner:
         self._crc = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._sealed: dict[tuple[type, int], Schema | Channel] = {}
+        self._held: dict[tuple[type, int], None] = {}
+        self._contradicted: set[tuple[type, int]] = set()
         self._messages = 0
         self.chunks = 0
         self._places: dict[bytes, int] = {}
@@ -146,29 +153,41 @@ class _Scanner:
 
     def records(self) -> Iterator[McapRecord]:
         """Yield the records of the file."""
-        damaged_at = 0
         begun = self._is_mcap()
-        if begun:
-            while True:
-                offset, crc = self._offset, self._crc
-                try:
-                    opcode, body = self._next()
-                    if opcode == Opcode.DATA_END and len(body) == _DATA_END_BYTES:
-                        self._finish(body, offset, crc)
-                        return
-                    records = self.accept(opcode, body, offset)
-                except BagError as error:
-                    self.damage(error, offset)
-                    damaged_at = offset
-                    break
-                yield from self.counted(records)
+        if self._on_damage is None:
+            yield from self._in_sequence()
+            return
         with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            yield from _Salvage(self, data).records(damaged_at)
+            summary = sound_summary(data)
+            for record in summary.declarations if summary else ():
+                self._sealed[type(record), record.id] = record
+            damaged_at = (yield from self._in_sequence()) if begun else 0
+            if damaged_at is None:
+                return
+            yield from _Salvage(self, data, summary).records(damaged_at)
+        yield from self._released()
         if self._undeclared:
             text = f'{self._undeclared} messages of topics whose definition is lost'
             self.damage(BagCorrupt(text), self._size)
         if not begun and not self.chunks and self._size > len(MAGIC):
             raise BagForeign(f'{self._path}: not an MCAP file', path=self._path)
+
+    def _in_sequence(self) -> Generator[McapRecord, None, int | None]:
+        """Yield the records up to the first damage; its offset is returned, None at the end."""
+        while True:
+            offset, crc = self._offset, self._crc
+            try:
+                opcode, body = self._next()
+                if opcode == Opcode.DATA_END and len(body) == _DATA_END_BYTES:
+                    break
+                records = self.accept(opcode, body, offset)
+            except BagError as error:
+                self.damage(error, offset)
+                return offset
+            yield from self.counted(records)
+        yield from self._released()
+        self._finish(body, offset, crc)
+        return None
 
     def _is_mcap(self) -> bool:
         """Whether the file starts with MCAP's magic bytes."""
@@ -216,16 +235,32 @@ class _Scanner:
             raise BagCorrupt(f'record of kind {opcode}, with what a chunk holds')
         record = parse_record(opcode, body)
         if isinstance(record, Chunk):
-            return self.within(open_chunk(record, self.work), offset)
+            return self.within(record, offset)
         if isinstance(record, Message) and self.chunks:
             raise BagCorrupt('message outside the chunks')
         if record is None:
             return ()
+        if isinstance(record, Header):
+            self._check_profile(record.profile, body)
         self.check(record)
+        if isinstance(record, Schema | Channel):
+            self._held[type(record), record.id] = None
+            return ()
         return (record,)
 
-    def within(self, raw: bytes, offset: int) -> Iterable[McapRecord]:
-        """Records of an opened chunk; none if it repeats an earlier one."""
+    def _check_profile(self, profile: str, body: bytes) -> None:
+        if profile == PROFILE:
+            return
+        # With a damaged length, the profile ends elsewhere than its letters do.
+        if body[_LENGTH_BYTES:].startswith(PROFILE.encode()):
+            raise BagCorrupt(f'the length of the profile {PROFILE!r} is damaged')
+        if _bits_apart(profile, PROFILE) == 1:
+            raise BagCorrupt(f'profile {profile!r} is one bit from {PROFILE!r}')
+        raise BagForeign(f'{self._path}: MCAP of profile {profile!r}, not ros2', path=self._path)
+
+    def within(self, chunk: Chunk, offset: int) -> Iterable[McapRecord]:
+        """Records of a chunk; none if it repeats an earlier one."""
+        raw, sealed = open_chunk(chunk, self.work), bool(chunk.uncompressed_crc)
         # A chunk with any error is rejected completely. The messages of a large chunk may take many
         # times its size in memory, so it is parsed twice instead.
         small = len(raw) <= _SMALL_BYTES
@@ -233,7 +268,7 @@ class _Scanner:
         inner = tuple(records) if small else records
         count = 0
         for one in inner:
-            self.check(one)
+            self.check(one, sealed=sealed)
             count += isinstance(one, Message)
         self.chunks += 1
         # Recorders never write equal messages, stamps and numbers twice; a faulty disk may.
@@ -247,39 +282,62 @@ class _Scanner:
         return inner if small else chunk_records(raw, ReadBudget(len(raw)))
 
     def counted(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
+        """Yield accepted records, after the declarations that were held back until here."""
         for record in records:
+            if self._held and isinstance(record, Message | Schema | Channel):
+                yield from self._released()
             if isinstance(record, Message):
                 if record.channel_id not in self._channels:
                     self._undeclared += 1
                     continue
                 self._messages += 1
+            elif isinstance(record, Schema):
+                record = self._schemas[record.id]
+            elif isinstance(record, Channel):
+                record = self._channels[record.id]
             yield record
 
-    def check(self, record: McapRecord) -> None:
-        if isinstance(record, Header) and record.profile != PROFILE:
-            if _bits_apart(record.profile, PROFILE) == 1:
-                raise BagCorrupt(f'profile {record.profile!r} is one bit from {PROFILE!r}')
-            raise BagForeign(
-                f'{self._path}: MCAP of profile {record.profile!r}, not ros2', path=self._path
-            )
+    def _released(self) -> Iterator[McapRecord]:
+        """Yield the declarations held back, each in the copy that is to be believed."""
+        held, self._held = self._held, {}
+        for kind, number in held:
+            yield self._schemas[number] if kind is Schema else self._channels[number]
+
+    def check(self, record: McapRecord, *, sealed: bool = False) -> None:
+        """Check a record against earlier ones, and note what it declares.
+
+        Args:
+            record: the record.
+            sealed: whether a checksum covers it.
+        """
         if isinstance(record, Schema):
-            if self._schemas.get(record.id, record) != record:
-                self._contradiction(f'schema {record.id} ({record.name})')
-            self._schemas[record.id] = record
+            self._declare(self._schemas, record, record.name, sealed=sealed)
         elif isinstance(record, Channel):
-            if record.schema_id not in self._schemas:
-                raise BagCorrupt(f'channel {record.topic} names unknown schema {record.schema_id}')
-            if self._channels.get(record.id, record) != record:
-                self._contradiction(f'channel {record.id} ({record.topic})')
-            self._channels[record.id] = record
+            self._declare(self._channels, record, record.topic, sealed=sealed)
         elif isinstance(record, Message) and record.channel_id not in self._channels:
             if self._damaged:  # Only the definition may be lost; keep the rest of the chunk.
                 return
             raise BagCorrupt(f'message on unknown channel {record.channel_id}')
 
-    def _contradiction(self, what: str) -> None:
-        # If the scan continues, the later copy is used: it is covered by a chunk's checksum.
-        self.damage(BagCorrupt(f'{what} has two different definitions'), self._offset)
+    def _declare(
+        self, known: dict[int, _Declaration], record: _Declaration, name: str, *, sealed: bool
+    ) -> None:
+        """Note a schema or channel; if copies differ, one that a checksum covers is believed."""
+        place = type(record), record.id
+        believed = record
+        if sealed:
+            self._sealed[place] = record
+        elif isinstance(copy := self._sealed.get(place), type(record)):
+            believed = copy
+        schema = believed.schema_id if isinstance(believed, Channel) else None
+        if schema is not None and schema not in self._schemas:
+            raise BagCorrupt(f'channel {name} names unknown schema {schema}')
+        differs = record != believed or known.get(record.id, believed) != believed
+        if differs and place not in self._contradicted:
+            self._contradicted.add(place)
+            text = f'{type(record).__name__.lower()} {record.id} ({name})'
+            self.damage(BagCorrupt(f'{text} has two different definitions'), self._offset)
+        known[record.id] = believed
 
     def _finish(self, body: bytes, offset: int, crc: int) -> None:
         """Check the data against the end of the file."""
@@ -312,10 +370,10 @@ class _Scanner:
 class _Salvage:
     """Finds intact records after the first damage of a file."""
 
-    def __init__(self, scanner: _Scanner, data: mmap.mmap) -> None:
+    def __init__(self, scanner: _Scanner, data: mmap.mmap, summary: Summary | None) -> None:
         self._scanner = scanner
         self._data = data
-        self._summary = sound_summary(data)
+        self._summary = summary
         self._end = self._summary.start if self._summary else len(data)
         self._vain_bytes = _VAIN_BYTES
 
@@ -323,7 +381,7 @@ class _Salvage:
         """Yield all intact records after the damaged one at ``offset``."""
         for record in self._summary.declarations if self._summary else ():
             with suppress(BagCorrupt):
-                self._scanner.check(record)
+                self._scanner.check(record, sealed=True)
                 yield record
         while offset < self._end:
             sound = self._next_sound(offset + 1)
@@ -381,7 +439,7 @@ class _Salvage:
             if chunk is None or not chunk.uncompressed_crc or self._vain_bytes <= 0:
                 continue
             try:
-                records = self._scanner.within(open_chunk(chunk, self._scanner.work), place)
+                records = self._scanner.within(chunk, place)
             except BagForeign:
                 raise
             except BagError:

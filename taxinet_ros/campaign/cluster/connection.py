@@ -31,6 +31,7 @@ from urllib.parse import urlsplit
 from taxinet_ros.campaign.cluster.machine import Needs, describe, to_json
 from taxinet_ros.campaign.cluster.task import Job, check_worker, end_children, stop_runs
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -104,7 +105,7 @@ def check_cluster(where: str) -> str:
         return _checked_address(where, f'--cluster {where}')
     path = Path(where)
     try:
-        address = json.loads(path.read_text(encoding='utf-8'))['address']
+        address = json.loads(read_file(path, MAX_TEXT_BYTES))['address']
     except OSError as error:
         raise UsageError(
             f'--cluster {where}: {error.strerror}; expected tcp://HOST:PORT, tls://HOST:PORT, '

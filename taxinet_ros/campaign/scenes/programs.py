@@ -14,6 +14,7 @@ import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
@@ -144,7 +145,7 @@ def _modules(names: list[str], folders: tuple[Path, ...]) -> Iterator[tuple[str,
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding='utf-8')
+        return read_text(path, MAX_TEXT_BYTES)
     except UnicodeDecodeError as error:
         raise UsageError(f'{path}: not UTF-8 ({error.reason}, byte {error.start})') from error
     except OSError as error:

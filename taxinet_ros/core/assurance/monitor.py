@@ -44,6 +44,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import RunCode, UserCode, find_user_code, names_user_code
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
 SUFFIX: Final = '.npz'
 """Suffix of calibration files."""
@@ -176,7 +177,7 @@ def read_calibration(path: Path) -> tuple[Calibration, str]:
         UsageError: the file cannot be read, or is no calibration.
     """
     try:
-        content = path.read_bytes()
+        content = read_file(path, MAX_TEXT_BYTES)
     except OSError as error:
         raise UsageError(f'monitor {path}: {error.strerror}') from error
     try:

@@ -10,6 +10,7 @@ never opened, and the folder is never written to.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from PIL import Image
 from taxinet_ros.core.perception.network import usual_frame
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import open_regular
 
 LABELS = 'labels.csv'
 COLUMNS = ('image', 'cte_m', 'heading_error_deg', 'distance_m')
@@ -66,11 +68,11 @@ def read_labelled_frames(folder: Path) -> tuple[LabelledFrame, ...]:
     if not folder.is_dir():
         raise UsageError(f'{folder}: no such folder; give one that holds frames and {LABELS}')
     path = folder / LABELS
-    if not path.is_file():
+    if not path.exists():
         columns = ','.join(COLUMNS)
         raise UsageError(f'{path}: no such file; write one with the columns {columns}')
     try:
-        with path.open(encoding='utf-8-sig', newline='') as file:
+        with io.TextIOWrapper(open_regular(path), encoding='utf-8-sig', newline='') as file:
             return labelled_frames(folder, _lines(file), str(path))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f'{path}: not readable as UTF-8 comma-separated text: {error}') from error

@@ -24,6 +24,7 @@ from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import Section, load_json
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, UnfitFileError, read_file
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
@@ -109,7 +110,7 @@ def load_card(path: Path) -> ModelCard:
         UsageError: an invalid card; one line on the first error.
     """
     try:
-        values = load_json(path.read_text(encoding='utf-8'))
+        values = load_json(read_file(path, MAX_TEXT_BYTES).decode())
     except FileNotFoundError:
         raise card_error(
             path, 'no such file; a weights file needs its model card beside it'
@@ -248,11 +249,11 @@ def load_model(path: Path) -> Model:
 
 def _read(path: Path) -> bytes:
     try:
-        if not path.is_file():
+        if not path.exists() or path.is_dir():
             raise card_error(path, 'no such file')
-        if path.stat().st_size > MAX_BYTES:
-            raise card_error(path, f'is larger than {MAX_BYTES >> 20} MiB, too large for a TaxiNet')
-        return path.read_bytes()
+        return read_file(path, MAX_BYTES)
+    except UnfitFileError as error:
+        raise card_error(path, error.what) from None
     except OSError as error:
         raise card_error(path, f'cannot be read ({error.strerror})') from error
 

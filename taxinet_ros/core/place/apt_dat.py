@@ -8,6 +8,7 @@ for the requested airport; only that part is parsed.
 
 from __future__ import annotations
 
+import functools
 import gzip
 import math
 import mmap
@@ -22,12 +23,15 @@ from taxinet_ros.core.place.place_file import STEEPEST_DEG, make_place
 from taxinet_ros.core.place.runway_frame import GeodeticPose, RunwayFrame
 from taxinet_ros.core.types import FOOT_M
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import open_regular
 
 VERSIONS = range(1000, 1201)
 
 _AIRPORT, _END = (b'1', b'16', b'17'), b'99'
 _CHUNK = 1 << 24
 _CURVE_STEPS = 8
+_MAX_LINE_BYTES = 1 << 16
+"""Longest row of a packed file; those of X-Plane have less than 200 bytes."""
 """Number of line segments per curve."""
 _CATEGORIES = {
     0: 'visual', 1: 'visual', 2: 'nonprecision', 3: 'precision', 4: 'nonprecision',
@@ -150,10 +154,10 @@ class _Reader:
     def _rows(self, icao: str) -> Iterator[_Row]:
         """Rows of an airport, from its row 1 on; none if it is not in the file."""
         if self._path.suffix == '.gz':
-            with gzip.open(self._path, 'rb') as stream:
-                yield from self._section(enumerate(stream, start=1), icao)
+            with open_regular(self._path) as file, gzip.open(file, 'rb') as stream:
+                yield from self._section(enumerate(self._lines(stream), start=1), icao)
             return
-        with self._path.open('rb') as file:
+        with open_regular(self._path) as file:
             if not self._path.stat().st_size:
                 raise UsageError(f'{self._path}: is empty')
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as whole:
@@ -165,6 +169,13 @@ class _Reader:
                 first = _lines_before(whole, start) + 1
                 lines = enumerate(iter(whole.readline, b''), start=first)
                 yield from self._of_airport(lines)
+
+    def _lines(self, stream: gzip.GzipFile) -> Iterator[bytes]:
+        """Lines of an unpacked file, which may be one without an end."""
+        for line in iter(functools.partial(stream.readline, _MAX_LINE_BYTES), b''):
+            if len(line) == _MAX_LINE_BYTES:
+                raise UsageError(f'{self._path}: a row has more than {_MAX_LINE_BYTES >> 10} KiB')
+            yield line
 
     def _section(self, lines: Iterator[tuple[int, bytes]], icao: str) -> Iterator[_Row]:
         """Rows of an airport from a stream of lines, read once."""

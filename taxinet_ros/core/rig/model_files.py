@@ -13,6 +13,7 @@ from pathlib import Path
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section
+from taxinet_ros.files.reading import read_file
 
 MOST_CHARACTERS = 600_000
 """Limit for all files of a model together."""
@@ -100,9 +101,7 @@ def write_model_files(folder: Path, name: str, texts: Iterable[tuple[str, str]])
 def _plain_text(top: Section, path: Path) -> str:
     """Canonical XML of a file, without comments, outputs and inputs."""
     try:
-        if path.stat().st_size > 4 * MOST_CHARACTERS:
-            raise top.wrong(f'{path}: is too large for a model', 'model')
-        root = ET.fromstring(path.read_bytes())
+        root = ET.fromstring(read_file(path, 4 * MOST_CHARACTERS))
     except OSError as error:
         raise top.wrong(f'{path}: cannot be read: {error.strerror}', 'model') from None
     except (ET.ParseError, ValueError) as error:

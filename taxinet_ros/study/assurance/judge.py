@@ -46,6 +46,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import sync_folder, write_atomically
 from taxinet_ros.files.journal import Journal, damaged_line, open_journal
+from taxinet_ros.files.reading import read_text
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.study.assurance.calibrate import REQUIREMENT
@@ -620,7 +621,7 @@ def read_trials(path: Path) -> list[Trial]:
         UsageError: ``path:line: message`` if a line is damaged; or it cannot be read.
     """
     try:
-        lines = csv.reader(io.StringIO(path.read_text(encoding='utf-8')), strict=True)
+        lines = csv.reader(io.StringIO(read_text(path)), strict=True)
         names = next(lines, [])
         if names != [field.name for field in dataclasses.fields(Trial)]:
             raise UsageError(f'{path}: is no table of taxinet assure judge')

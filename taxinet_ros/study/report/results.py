@@ -21,6 +21,7 @@ from taxinet_ros.core.perception.weights import weights_path
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.reading import read_file
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.plan import (
@@ -319,7 +320,7 @@ def _pair(first: Network, second: Network) -> Pair:
 
 def _json_values(path: Path) -> dict[str, Any] | None:
     try:
-        values = load_json(path.read_bytes())
+        values = load_json(read_file(path))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:

@@ -116,6 +116,47 @@ def test_given_a_damaged_bag_then_it_is_not_stored(campaign, tmp_path):
     assert mcap.read_bytes() == data
 
 
+def test_given_a_stored_bag_that_gets_frames_then_it_replaces_the_stored_one(campaign, tmp_path):
+    far = local_store(tmp_path / 'far')
+    taxinet('bag', 'fetch', campaign)
+    assert taxinet('bag', 'store', campaign, far).returncode == 0
+    bag = bags(campaign)[0]
+    assert taxinet('bag', 'render', bag).returncode == 0
+    done = taxinet('bag', 'store', campaign, far)
+    assert (done.returncode, done.stdout) == (0, f'3 bags in {far}/search/, 1 uploaded now\n')
+    assert taxinet('bag', 'fetch', bag).returncode == 0
+    assert '/camera/image_raw' in taxinet('bag', 'info', bag).stdout
+
+
+def test_given_a_stored_bag_that_was_edited_then_the_stored_one_is_kept(campaign, tmp_path):
+    far = local_store(tmp_path / 'far')
+    taxinet('bag', 'fetch', campaign)
+    one = bags(campaign)[0]
+    assert taxinet('bag', 'store', campaign, far).returncode == 0
+    stored = {path: path.read_bytes() for path in (tmp_path / 'far').rglob('*.*')}
+    assert len(stored) == 6
+    taxinet('bag', 'fetch', one)
+    with (one / 'metadata.yaml').open('a') as file:
+        file.write('# a remark\n')
+    done = taxinet('bag', 'store', campaign, far)
+    assert (done.returncode, done.stderr.count('\n')) == (2, 1), done.stderr
+    assert f'{one}/metadata.yaml: differs from the stored one, {far}/search/' in done.stderr
+    assert {path: path.read_bytes() for path in (tmp_path / 'far').rglob('*.*')} == stored
+
+
+def test_given_a_bag_that_the_store_lost_then_storing_again_names_it(campaign, tmp_path):
+    far = local_store(tmp_path / 'far')
+    taxinet('bag', 'fetch', campaign)
+    assert taxinet('bag', 'store', campaign, far).returncode == 0
+    lost = bags(campaign)[1].name
+    shutil.rmtree(tmp_path / 'far' / 'search' / lost)
+    done = taxinet('bag', 'store', campaign, far)
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1)
+    assert f'{far}/search/{lost}/' in done.stderr
+    assert 'is missing in the store and here' in done.stderr
+    assert '2 other bags are stored, 0 uploaded now' in done.stderr
+
+
 def test_given_shards_with_stores_then_they_merge_and_their_bags_are_found(s3, made, tmp_path):
     shards = []
     for number in (1, 2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from nnet_samples import TINY, sample
 
 from taxinet_ros.api.run import render
+from taxinet_ros.core.perception.onnx import nnet
 from taxinet_ros.core.perception.onnx.network import OnnxNetwork, prepare
 from taxinet_ros.core.perception.onnx.nnet import (
     DESCRIPTIONS,
@@ -196,6 +198,66 @@ def test_given_weights_that_cancel_then_what_32_bits_lose_is_not_silent():
     made.weights[1][:] = [[1e9, -1e9], [1.0, 0.0]]
     with pytest.raises(UsageError, match='as ONNX, in 32 bits, its answers differ by up to'):
         network_of(made.text())
+
+
+def test_given_limits_or_weights_beyond_what_32_bits_hold_then_one_line_and_no_warning():
+    small = sample(SMALL)
+    wide = dataclasses.replace(small, low=[-3e38] * 6, high=[3e38] * 6)
+    weights = [np.full_like(one, 3e38) for one in small.weights]
+    for odd, said in (
+        (wide, 'not finite for inputs within its limits, -3e[+]38 to 3e[+]38; correct minima'),
+        (dataclasses.replace(small, ranges=[1e-300] * 7), 'finite'),
+        (dataclasses.replace(small, weights=weights), 'finite'),
+    ):
+        with pytest.raises(UsageError, match=said) as caught:
+            network_of(odd.text())
+        assert '\n' not in str(caught.value)
+
+
+def test_given_the_largest_file_then_its_numbers_are_read_whole_lines_at_a_time(monkeypatch):
+    wide = sample((200, 150, 2))
+    alone = []
+    number = nnet._Lines._number
+    monkeypatch.setattr(
+        nnet._Lines, '_number',
+        lambda lines, name, word: alone.append(word) or number(lines, name, word),
+    )
+    read = Nnet.parse(FILE, wide.text().encode())
+    assert alone == []
+    assert (read.weights[0] == wide.weights[0]).all()
+    # In another way of writing, each number is read on its own, to the same value.
+    odd = wide.text().replace(',', ',\x0b')
+    assert (Nnet.parse(FILE, odd.encode()).weights[0] == wide.weights[0]).all()
+    assert len(alone) > 30_000
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text('0123456789.+-eE _\t\xb2n', max_size=8))
+def test_given_any_word_then_a_whole_line_reads_it_as_the_strict_pattern_does(word):
+    text = edited(10, ','.join([word, *['1'] * 5, '']))
+    try:
+        found = Nnet.parse(FILE, text.encode('latin-1')).weights[0][0, 0]
+    except UsageError:
+        assert not (nnet._NUMBER.fullmatch(word.strip()) and abs(float(word)) < 3e38)
+    else:
+        assert nnet._NUMBER.fullmatch(word.strip())
+        assert found == float(word)
+
+
+def test_given_a_file_without_an_end_or_too_large_then_one_line_and_little_is_read(tmp_path):
+    endless, large = tmp_path / 'endless.nnet', tmp_path / 'large.nnet'
+    endless.symlink_to('/dev/zero')
+    with large.open('wb') as file:
+        file.truncate(nnet.MAX_NNET_BYTES + 1)
+    for path in (endless, Path('/dev/zero')):
+        with pytest.raises(UsageError, match='is a device, not a regular file'):
+            read_nnet(path)
+        with pytest.raises(UsageError, match='is a device, not a regular file'):
+            description_of(str(path))
+    with pytest.raises(UsageError, match='has more than 8 MiB; is it the right file'):
+        read_nnet(large)
+    with pytest.raises(UsageError, match='has more than 16 KiB; is it the right file'):
+        description_of(str(large))
 
 
 def test_given_no_file_or_a_folder_then_one_line(tmp_path):

@@ -87,14 +87,14 @@ def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(
     path = save(tmp_path)
     file = path.with_suffix(suffix)
     with monkeypatch.context() as patched:
-        read = Path.read_bytes
+        opened = Path.open
 
-        def deny(self: Path) -> bytes:
+        def deny(self: Path, *words: Any) -> Any:
             if self == file:
                 raise PermissionError(13, 'Permission denied')
-            return read(self)
+            return opened(self, *words)
 
-        patched.setattr(Path, 'read_bytes', deny)
+        patched.setattr(Path, 'open', deny)
         assert complaint(path) == f'net{suffix}: cannot be read (Permission denied)'
     os.truncate(file, (256 << 20) + 1)
     assert complaint(path).startswith(f'net{suffix}: has more than ')

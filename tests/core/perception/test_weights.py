@@ -161,7 +161,7 @@ def test_given_a_file_far_too_large_when_loaded_then_it_is_not_even_read(tmp_pat
     path = save_sample(tmp_path)
     with path.open('ab') as file:
         file.truncate(1 << 40)  # sparse: it takes no room on the disk
-    with pytest.raises(UsageError, match='too large for a TaxiNet'):
+    with pytest.raises(UsageError, match='has more than 64 MiB; is it the right'):
         load_model(path)
 
 

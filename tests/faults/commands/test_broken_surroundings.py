@@ -126,6 +126,30 @@ def test_f6_given_a_command_that_has_something_to_say_then_the_code_tells_whethe
         assert ask(words, surroundings) == (code, complaint), words
 
 
+@pytest.mark.parametrize('words', [('estimate', 'nothing'), ('--version',)])
+@pytest.mark.parametrize('variables', [
+    {'HOME': '/dev/null'}, {'HOME': 'home'}, {'MPLCONFIGDIR': '/dev/null/here'},
+    {'HOME': '/dev/null', 'TMPDIR': '/dev/null'},
+])
+def test_given_no_place_for_the_settings_of_matplotlib_then_it_prints_and_leaves_nothing(
+    tmp_path: Path, variables: dict[str, str], words: tuple[str, ...]
+):
+    for folder in ('home', 'tmp', 'here'):
+        (tmp_path / folder).mkdir()
+    (tmp_path / 'home' / '.config').write_text('a file where the folder has to be')
+    kept = {name: value for name, value in os.environ.items()
+            if name not in ('XDG_CONFIG_HOME', 'XDG_CACHE_HOME', 'MPLCONFIGDIR')}
+    given = {name: str(tmp_path / value) for name, value in variables.items()}
+    done = subprocess.run(
+        [SCRIPT, *words], capture_output=True, text=True, cwd=tmp_path / 'here', check=False,
+        env={**kept, 'TMPDIR': str(tmp_path / 'tmp'), **given},
+    )
+    broken = words == ('estimate', 'nothing')
+    assert (done.returncode, done.stderr.count('\n')) == ((2, 1) if broken else (0, 0)), done.stderr
+    assert done.stderr.startswith('taxinet: error: ') or not broken
+    assert list((tmp_path / 'tmp').iterdir()) == list((tmp_path / 'here').iterdir()) == []
+
+
 def test_people2_attack_given_a_working_folder_that_is_not_utf8_then_nothing_is_written(
     tmp_path: Path
 ):

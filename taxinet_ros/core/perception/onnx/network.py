@@ -32,6 +32,7 @@ from taxinet_ros.core.perception.onnx.sidecar import (
     sidecar_path,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import UnfitFileError, read_file
 
 _COLOURS = {'bgr': cv2.COLOR_RGB2BGR, 'grey': cv2.COLOR_RGB2GRAY}
 _RESIZES = {
@@ -361,11 +362,11 @@ def _read(path: Path, most: int) -> bytes:
             beside = '' if path.suffix == ONNX_SUFFIX else (
                 '; an ONNX network needs its description beside it, see docs/onnx.md')
             raise file_error(path, f'no such file{beside}')
-        if not path.is_file():
+        if path.is_dir():
             raise file_error(path, 'is not a file; name the file itself')
-        if path.stat().st_size > most:
-            raise file_error(path, f'has more than {most >> 10} KiB; is it the right file?')
-        data = path.read_bytes()
+        data = read_file(path, most)
+    except UnfitFileError as error:
+        raise file_error(path, error.what) from None
     except OSError as error:
         raise file_error(path, f'cannot be read ({error.strerror})') from error
     if not data:
