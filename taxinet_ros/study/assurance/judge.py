@@ -280,10 +280,14 @@ class Driven:
             LookupError, TypeError, ValueError: they are others.
         """
         kinds = {field.name: field.type for field in dataclasses.fields(Trial)}
-        trials = tuple(Trial(**{
-            name: math.nan if value is None and kinds[name] == 'float' else value
-            for name, value in trial.items()
-        }) for trial in values['trials'])
+
+        def told(trial: Mapping[str, Any]) -> dict[str, Any]:
+            return {
+                name: math.nan if value is None and kinds[name] == 'float' else value
+                for name, value in trial.items()
+            }
+
+        trials = tuple(Trial(**told(trial)) for trial in values['trials'])
         times = [math.nan if time_s is None else float(time_s) for time_s in values['alarms_s']]
         return cls(trials=trials, alarms_s=np.array(times))
 
