@@ -8,6 +8,7 @@ except through native code such as C's ``exit``.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import sys
@@ -128,22 +129,21 @@ def interrupts(
     Raises:
         KeyboardInterrupt: ``second`` returned False, or at the third interrupt.
     """
-    asked = 0
+    turns = itertools.count(1)  # in one step, for a second interrupt may come within the handler
     stuck = threading.Timer(_STUCK_S if gone_s is None else gone_s, _exit_stuck)
     stuck.daemon = True
 
     def handle(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
         if _must_not_raise(frame):
             resend_signal(number)
             return
-        asked += 1
+        turn = next(turns)
         RECEIVED_STOPS.append(number)
-        if asked == 1:
+        if turn == 1:
             first()
             return
-        told = asked == 2 and second()
-        if asked == 2 and (told or gone_s is not None):
+        told = turn == 2 and second()
+        if turn == 2 and (told or gone_s is not None):
             stuck.start()
         if not told:
             raise KeyboardInterrupt
@@ -166,6 +166,7 @@ def interrupts_delayed() -> Iterator[None]:
         yield
         return
     came: list[int] = []
+    turns = itertools.count(1)
 
     def end() -> None:
         RECEIVED_STOPS.extend(came)
@@ -176,7 +177,7 @@ def interrupts_delayed() -> Iterator[None]:
 
     def note(number: int, frame: FrameType | None) -> None:
         came.append(number)
-        if len(came) == 1:
+        if next(turns) == 1:
             stuck.start()
 
     try:
