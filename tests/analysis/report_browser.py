@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import PATIENT_S
 
 CHROMIUM = os.environ.get('TAXINET_CHROMIUM') or next(
     filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome'))), None
@@ -57,7 +58,7 @@ class Opened:
     def wait_until(self, condition: str) -> None:
         """Wait for a JavaScript expression to be true, without `eval`, which the policy forbids."""
         self.tab.evaluate(f"""() => new Promise((done, late) => {{
-            setTimeout(() => late(new Error('not within 20 s')), 20000);
+            setTimeout(() => late(new Error('it was never so')), {1000 * PATIENT_S});
             const look = () => (({condition}) ? done() : requestAnimationFrame(look));
             look();
         }})""")
