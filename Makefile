@@ -60,7 +60,7 @@ unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test bench docs lint format clean distclean asked-python
+.PHONY: install demo test suite bench docs lint format clean distclean asked-python
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -70,9 +70,11 @@ demo: $(DONE)/messages
 	@echo '$(BIN)/taxinet demo --out $(OUT)'
 	@$(BIN)/taxinet demo --out $(OUT)
 
+test: lint suite
+
 # Message setters then check types and ranges; else a wrong value is cut to size in silence.
-test: export ROS_PYTHON_CHECK_FIELDS := 1
-test: lint
+suite: export ROS_PYTHON_CHECK_FIELDS := 1
+suite: $(DONE)/messages $(DONE)/tools
 	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile \
 	  --no-loadscope-reorder $(PYTEST)
 
