@@ -81,7 +81,7 @@ EXTRAS = {
     # taxinet run --foxglove, and the executable foxglove_server.
     'foxglove': ['foxglove-sdk'],
     # --cluster: campaigns on the workers of a Dask cluster.
-    'cluster': ['distributed'],
+    'cluster': ['dask', 'distributed'],
     # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
     'store': ['fsspec', 's3fs'],
     # taxinet camera compare --against mitsuba.
@@ -91,6 +91,7 @@ EXTRAS = {
     'test': [
         'colcon-package-selection',
         'colcon-ros',
+        'dask',
         'distributed',
         'flask',
         'flask-cors',
