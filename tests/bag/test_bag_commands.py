@@ -190,7 +190,9 @@ BAD = {
         ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'tracking_error'], 2, 'name one',
     ),
     'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'no such folder'),
-    'file that exists': (['export', 'run', '--out', 'garbage.mcap'], 2, 'is the name of a recording'),
+    'file that exists': (
+        ['export', 'run', '--out', 'garbage.mcap'], 2, 'is the name of a recording',
+    ),
     'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'already exists'),
 }
 
