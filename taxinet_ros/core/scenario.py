@@ -8,6 +8,7 @@ words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -291,6 +292,11 @@ class Scenario:
         if self.runway_state == 'auto':
             return 'wet' if self.rain_fraction > 0 else 'dry'
         return self.runway_state
+
+    @property
+    def digest(self) -> str:
+        """Key of this scenario in journals of earlier runs: equal for equal scenarios only."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:32]
 
     def to_human(self) -> dict[str, Any]:
         """The scenario in user-facing units; the inverse of :func:`scenario_from_human`."""

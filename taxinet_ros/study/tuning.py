@@ -508,7 +508,7 @@ def _rho(trial: Trial) -> float:
 def _key(gains: Gains, scene: Scene) -> tuple[str, str]:
     """Key of a run: its gains, and a digest of its scenario."""
     text = ' '.join(f'{name}={gains[name]!r}' for name in sorted(gains))
-    return text, hashlib.sha256(repr(scene.scenario).encode()).hexdigest()[:32]
+    return text, scene.scenario.digest
 
 
 def _task(scene: Scene, gains: Gains) -> Task:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
-import hashlib
 import io
 import json
 import math
@@ -558,7 +557,7 @@ def _drive(
     with contextlib.closing(journal):
         sync_folder(options.out)
         known = _earlier(options, path, journal)
-        keys = [_key(scene) for scene in scenes]
+        keys = [scene.digest for scene in scenes]
         missing = [number for number, key in enumerate(keys) if (number, key) not in known]
         made = len(scenes) - len(missing)
         found = _runs(options, [(number, scenes[number]) for number in missing])
@@ -598,10 +597,6 @@ def _earlier(
         except (LookupError, TypeError, ValueError) as error:
             raise damaged_line(path, number, str(error)) from error
     return known
-
-
-def _key(scene: Scenario) -> str:
-    return hashlib.sha256(repr(scene).encode()).hexdigest()[:32]
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
