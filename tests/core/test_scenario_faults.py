@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -48,11 +49,13 @@ def frames(scenario: Scenario, make=SimulatedWorld) -> list[np.ndarray]:
         world.advance(TaxiCommand(steering_rad=0.05, speed_mps=5.0))
 
 
-WELL = frames(scene())
+@functools.cache
+def well() -> list[np.ndarray]:
+    return frames(scene())
 
 
 def same(left: list[np.ndarray], right: list[np.ndarray]) -> list[bool]:
-    assert len(left) == len(right) == len(WELL) == 21
+    assert len(left) == len(right) == len(well()) == 21
     return [one.tobytes() == other.tobytes() for one, other in zip(left, right, strict=True)]
 
 
@@ -63,7 +66,7 @@ def test_given_all_faults_of_pictures_then_the_tests_below_have_each():
 @pytest.mark.parametrize('key', SEVERE)
 def test_given_a_fault_of_the_camera_then_frames_differ_from_its_onset_on_and_not_before(key):
     failing = scene(**{key: SEVERE[key]}, fault_onset=1.0)
-    alike = same(frames(failing), WELL)
+    alike = same(frames(failing), well())
     assert all(alike[:ONSET_STEP])
     now = alike[ONSET_STEP:]
     if key == 'camera_freeze_s':
@@ -108,7 +111,7 @@ def test_given_a_frozen_camera_then_the_picture_of_the_onset_repeats_also_where_
         assert world.observe(picture=False).seq == seq
         world.advance(TaxiCommand(steering_rad=0.05, speed_mps=5.0))
     now = world.observe()
-    assert now.image.tobytes() == WELL[10].tobytes()
+    assert now.image.tobytes() == well()[10].tobytes()
     assert now.state != SimulatedWorld(failing).observe().state
 
 
