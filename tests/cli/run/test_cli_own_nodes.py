@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -123,10 +124,15 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def of_example(name: str) -> list[int]:
-    """Processes of an example of this very tree."""
-    example = str(EXAMPLES / name)
-    return [one.pid for one in psutil.process_iter() if example in words_of(one)]
+@pytest.fixture
+def controller(tmp_path) -> Path:
+    """A controller that no other process on this machine runs."""
+    return Path(shutil.copy(EXAMPLES / 'own_controller.py', tmp_path))
+
+
+def running(program: Path) -> list[int]:
+    """Processes of a program."""
+    return [one.pid for one in psutil.process_iter() if str(program) in words_of(one)]
 
 
 def words_of(process: psutil.Process) -> list[str]:
@@ -304,26 +310,30 @@ def test_given_a_function_that_prints_then_json_stays_json(folder):
     assert 'asked' in done.stderr
 
 
-def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left(folder):
-    words = ('s_falsif', '--controller-cmd', CONTROLLER, '--perception', 'mine.py:Guess', *SHORT)
+def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left(
+    folder, controller
+):
+    command = shlex.join([sys.executable, str(controller)])
+    words = ('s_falsif', '--controller-cmd', command, '--perception', 'mine.py:Guess', *SHORT)
     done = taxinet(
         'falsify', *words, '--runs', '3', '--sampler', 'random', '--workers', '2', '--out', 'w',
         cwd=folder,
     )
     assert done.returncode in (0, 1), done.stdout + done.stderr
     assert len(rows(folder / 'w')) == 3
-    assert not of_example('own_controller.py')
+    assert not running(controller)
 
 
-def test_given_a_killed_campaign_then_its_nodes_end_too(folder):
-    command = shlex.join(['sh', '-c', f'{CONTROLLER} "$@"; true', 'sh'])  # has a child, as ros2 run
+def test_given_a_killed_campaign_then_its_nodes_end_too(folder, controller):
+    program = shlex.join([sys.executable, str(controller)])
+    command = shlex.join(['sh', '-c', f'{program} "$@"; true', 'sh'])  # has a child, as ros2 run
     words = ('run', 'nominal', '--perception', 'truth', '--controller-cmd', command)
     with begun(*words, '--out', 'k', cwd=folder) as process:
-        while not of_example('own_controller.py'):
+        while not running(controller):
             assert process.poll() is None
             time.sleep(0.05)
         process.kill()
-    while of_example('own_controller.py'):
+    while running(controller):
         time.sleep(0.05)
 
 
