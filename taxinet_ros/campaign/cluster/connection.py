@@ -258,6 +258,8 @@ class Cluster:
                 f"{named}: needs a package; pip install 'taxinet_ros[cluster]' ({error})"
             ) from error
         warnings.filterwarnings('ignore', module=r'distributed\.')  # versions are checked here
+        # Of a busy machine; it names another module.
+        warnings.filterwarnings('ignore', message='Creating scratch directories')
         for logger in list(logging.root.manager.loggerDict):
             if logger.partition('.')[0] in ('distributed', 'tornado'):
                 logging.getLogger(logger).setLevel(logging.CRITICAL + 1)

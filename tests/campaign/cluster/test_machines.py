@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import distributed.utils
 import psutil
 import pytest
 from dask_processes import free_port
@@ -138,6 +139,19 @@ def test_given_local_workers_then_nobody_elsewhere_can_reach_them_and_nothing_is
         }
         assert listening <= {'127.0.0.1', '::1'}
     assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_machine_that_is_slow_to_make_folders_then_dask_s_warning_reaches_nobody(
+    tmp_path, monkeypatch
+):
+    parse = distributed.utils._parse_timedelta
+    monkeypatch.setattr(  # of the second from which on Dask warns
+        distributed.utils, '_parse_timedelta',
+        lambda text, *more: -1.0 if text == '1s' else parse(text, *more),
+    )
+    needs = dataclasses.replace(NEEDS, perception='truth')
+    with Cluster('local:1', needs, out=tmp_path / 'out') as cluster:
+        assert cluster.threads == 1
 
 
 @pytest.mark.parametrize(('where', 'named'), [
