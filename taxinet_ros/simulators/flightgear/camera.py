@@ -3,7 +3,8 @@
 FlightGear draws on its own clock, so a picture that arrives after a request need not show it. One
 is accepted when FlightGear's own view, told by a script in the frame loop, is where it was put, in
 the time and weather that were set; when frames have been drawn since; when two pictures after that
-are equal (with rain, whose streaks move: alike); and when nobody has set anything meanwhile. The
+are equal (with rain, whose streaks move: alike); and when nobody has set anything meanwhile, as the
+script tells, or the second picture, which may be of a later frame than what the script told. The
 simulation is paused, so nothing else moves.
 """
 

@@ -199,9 +199,10 @@ def test_given_somebody_who_sets_it_meanwhile_when_photographed_then_the_picture
     draw, taken = peer.picture, []
 
     def meddle() -> Any:
+        # A turned eye is in the next picture, whichever of view and picture is told first.
         taken.append(draw())
-        peer.properties['/taxinet/request'] = 'mine'
-        return taken[0]
+        peer.properties |= {'/taxinet/request': 'mine', '/orientation/heading-deg': 40.0}
+        return taken[-1]
 
     peer.picture = meddle  # type: ignore[method-assign]
     with pytest.raises(InfraError, match=r'^intruder: .*somebody has set it'):
