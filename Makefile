@@ -43,8 +43,9 @@ CHOOSE_TORCH = if [ -z "$(TORCH)$(HASHES)$${PIP_EXTRA_INDEX_URL:-}" ] && [ "$$(u
       echo 'make: no GPU here: torch for CPUs, from $(CPU_TORCH) (TORCH=any: the default index)'; \
       export PIP_EXTRA_INDEX_URL='$(CPU_TORCH)'; \
     else echo 'make: no GPU here, but $(CPU_TORCH) does not answer: torch as pip finds it'; fi; fi
-# pip is silent while it downloads and unpacks; this tells every 20 s that it works.
-BEAT = { while sleep 20 > /dev/null 2>&1; do \
+# pip is silent while it downloads and unpacks; this tells every 20 s that it works, for as long as
+# the recipe's shell is there, however that ends.
+BEAT = { while sleep 20 > /dev/null 2>&1 && kill -0 $$$$ 2> /dev/null; do \
   echo "make: still installing; $$(du -sh $(VENV) 2>/dev/null | cut -f1) in $(VENV) so far"; done & } ; \
   beat=$$!; trap 'kill '$$beat' 2>/dev/null' EXIT
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -110,8 +110,9 @@ def test_f10_given_the_pins_then_each_has_hashes_and_a_maker_of_them() -> None:
         assert 'HASHES=yes' in (REPOSITORY / user).read_text()
 
 
+@pytest.mark.parametrize(('end', 'code'), [('true', 0), ('kill -9 $$$$', 2)])
 def test_given_a_long_installation_then_make_says_that_it_works_and_stops_when_it_is_over(
-    tmp_path: Path,
+    tmp_path: Path, end: str, code: int
 ) -> None:
     text = (REPOSITORY / 'Makefile').read_text()
     silent = [line for line in text.splitlines() if '$(INSTALL) --no-build-isolation' in line]
@@ -122,11 +123,11 @@ def test_given_a_long_installation_then_make_says_that_it_works_and_stops_when_i
     # As a part of 'make test', it would tell of its folder too.
     alone = {name: value for name, value in os.environ.items() if not name.startswith('MAKE')}
     done = run(
-        'make', '-f', REPOSITORY / 'Makefile', '--eval', 'long: ; @$(BEAT); /bin/sleep 1', 'long',
-        f'VENV={tmp_path}', cwd=tmp_path,
+        'make', '-f', REPOSITORY / 'Makefile', '--eval', f'long: ; @$(BEAT); /bin/sleep 1; {end}',
+        'long', f'VENV={tmp_path}', cwd=tmp_path,
         env={**alone, 'PATH': f'{tmp_path}:{os.environ["PATH"]}'},
     )
-    assert (done.returncode, done.stderr) == (0, '')
+    assert (done.returncode, 'Killed' in done.stderr) == (code, code != 0)
     lines = done.stdout.splitlines()
     assert len(lines) >= 2
     pattern = rf'make: still installing; \S+ in {tmp_path} so far'
