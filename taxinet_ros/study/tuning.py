@@ -424,7 +424,7 @@ class Tuning:
         with trial_pool(setup, options.workers) as run_tasks:
             def run(scenes: SceneSet, gains: Gains, numbers: Sequence[int]) -> list[Trial]:
                 if interrupted():
-                    raise _Interrupted
+                    raise _InterruptedError
                 chosen = [scenes.scenes[number] for number in numbers]
                 missing = [one for one in chosen if _key(gains, one) not in self._known]
                 trials = run_tasks([_task(one, gains) for one in missing])
@@ -441,7 +441,7 @@ class Tuning:
 
             try:
                 return self._search(run, on_candidate)
-            except _Interrupted:
+            except _InterruptedError:
                 return None
 
     def _search(
@@ -492,7 +492,7 @@ class Tuning:
         )
 
 
-class _Interrupted(Exception):  # noqa: N818
+class _InterruptedError(Exception):
     """The search is to end."""
 
 

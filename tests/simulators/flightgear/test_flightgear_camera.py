@@ -193,18 +193,18 @@ def test_given_a_failure_during_a_run_when_photographed_then_one_line_names_its_
 
 
 def test_given_somebody_who_sets_it_meanwhile_when_photographed_then_the_picture_is_refused(
-    peer: FlightGearPeer, renderer: ChosenRenderer
+    peer: FlightGearPeer, renderer: ChosenRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = renderer.make(SCENE)
-    draw, taken = peer.picture, []
+    draw = peer.picture
 
     def meddle() -> Any:
         # A turned eye is in the next picture, whichever of view and picture is told first.
-        taken.append(draw())
+        picture = draw()
         peer.properties |= {'/taxinet/request': 'mine', '/orientation/heading-deg': 40.0}
-        return taken[-1]
+        return picture
 
-    peer.picture = meddle  # type: ignore[method-assign]
+    monkeypatch.setattr(peer, 'picture', meddle)
     with pytest.raises(InfraError, match=r'^intruder: .*somebody has set it'):
         camera.render(Aircraft(SCENE).state, 0)
 
