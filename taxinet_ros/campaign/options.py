@@ -245,7 +245,7 @@ class CampaignOptions:
 def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
-    resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
+    resume: bool | None = None, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
     free: bool = False, real_time_factor: str | None = None, world: str = KMWH, part: str = '',
     engine: str = GRAPH, audit: str | None = None,
@@ -262,7 +262,7 @@ def make_options(
         out: folder; if None, a new one below ``bags/`` with a descriptive name.
         processes: whether every node runs in its own process.
         images: runs whose camera frames are recorded, one of :data:`IMAGES`.
-        resume: continue the campaign in ``out``.
+        resume: continue the campaign in ``out``; None if the command cannot.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: assumed bounds of signals, such as ``cte=-25:25``.
         rates: assumed bounds of their change per second, such as ``cte=3``.
@@ -308,7 +308,7 @@ def make_options(
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     if not resume:
-        check_new(out)
+        check_new(out, '' if resume is None else ', or go on with --resume')
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
@@ -469,8 +469,12 @@ def new_folder(wanted: Path) -> Path:
     return candidate
 
 
-def check_new(out: Path) -> None:
+def check_new(out: Path, or_else: str = '') -> None:
     """Check that a campaign can be written to ``out`` without overwriting anything.
+
+    Args:
+        out: the folder.
+        or_else: another way out, for the error message.
 
     Raises:
         UsageError: it is a file, or a folder that is not empty.
@@ -480,6 +484,7 @@ def check_new(out: Path) -> None:
     if out.exists() or out.is_symlink():
         raise UsageError(
             f'--out {out}: already exists; recordings are never overwritten, choose a new folder'
+            f'{or_else}'
         )
 
 

@@ -1,8 +1,8 @@
 """``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
-3 a recording is incomplete, 4 infrastructure error, 130 interrupted, 143 terminated by SIGTERM, 141
-output closed by its reader.
+3 inconclusive, or a recording is incomplete, 4 infrastructure error, 130 interrupted,
+143 terminated by SIGTERM, 141 output closed by its reader.
 """
 
 from __future__ import annotations

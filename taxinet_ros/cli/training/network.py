@@ -123,7 +123,7 @@ def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
     for name, unit in _QUANTITIES.values():
         table.add_column(escape(f'{name}\nMAE [{unit}]'), justify='right', no_wrap=True)
         table.add_column('\np99', justify='right')
-    for row in rows:
+    for row in (row for row in rows if row.images):
         cells = [cell for quantity in _QUANTITIES for cell in _error_cells(row, quantity)]
         table.add_row(row.name, str(row.images), str(row.without_estimate), *cells)
     console.print(table)

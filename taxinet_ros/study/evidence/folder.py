@@ -47,6 +47,7 @@ from taxinet_ros.study.evidence.inputs import (
     CampaignInput,
     Place,
     read_campaigns,
+    read_requirement,
     usable_network,
 )
 from taxinet_ros.study.evidence.page import evidence_report
@@ -80,6 +81,7 @@ def make_evidence(
         raise UsageError(f'--localize-runs {localize_runs}: needs to be 0 or more')
     if localize_runs and options.localisations:
         raise UsageError('--localize-runs: does not go together with --localize; leave one out')
+    requirement = read_requirement(options.requirement) if options.requirement is not None else None
     bags = sum(1 for folder in options.campaigns for _ in folder.glob(f'*/*.{STORAGE_ID}'))
     done = itertools.count(1)
     campaigns = read_campaigns(
@@ -95,7 +97,9 @@ def make_evidence(
                 _localize(one, draft / name, localize_runs, options.networks, on_progress)
                 where[draft / name] = Place(name)
         options = replace(options, localisations=(*options.localisations, *where))
-        found = collect(options, out, campaigns=campaigns, where=where)
+        found = collect(
+            options, out, requirement=requirement, campaigns=campaigns, where=where
+        )
         write_evidence(found, draft)
         draft.chmod(0o777 & ~_umask())
         draft.rename(out)

@@ -174,8 +174,11 @@ def test_given_a_folder_with_something_in_it_then_it_is_left_alone(tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
     done = taxinet('run', 'nominal', '--out', str(tmp_path))
     assert done.returncode == 2
-    assert 'already exists' in done.stderr
+    assert done.stderr.endswith(' already exists; recordings are never overwritten, '
+                                'choose a new folder\n')
     assert [file.name for file in tmp_path.iterdir()] == ['notes.txt']
+    done = taxinet('falsify', 'nominal', '--out', str(tmp_path))
+    assert done.stderr.endswith('choose a new folder, or go on with --resume\n')
 
 
 def test_given_an_interrupt_then_the_run_ends_in_order_and_its_bag_is_whole(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 from pathlib import Path
@@ -57,6 +58,7 @@ def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
     row = next(line.split() for line in out.splitlines() if line.startswith('all '))
     assert row[1:3] == ['8', '0']
     assert float(row[3]) == pytest.approx(whole['errors']['cte_m']['mae'], abs=6e-4)
+    assert 0 not in {int(count) for count in re.findall(r'^.{22} *(\d+) ', out, re.MULTILINE)}
 
 
 def test_given_a_network_with_a_flipped_sign_when_measured_then_a_line_says_so(

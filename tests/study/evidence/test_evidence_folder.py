@@ -471,3 +471,12 @@ def test_given_several_systems_then_no_two_elements_of_the_drawing_overlap(tmp_p
     assert light != dark
     assert light.count('<circle') == sum(one.kind is Kind.SOLUTION for one in found.nodes)
     assert not re.search(r'href|url\(|<script', light)
+
+
+def test_people9_given_a_requirement_without_an_identifier_then_no_bag_is_read_before_it_is_refused(
+    tmp_path,
+):
+    with pytest.raises(UsageError, match='requirement stay on the line: expected an identifier'):
+        tx.evidence(
+            tmp_path / 'absent', requirement='stay on the line', out=tmp_path / 'evidence'
+        )
