@@ -48,6 +48,8 @@ class NodeProcess(ChildProcess):
             name, command, log=log, killed_with_parent=ours, signals_held=ours,
             environment={
                 **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
+                # Else rclpy sends an int in a float field as another number (own_nodes.md).
+                **({} if ours else {'ROS_PYTHON_CHECK_FIELDS': '1'}),
             },
         )
 
