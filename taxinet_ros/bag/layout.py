@@ -25,6 +25,12 @@ def is_run_name(run_id: str) -> bool:
     return _RUN_ID.fullmatch(run_id) is not None
 
 
+def is_bag_name(bag: str) -> bool:
+    """Whether a text is a run's name, or an absolute path that ends in one."""
+    path = Path(bag)
+    return is_run_name(path.name if path.is_absolute() else bag)
+
+
 def run_folder(out: Path, run_id: str) -> Path:
     """Folder of a run within the campaign's folder.
 

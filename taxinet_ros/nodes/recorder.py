@@ -387,8 +387,9 @@ class Recorder(Participant):
             self._hear_again(deserialize_message(told, NodeStatus), status)
             return
         if status.node == self.get_name():
-            # The bag's topics contain it, and frames added later must not change anything else.
-            status.listens = []
+            # The bag's topics contain the one, and frames added later must not change anything
+            # else; the other is where it is written, not what is in it.
+            status.listens, status.detail = [], ''
             cdr = serialize_message(status)
         # Another node may be ready before this one knows of the run.
         self._reports[status.node] = (status.run_id, cdr)
@@ -491,9 +492,14 @@ class Recorder(Participant):
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
     def report(self, state: int, **what: Any) -> None:
-        """See :class:`Participant`; after its own error the recorder stops writing."""
+        """See :class:`Participant`; after its own error the recorder stops writing.
+
+        Its READY says in which folder the bags are.
+        """
         if state == NodeStatus.ERROR:
             self.close()
+        if state == NodeStatus.READY:
+            what['detail'] = str(self._out.resolve())
         super().report(state, **what)
 
     def _finish_if_whole(self) -> None:

@@ -16,6 +16,7 @@ from waiting import wait_for
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
@@ -58,6 +59,17 @@ def test_given_a_sampler_in_another_terminal_then_its_runs_are_made_and_recorded
     for run_id in read_table(graph.folder / 'table-1')['run_id']:
         assert read_info(graph.out / run_id).complete
     graph.wait_to_say('run table-1-00001: PASS')
+
+
+def test_the_table_and_the_last_line_name_the_folder_in_which_the_recorder_writes(graph):
+    code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=2))
+    assert code == 0, output + errors
+    assert f'bags: {graph.out}/<run>/' in errors
+    folder = graph.folder / 'table-2'
+    (bag,) = read_table(folder)['bag']
+    assert bag == str(graph.out / 'table-2-00000')
+    found = examine(folder)
+    assert (found.findings, found.looked_at['bags']) == ([], 1)
 
 
 def test_given_the_same_scenes_once_more_then_their_bags_lie_beside_the_first(graph):
