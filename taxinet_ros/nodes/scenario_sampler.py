@@ -197,7 +197,8 @@ class StandaloneSampler(ScenarioSampler):
             self.report_death(notice.node, notice.detail)
 
     def _on_status(self, status: NodeStatus) -> None:
-        if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER):
+        # A replay's has no folder.
+        if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER) and status.detail:
             self.bags = status.detail
 
     def _is_at(self, run_id: str) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -251,11 +251,11 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     for name, words in known.items():
         if name in frame.columns:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
-    for name, fits in (('run_id', is_run_name), ('bag', is_bag_name)):
-        if name in frame.columns:
-            words = frame[name].fillna('').astype(str)
-            unfit = [word for word in words if word and not fits(word)]
-            _refuse(path, words.isin(unfit), f'its {name} is not a plain name')
+    fits = {'run_id': is_run_name, 'bag': is_bag_name}
+    for name in fits.keys() & set(frame.columns):
+        words = frame[name].fillna('').astype(str)
+        unfit = words.isin([*filterfalse(fits[name], words)]) & (words != '')
+        _refuse(path, unfit, f'its {name} is not a plain name')
     for name in ('run_id', 'index'):
         _refuse(path, frame[name].duplicated(), f'its {name} occurs twice')
     _refuse(path, frame['index'] < 0, 'its index is negative')
