@@ -316,8 +316,10 @@ class Recorder(Participant):
         if self._writer is not None and self._charged:
             return
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        stranger = heard.early_stranger(scenario.participants) if self._alone else None
-        if stranger is None:
+        stranger = heard.early_stranger(scenario.participants)
+        # A killed simulator stays in the graph for a while. Any other node replays what a bag
+        # holds already, or would spoil the run.
+        if stranger is None or not (self._alone or stranger.name != interface.SIMULATOR):
             super()._take(scenario)
         elif self._writer is None:
             self.run_id = self._refused = scenario.run_id

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from process_table import gone
-from standing import TAXINET, Standing, ended, environment, standing
+from standing import TAXINET, Standing, ended, environment, standing, taxinet
 from waiting import wait_for
 
 from taxinet_ros.bag.check.compare import compare_bags
@@ -24,6 +24,7 @@ pytestmark = pytest.mark.ros
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
+GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
 ENOUGH = 'set:=["duration=40"]'
 
 
@@ -80,6 +81,21 @@ def test_given_the_same_scenes_once_more_then_their_bags_lie_beside_the_first(gr
     compared = compare_bags(one, other)
     assert compared
     assert all(topic.equal for topic in compared)
+
+
+def test_a_replay_beside_the_graph_is_no_run_of_it_and_is_not_recorded(graph):
+    player = taxinet(
+        'node', 'bag_player', '--ros-args', '-p', f'bag:={GOLDEN}', '-p', 'rate:=100.0',
+        '-p', 'wait_for:=["scenario", "node_status", "run_status"]', '-p', 'exclude:=["/clock"]',
+        cwd=graph.folder, domain=graph.domain,
+    )
+    code, output, errors = ended(player)
+    assert code == 0, output + errors
+    code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=4))
+    assert code == 0, output + errors
+    graph.wait_to_say('run table-4-00000: PASS')
+    assert GOLDEN.name not in graph.printed
+    assert not (graph.out / GOLDEN.name).exists()
 
 
 @pytest.mark.parametrize(
