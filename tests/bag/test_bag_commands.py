@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +16,10 @@ from bag_faults import chunks_of
 from PIL import Image
 from whole_runs import RUN_ID, STEPS, WEIGHTS, write_run
 
+from taxinet_ros.analysis.one_run.film import film_frames
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
+from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
 
 Taxinet = Callable[..., tuple[int, str, str]]
@@ -162,6 +167,32 @@ def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
     assert taxinet('export', 'run', '--out', 'NEW/f.gif')[0] == 0
     with Image.open(tmp_path / 'f.gif') as gif:
         assert (gif.size, gif.n_frames, gif.info['duration']) == ((540, 480), STEPS // 2, 200)
+
+
+@pytest.mark.parametrize(('size', 'shape'), [
+    ((720, 400), (960, 1080, 3)), ((640, 480), (1170, 1080, 3)), ((3, 2), (1080, 1080, 3)),
+])
+def test_frames_of_another_size_are_filmed_in_the_same_width(
+    made: Path, size: tuple[int, int], shape: tuple[int, int, int]
+) -> None:
+    found = list(film_frames(_filmed(made, [size] * STEPS)))
+    assert [frame.shape for frame in found] == [shape] * STEPS
+
+
+def test_frames_that_change_in_size_are_refused_in_one_line(made: Path) -> None:
+    with pytest.raises(UsageError, match='its camera frames change in size: 360 x 200 and 64 x 40'):
+        list(film_frames(_filmed(made, [(360, 200), (64, 40), *[(360, 200)] * (STEPS - 2)])))
+
+
+def _filmed(made: Path, sizes: list[tuple[int, int]]) -> Any:
+    """The run with pictures of these widths and heights."""
+    run = open_recording(made / 'run')
+    frames = [frame._replace(image=cv2.resize(frame.image, size))
+              for frame, size in zip(run.frames(), sizes, strict=True)]
+    return SimpleNamespace(
+        path=run.path, columns=run.columns, facts=run.facts, scenario=run.scenario,
+        frames=lambda render: frames,
+    )
 
 
 BAD = {
