@@ -61,7 +61,7 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     A bag that is stored far away is brought back first.
 
     Raises:
-        UsageError: ``path`` does not exist, or it is not in the store.
+        UsageError: ``path`` does not exist, is a campaign's folder, or it is not in the store.
         BagEmpty: the folder contains no storage file.
         BagForeign: the folder contains a bag of another storage.
     """
@@ -85,6 +85,8 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         return tuple(files)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
+    if runs := sorted(folder for folder in path.glob('*/') if holds_bag(folder)):
+        raise UsageError(f'{path} is a campaign; name a run in it, e.g. {runs[0]}')
     raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
 
 

@@ -41,6 +41,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / 'sqlite').mkdir()
     (folder / 'sqlite' / 's_0.db3').touch()
     (folder / 'empty').mkdir()
+    (folder / 'all').mkdir()
+    (folder / 'all' / 'run').symlink_to(folder / 'run', target_is_directory=True)
     return folder
 
 
@@ -200,6 +202,8 @@ BAD = {
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'contains no .mcap'),
+    'a campaign': (['info', 'all'], 2, 'error: all is a campaign; name a run in it, e.g. all/run'),
+    'export of a campaign': (['export', 'all', '--out', 'NEW/x.csv'], 2, 'all is a campaign; name'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'is inside the bag'),
     'export of a damaged bag': (
