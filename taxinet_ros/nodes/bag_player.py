@@ -383,9 +383,8 @@ class BagPlayer(Node):
                 continue
             found = message_class(topic) if topic.encoding == 'cdr' else None
             if found is None:
-                other = f"its messages are {topic.encoding or 'without encoding'}, not ROS's cdr"
-                why = f'{topic.type} is not installed' if topic.encoding == 'cdr' else other
-                self.get_logger().warning(f'skipping {topic.name}: {why}')
+                why = 'is not installed' if topic.encoding == 'cdr' else f'in {topic.encoding}'
+                self.get_logger().warning(f'skipping {topic.name}: {topic.type} {why}')
                 continue
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -440,7 +439,7 @@ class BagPlayer(Node):
         if missing and time.monotonic() - self._begun_at > self._patience_s:
             self.trouble = (
                 f'bag_player: no subscriber on {", ".join(missing)} within '
-                f'{self._patience_s:g} s; start it with the same ROS_DOMAIN_ID'
+                f'{self._patience_s:g} s; start it with the same ROS_DOMAIN_ID and discovery range'
             )
             self._finish(ExitCode.INFRA)
         if missing:

@@ -343,7 +343,8 @@ def _trouble(result: RunResult, node: StandaloneSampler) -> str:
     if result.kind != InfraKind.NOT_READY:
         return ''
     if result.who == interface.SIMULATOR:
-        return f'simulator: {result.detail}; start it with the same ROS_DOMAIN_ID'
+        near = 'the same ROS_DOMAIN_ID and discovery range'
+        return f'simulator: {result.detail}; start it with {near}'
     if absent := node.absent():
         names = ', '.join(absent)
         return f'{names}: not in the graph; start it, or correct the parameter participants'

@@ -242,8 +242,8 @@ def test_what_is_no_message_of_its_topics_type_is_skipped_with_one_line_each(tmp
     assert heard == ['a', *map(str, range(10))]
     lines = [line.partition(']: ')[2] for line in capfd.readouterr().err.splitlines()]
     assert [line for line in lines if line.startswith('skipping ')] == [
-        "skipping /json: its messages are json, not ROS's cdr",
-        "skipping /proto: its messages are protobuf, not ROS's cdr",
+        'skipping /json: chatter in json',
+        'skipping /proto: foxglove.Log in protobuf',
         'skipping /short: std_msgs/String is not installed',
         'skipping /service: std_srvs/srv/SetBool_Event is not installed',
         'skipping messages: topic /words: not a std_msgs/msg/String: '

@@ -137,8 +137,8 @@ def _fading(colour: str) -> list[int]:
     ]
 
 
-_WIDTH_PX = 1080
-"""Three times that of the camera's 360 x 200 pixels."""
+_SHAPE_PX = (1080, 600)
+"""Width and height of the picture, three times the camera's."""
 PANEL_HEIGHT_PX = 360
 _DPI = 100
 _MOST_STEERING_DEG = 30.0
@@ -198,25 +198,23 @@ class _Panel:
 def film_frames(recording: Recording) -> Iterator[Picture]:
     """The frames of a run's film, (960, 1080, 3) uint8 RGB, ten to a simulated second.
 
-    Pictures of another shape than 200 x 360 are enlarged to the same width.
+    Pictures of another size, but of this shape, are filmed in the same size.
 
     Raises:
-        UsageError: the bag contains no camera frames, or frames of several sizes.
+        UsageError: the bag contains no camera frames, or such of another shape.
         BagError: it is damaged, not ours, or contains no truth.
     """
     bag, trace, facts = recording.path, recording.columns, recording.facts
     panel = _draw_panel(trace, recording.scenario.line.half_width_m)
     rows = {int(stamp): row for row, stamp in enumerate(trace['t_ns'])}
-    shown, shape = 0, ()
+    shown = 0
     for frame in recording.frames(render=False):
         if (row := rows.get(frame.stamp_ns)) is None:
             continue
-        shown, shape = shown + 1, shape or frame.image.shape
-        if frame.image.shape != shape:
-            sizes = ' and '.join(f'{width} x {height}' for height, width, _ in (
-                shape, frame.image.shape
-            ))
-            raise UsageError(f'{bag}: its camera frames change in size: {sizes}')
+        shown += 1
+        height, width = frame.image.shape[:2]
+        if width * _SHAPE_PX[1] != height * _SHAPE_PX[0]:
+            raise UsageError(f'{bag}: camera frames of {width} x {height}; a film takes 360 x 200')
         now = {name: column[row] for name, column in trace.items()}
         view = _view(frame.image, now, facts)
         yield np.vstack([view, panel.at(now)])
@@ -228,8 +226,7 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
 
 def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Picture:
     """The enlarged camera frame with text and the steering angle."""
-    height, width = pixels.shape[:2]
-    size = (_WIDTH_PX, 2 * round(height * _WIDTH_PX / width / 2))  # even, as films are
+    size = _SHAPE_PX
     large = Image.fromarray(cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC))
     shade = Image.new('RGBA', size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(shade)
@@ -277,7 +274,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 def _draw_panel(trace: Mapping[str, Column], half_width_m: float) -> _Panel:
     t_s = np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S
-    figure = Figure(figsize=(_WIDTH_PX / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
+    figure = Figure(figsize=(_SHAPE_PX[0] / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
     plots = (figure.add_axes((0.07, 0.15, 0.5, 0.72)), figure.add_axes((0.66, 0.15, 0.32, 0.72)))
     spec = next((n for n in trace if n.startswith('rho_upper.')), '').removeprefix('rho_upper.')

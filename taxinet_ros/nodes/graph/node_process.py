@@ -19,6 +19,7 @@ from taxinet_ros.nodes.graph.command_wrapper import (
     SIGTERM_GRACE_S,
     wrapped_command,
 )
+from taxinet_ros.nodes.running.domain import require_discovery
 from taxinet_ros.processes.child import ChildProcess, child_environment, end_all, module_command
 
 
@@ -43,6 +44,7 @@ class NodeProcess(ChildProcess):
             log: file for its output.
             ours: whether it is a node of this package.
         """
+        require_discovery()
         self._ours = ours
         super().__init__(
             name, command, log=log, killed_with_parent=ours, signals_held=ours,

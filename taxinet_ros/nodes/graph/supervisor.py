@@ -165,9 +165,6 @@ def memory_mb(pid: int) -> float | None:
 
 
 _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
-_UNDER_WAY = (
-    GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_CANCELING,
-)
 
 
 class RunWatch:
@@ -258,7 +255,10 @@ class RunWatch:
         }
 
     def _on_goals(self, goals: Any) -> None:
-        self._asked_for = any(one.status in _UNDER_WAY for one in goals.status_list)
+        # Accepted, executing or canceling; those that have ended have higher numbers.
+        self._asked_for = any(
+            one.status <= GoalStatus.STATUS_CANCELING for one in goals.status_list
+        )
 
     def _is_replay(self) -> bool:
         """Whether another node than those of a graph tells of runs, and none is under way."""

@@ -367,11 +367,7 @@ _FIELD_REFUSED: Final = re.compile(r"The '\w+' field must be ")
 def _fields(record: Record) -> Judged:
     if _FIELD_REFUSED.search(record.died):
         return Status.FAIL, record.died
-    return _each_answer(_subnormal, 'in each answer')(record)
-
-
-def _subnormal(run: Run, asked: Question, said: Answer) -> str:
-    return subnormal(said.value)
+    return _each_answer(lambda run, asked, said: subnormal(said.value), 'in each answer')(record)
 
 
 def _not_finite(run: Run, asked: Question, said: Answer) -> str:
