@@ -1,7 +1,6 @@
 """The ROS 2 nodes: thin shells that move messages between the graph and the core.
 
-Importing it raises :class:`.UsageError` where a variable of ROS 2 would end the process as soon as
-rclpy is imported, or has a value that means nothing.
+Importing it raises :class:`.UsageError` for variables with which rclpy would end the process.
 """
 
 import os
@@ -20,10 +19,8 @@ if os.environ.get(_RANGE) and os.environ[_RANGE] not in _RANGES:
 if os.environ.get(_RMW, '') not in ('', 'rmw_fastrtps_cpp') and 'rclpy' not in sys.modules and (
     subprocess.run([sys.executable, '-c', _LOAD], capture_output=True, check=False).returncode
 ) == 102:
-    raise UsageError(
-        f'{_RMW}={os.environ[_RMW]}: this ROS 2 has no such middleware; unset {_RMW}, or '
-        'install it'
-    )
+    words = f'{_RMW}={os.environ[_RMW]}: this ROS 2 has no such middleware'
+    raise UsageError(f'{words}; unset {_RMW}, or install it')
 
 # Read by Fast DDS when the first node of a process is created, and inherited by child processes;
 # rclpy has no API for it. A profile set by the user is kept.

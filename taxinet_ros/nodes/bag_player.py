@@ -384,7 +384,7 @@ class BagPlayer(Node):
             found = message_class(topic) if topic.encoding == 'cdr' else None
             if found is None:
                 why = 'is not installed' if topic.encoding == 'cdr' else f'in {topic.encoding}'
-                self.get_logger().warning(f'skipping {topic.name}: {topic.type} {why}')
+                self.get_logger().warning(f'skipping {topic.name}: {topic.type or "no type"} {why}')
                 continue
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:

@@ -390,7 +390,7 @@ class Recorder(Participant):
             return
         if status.node == self.get_name():
             # The bag's topics contain the one, and frames added later must not change anything
-            # else; the other is where it is written, not what is in it.
+            # else; the other is the bag's place, not its content.
             status.listens, status.detail = [], ''
             cdr = serialize_message(status)
         # Another node may be ready before this one knows of the run.
@@ -494,10 +494,7 @@ class Recorder(Participant):
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
     def report(self, state: int, **what: Any) -> None:
-        """See :class:`Participant`; after its own error the recorder stops writing.
-
-        Its READY says in which folder the bags are.
-        """
+        """See :class:`Participant`; READY says where the bags are, and an own error ends them."""
         if state == NodeStatus.ERROR:
             self.close()
         if state == NodeStatus.READY:

@@ -253,8 +253,8 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
     fits = {'run_id': is_run_name, 'bag': is_bag_name}
     for name in fits.keys() & set(frame.columns):
-        words = frame[name].fillna('').astype(str)
-        unfit = words.isin([*filterfalse(fits[name], words)]) & (words != '')
+        texts = frame[name].fillna('').astype(str)
+        unfit = texts.isin([*filterfalse(fits[name], texts)]) & (texts != '')
         _refuse(path, unfit, f'its {name} is not a plain name')
     for name in ('run_id', 'index'):
         _refuse(path, frame[name].duplicated(), f'its {name} occurs twice')

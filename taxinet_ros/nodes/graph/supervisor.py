@@ -170,9 +170,8 @@ _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
 class RunWatch:
     """Follows the runs of a graph, reports deaths to it, and can end the current run.
 
-    Subscribes only to latched topics and to those of the action, which no node counts. A replay
-    beside the graph is not a run: its messages are those of a run that no simulator has been asked
-    for. rclpy does not report who sent a message, but who publishes, and what the action does.
+    Subscribes only to latched topics and to those of the action, which no node counts. What is told
+    of a run that the simulator was not asked for is a replay: rclpy does not say who sent it.
 
     Attributes:
         run_id: the current run, or ''.
@@ -256,9 +255,8 @@ class RunWatch:
 
     def _on_goals(self, goals: Any) -> None:
         # Accepted, executing or canceling; those that have ended have higher numbers.
-        self._asked_for = any(
-            one.status <= GoalStatus.STATUS_CANCELING for one in goals.status_list
-        )
+        last = GoalStatus.STATUS_CANCELING
+        self._asked_for = any(one.status <= last for one in goals.status_list)
 
     def _is_replay(self) -> bool:
         """Whether another node than those of a graph tells of runs, and none is under way."""
