@@ -20,7 +20,8 @@ class Stage:
     """A watch that hears of runs only when it is told to listen."""
 
     def __init__(self, context: Context) -> None:
-        self.node, self.others = (Node(name, context=context) for name in ('watch', interface.SIMULATOR))
+        names = 'watch', interface.SIMULATOR
+        self.node, self.others = (Node(name, context=context) for name in names)
         self.lines: list[str] = []
         self.mourned: list[tuple[str, str, str]] = []
         self.watch = RunWatch(self.node, self.lines.append)
