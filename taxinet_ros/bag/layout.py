@@ -25,6 +25,12 @@ def is_run_name(run_id: str) -> bool:
     return _RUN_ID.fullmatch(run_id) is not None
 
 
+def is_bag_name(bag: str) -> bool:
+    """Whether a text is a run's name, or an absolute path that ends in one."""
+    path = Path(bag)
+    return is_run_name(path.name if path.is_absolute() else bag)
+
+
 def run_folder(out: Path, run_id: str) -> Path:
     """Folder of a run within the campaign's folder.
 
@@ -55,7 +61,7 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     A bag that is stored far away is brought back first.
 
     Raises:
-        UsageError: ``path`` does not exist, or it is not in the store.
+        UsageError: ``path`` does not exist, is a campaign's folder, or it is not in the store.
         BagEmpty: the folder contains no storage file.
         BagForeign: the folder contains a bag of another storage.
     """
@@ -79,6 +85,8 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         return tuple(files)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
+    if runs := sorted(folder for folder in path.glob('*/') if holds_bag(folder)):
+        raise UsageError(f'{path} is a campaign; name a run in it, e.g. {runs[0]}')
     raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
 
 

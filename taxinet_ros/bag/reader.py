@@ -82,7 +82,7 @@ class BagInfo:
         attachments: names in the order of the file.
         complete: the recording was finished and nothing is damaged.
         trouble: one line describing the damage, or empty.
-        back_ns: maximum decrease of the stamp from one message to the next [ns].
+        back_ns: longest time by which a message is older than one before it [ns].
         unchecked: one line about messages not covered by a checksum, or empty.
     """
 
@@ -229,6 +229,7 @@ class _Topics:
             qos=channel.metadata.get('offered_qos_profiles', ''),
             definition=schema.data.decode('utf-8', 'replace') if readable else '',
             type_hash=channel.metadata.get('topic_type_hash', ''),
+            encoding=channel.message_encoding,
         )
 
 
@@ -304,7 +305,7 @@ class Contents:
     def _note_stamp(self, stamp_ns: int) -> None:
         self._start_ns = stamp_ns if self._start_ns is None else min(self._start_ns, stamp_ns)
         self._end_ns = max(self._end_ns, stamp_ns)
-        self._back_ns = max(self._back_ns, self._latest_ns - stamp_ns)
+        self._back_ns = max(self._back_ns, self._end_ns - stamp_ns)
         self._latest_ns = stamp_ns
 
 

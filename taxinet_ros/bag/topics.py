@@ -45,6 +45,7 @@ class TopicInfo:
             :func:`offered_qos`.
         definition: message definition including nested types, in MCAP's ``ros2msg`` format.
         type_hash: REP-2016 hash, ``RIHS01_…``.
+        encoding: encoding of its messages; only ``cdr`` is ROS's.
     """
 
     name: str
@@ -52,6 +53,7 @@ class TopicInfo:
     qos: str
     definition: str
     type_hash: str
+    encoding: str = 'cdr'
 
 
 def offered_qos(*, history: str, depth: int, reliability: str, durability: str) -> str:
@@ -215,8 +217,6 @@ def _inner_types(text: str, package: str) -> set[str]:
 
 
 def _read(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> str:
-    if not is_type_name(type_name):
-        raise UsageError(f'{type_name!r} is not of the form package/msg/Name')
     file = _found(type_name, suffix, prefixes)
     if file is not None:
         return file.read_text(encoding='utf-8')
@@ -232,6 +232,8 @@ def _read(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> str:
 
 
 def _found(type_name: str, suffix: str, prefixes: tuple[Path, ...]) -> Path | None:
+    if not is_type_name(type_name):
+        raise UsageError(f'{type_name!r} is not of the form package/msg/Name')
     package, _, name = type_name.split('/')
     files = (prefix / 'share' / package / 'msg' / (name + suffix) for prefix in prefixes)
     return next(filter(Path.is_file, files), None)

@@ -123,8 +123,11 @@ def _percent(value: float) -> str:
 
 def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     """Line with the paths of table and bags."""
-    here = not options.standing_graph or any(row.bag for row in rows)
-    bags = f'{options.out}/<run>/' if here else "where the graph's recorder puts them"
+    folders = {(options.out / row.bag).parent for row in rows if row.bag}
+    if not options.standing_graph:
+        folders = {options.out}
+    bags = ', '.join(f'{folder}/<run>/' for folder in sorted(folders))
+    bags = bags or "where the graph's recorder writes them"
     return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn
 
-from taxinet_ros.errors import ExitCode
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.instructions import lacking
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -54,7 +54,11 @@ def start_module(name: str) -> NoReturn:
         # What is imported stays. To look for garbage in it costs a tenth of the imports, and as
         # much again each time later.
         gc.disable()
-        module = import_module(name)
+        try:
+            module = import_module(name)
+        except UsageError as error:  # as a node's main says it
+            print(f'error: {error}', file=sys.stderr)
+            sys.exit(ExitCode.USAGE)
         gc.freeze()
         gc.enable()
         module.main()

@@ -163,6 +163,7 @@ def _packages(name: str) -> Iterator[Check]:
 
 def _ros(name: str) -> Iterator[Check]:
     try:
+        importlib.import_module('taxinet_ros.nodes')  # asks for what would end this process
         rclpy: Any = importlib.import_module('rclpy')
         utilities: Any = importlib.import_module('rclpy.utilities')
     except ImportError as error:
@@ -211,8 +212,14 @@ def _version(distribution: str) -> str:
 
 
 def _domain(name: str) -> Iterator[Check]:
-    from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, own_domain
+    from taxinet_ros.nodes.running.domain import (
+        BY_HAND,
+        DISCOVERY_RANGE,
+        own_domain,
+        require_discovery,
+    )
 
+    require_discovery()
     with own_domain() as domain:
         why = f'by {BY_HAND}' if os.environ.get(BY_HAND) else 'free; each graph takes its own'
         yield Check(name, 'ok', f'{domain}, {why}')

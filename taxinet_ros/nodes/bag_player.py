@@ -1,11 +1,13 @@
 """Executable ``bag_player``: play back a recorded run on its topics, with its clock, at any rate.
 
 Playback follows the wall clock and waits for no answers; other nodes run freely.
-(``taxinet bag replay`` replays a run into one node in lockstep.) Messages are published as stored.
+(``taxinet bag replay`` replays a run into one node in lockstep.) Messages are published as stored,
+in the order of time; what is not a ROS message of its topic's type is left out with a line.
 """
 
 from __future__ import annotations
 
+import heapq
 import importlib
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -14,6 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
 from rclpy.duration import Duration
@@ -24,11 +27,16 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from taxinet_ros.bag.cdr.decode import definition_hash, present_bytes, with_present_names
-from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.cdr.decode import (
+    decoder,
+    definition_hash,
+    present_bytes,
+    with_present_names,
+)
+from taxinet_ros.bag.errors import BagCorrupt, BagError
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
-from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, TF, is_of_frames, is_topic
-from taxinet_ros.bag.topics import TopicInfo, message_definition, qos_profiles, type_hash
+from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, SCENARIO, TF, is_of_frames, is_topic
+from taxinet_ros.bag.topics import TopicInfo, describe_topic, qos_profiles
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -51,25 +59,39 @@ _Bytes = Callable[[bytes], bytes]
 def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
     """Message class of a topic, and present bytes by recorded ones; None if not installed.
 
-    Only packages that provide this message definition are imported.
+    Only packages that provide this message definition are imported. The conversion raises
+    :class:`BagError` for bytes that are not such a message.
 
     Raises:
         UsageError: the installed message definition differs from the recorded one.
     """
     try:
-        installed = type_hash(topic.type)
+        installed = describe_topic(name=topic.name, type_name=topic.type, qos=topic.qos)
     except UsageError:
         return None
+    known = topic.type_hash in ('', installed.type_hash)
     converted: _Bytes | None = bytes
-    if topic.type_hash and topic.type_hash != installed and not _renamed(topic, installed):
-        converted = present_bytes(topic, message_definition(topic.type))
+    if not known and not _renamed(topic, installed.type_hash):
+        converted = present_bytes(topic, installed.definition)
     if converted is None:
         raise UsageError(
             f'{topic.name}: {topic.type} has another version than the installed one; leave it '
             f'out: exclude:=["{topic.name}"]'
         )
     package, _, name = topic.type.split('/')
-    return getattr(importlib.import_module(f'{package}.msg'), name), converted
+    # An empty message, such as std_msgs/msg/Empty, has no definition to check.
+    check = decoder(installed) if installed.definition.strip() else bytes
+
+    def present(cdr: bytes) -> bytes:
+        now = converted(cdr)
+        try:
+            check(now)
+        except BagCorrupt as error:
+            if 'size mismatch' not in str(error):  # rclpy's serialize_message leaves room behind
+                raise
+        return now
+
+    return getattr(importlib.import_module(f'{package}.msg'), name), present
 
 
 def _renamed(topic: TopicInfo, installed: str) -> bool:
@@ -138,7 +160,8 @@ def open_bag(path: str) -> BagInfo:
     if not info.complete:
         hint = f'save the intact part: taxinet bag recover {path} --out NEW'
         raise UsageError(f'{info.trouble}; {hint}')
-    if info.back_ns > NS_PER_S:
+    scenes = [count for name, count in info.counts.items() if is_topic(name, SCENARIO)]
+    if info.back_ns > NS_PER_S and max(scenes, default=0) > 1:
         raise UsageError(
             f'{path}: time jumps back by {info.back_ns / NS_PER_S:g} s, so it holds several runs; '
             f'split it with: taxinet bag split {path} --out DIR'
@@ -190,17 +213,18 @@ def known_topics(
 
 
 def portions(
-    path: Path, topics: Collection[str], part: Window, latched: Collection[str]
+    path: Path, topics: Collection[str], part: Window, latched: Collection[str], back_ns: int = 0,
 ) -> Iterator[Portion]:
-    """Yield the messages to play, in the order of the bag.
+    """Yield the messages to play, in the order of time, and at equal times in that of the bag.
 
     Args:
         path: the bag.
         topics: names of the topics to play.
         part: time window.
         latched: topics whose messages from before the window form its first portion.
+        back_ns: that of the bag's :class:`BagInfo`.
     """
-    messages = stored_messages(path, frozenset(topics).__contains__)
+    messages = _by_time(stored_messages(path, frozenset(topics).__contains__), back_ns)
 
     def moment(message: StoredMessage) -> int:
         return max(message.stamp_ns, part.start_ns)
@@ -212,6 +236,18 @@ def portions(
     )
     for stamp_ns, group in groupby(wanted, moment):
         yield Portion(stamp_ns=stamp_ns, messages=tuple(group))
+
+
+def _by_time(messages: Iterator[StoredMessage], back_ns: int) -> Iterator[StoredMessage]:
+    held: list[tuple[int, int, StoredMessage]] = []
+    newest = 0
+    for number, message in enumerate(messages):
+        heapq.heappush(held, (message.stamp_ns, number, message))
+        newest = max(newest, message.stamp_ns)
+        while held[0][0] < newest - back_ns:
+            yield heapq.heappop(held)[-1]
+    while held:
+        yield heapq.heappop(held)[-1]
 
 
 _TICK_S = 0.002
@@ -235,7 +271,8 @@ USAGE = Usage(
         ),
         Parameter(
             name='start_offset', default=0.0, limits=(0.0, 1e9),
-            description='start offset in the recording [s]',
+            description='start offset in the recording [s]; set while it plays, it goes on there',
+            settable=True,
         ),
         Parameter(
             name='playback_duration', default=0.0, limits=(0.0, 1e9),
@@ -285,6 +322,7 @@ class BagPlayer(Node):
         self._count, self._late_s, self._interrupted = 0, 0.0, False
         self._begun_at = time.monotonic()
         self._rewind()
+        self.add_on_set_parameters_callback(self._on_set)
         self.create_service(SetBool, '~/pause', self._on_pause)
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
@@ -316,7 +354,8 @@ class BagPlayer(Node):
         self._rate, self._loop = given['rate'], given['loop']
         self._patience_s = given['wait_timeout']
         self._info = open_bag(given['bag'])
-        self._part = window(self._info, given['start_offset'], given['playback_duration'])
+        self._duration_s = given['playback_duration']
+        self._part = window(self._info, given['start_offset'], self._duration_s)
         made = {place + TF for place in self._without_transforms().values()}
         self._excluded = known_topics(self._info, given['exclude'], 'exclude', made)
         self._awaited = known_topics(self._info, given['wait_for'], 'wait_for')
@@ -335,16 +374,17 @@ class BagPlayer(Node):
         return {name: place for name, place in places.items() if place + TF not in recorded}
 
     def _speak(self) -> dict[str, Publisher]:
-        """Create publishers by recorded name; topics of types not installed are skipped."""
+        """Create publishers by recorded name; topics without a message class are skipped."""
         publishers, self._latched, self._present = {}, set(), {}
+        self._types = {topic.name: topic.type for topic in self._info.topics}
+        self._unfit: set[str] = set()
         for topic in self._info.topics:
             if topic.name in self._excluded:
                 continue
-            found = message_class(topic)
+            found = message_class(topic) if topic.encoding == 'cdr' else None
             if found is None:
-                self.get_logger().warning(
-                    f'skipping {topic.name}: {topic.type} is not installed'
-                )
+                why = 'is not installed' if topic.encoding == 'cdr' else f'in {topic.encoding}'
+                self.get_logger().warning(f'skipping {topic.name}: {topic.type or "no type"} {why}')
                 continue
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -369,7 +409,8 @@ class BagPlayer(Node):
 
     def _rewind(self) -> None:
         self._portions = portions(
-            self._info.path, self._publishers_by_topic.keys(), self._part, self._latched
+            self._info.path, self._publishers_by_topic.keys(), self._part, self._latched,
+            self._info.back_ns,
         )
         self._next = next(self._portions, None)
         self._origin: float | None = None
@@ -398,7 +439,7 @@ class BagPlayer(Node):
         if missing and time.monotonic() - self._begun_at > self._patience_s:
             self.trouble = (
                 f'bag_player: no subscriber on {", ".join(missing)} within '
-                f'{self._patience_s:g} s; start it with the same ROS_DOMAIN_ID'
+                f'{self._patience_s:g} s; start it with the same ROS_DOMAIN_ID and discovery range'
             )
             self._finish(ExitCode.INFRA)
         if missing:
@@ -455,13 +496,15 @@ class BagPlayer(Node):
         if self._own_clock is not None:
             self._own_clock.publish(Clock(clock=time_of(portion.stamp_ns)))
         for message in portion.messages:
-            name = message.topic.name
+            name, cdr = message.topic.name, self._present_bytes(message)
+            if cdr is None:
+                continue
             latched, first = name in self._latched, name not in self._heard
             if not latched:
                 waited += self._deliver(*self._under_way)
                 self._under_way.clear()
             publisher = self._publishers_by_topic[name]
-            publisher.publish(self._present[name](message.cdr))
+            publisher.publish(cdr)
             if name in self._transforms:
                 self._transforms[name].follow(message.cdr)
             self._count += 1
@@ -472,6 +515,20 @@ class BagPlayer(Node):
             elif first:
                 waited += self._deliver(publisher)
         return waited
+
+    def _present_bytes(self, message: StoredMessage) -> bytes | None:
+        """What to publish; None, and once a line, for what is no message of the topic's type."""
+        name, kind = message.topic.name, self._types[message.topic.name]
+        try:
+            if message.topic.type == kind:
+                return self._present[name](message.cdr)
+            why = f'topic {name}: a {message.topic.type} among {kind}'
+        except BagError as error:
+            why = str(error)
+        if name not in self._unfit:
+            self._unfit.add(name)
+            self.get_logger().warning(f'skipping messages: {why}')
+        return None
 
     def _deliver(self, *publishers: Publisher) -> float:
         """Wait until reliable subscribers have acknowledged everything, with a time limit.
@@ -494,6 +551,16 @@ class BagPlayer(Node):
             self._paused_at = None
         answer.success, answer.message = True, 'paused' if request.data else 'playing'
         return answer
+
+    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
+        for one in parameters:
+            if one.name == 'start_offset':
+                try:
+                    self._part = window(self._info, one.value, self._duration_s)
+                except UsageError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+                self._rewind()
+        return SetParametersResult(successful=True)
 
     def _finish(self, code: int) -> None:
         if self._finished is not None and not self._finished.done():

@@ -316,8 +316,10 @@ class Recorder(Participant):
         if self._writer is not None and self._charged:
             return
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        stranger = heard.early_stranger(scenario.participants) if self._alone else None
-        if stranger is None:
+        stranger = heard.early_stranger(scenario.participants)
+        # A killed simulator stays in the graph for a while. Any other node replays what a bag
+        # holds already, or would spoil the run.
+        if stranger is None or not (self._alone or stranger.name != interface.SIMULATOR):
             super()._take(scenario)
         elif self._writer is None:
             self.run_id = self._refused = scenario.run_id
@@ -387,8 +389,9 @@ class Recorder(Participant):
             self._hear_again(deserialize_message(told, NodeStatus), status)
             return
         if status.node == self.get_name():
-            # The bag's topics contain it, and frames added later must not change anything else.
-            status.listens = []
+            # The bag's topics contain the one, and frames added later must not change anything
+            # else; the other is the bag's place, not its content.
+            status.listens, status.detail = [], ''
             cdr = serialize_message(status)
         # Another node may be ready before this one knows of the run.
         self._reports[status.node] = (status.run_id, cdr)
@@ -491,9 +494,11 @@ class Recorder(Participant):
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
     def report(self, state: int, **what: Any) -> None:
-        """See :class:`Participant`; after its own error the recorder stops writing."""
+        """See :class:`Participant`; READY says where the bags are, and an own error ends them."""
         if state == NodeStatus.ERROR:
             self.close()
+        if state == NodeStatus.READY:
+            what['detail'] = str(self._out.resolve())
         super().report(state, **what)
 
     def _finish_if_whole(self) -> None:

@@ -10,6 +10,7 @@ import contextlib
 import importlib
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +119,7 @@ USAGE = Usage(
     does='Runs a campaign or a search on a running graph and writes its table; options as in '
     'taxinet run and taxinet falsify.',
     publishes=published_topics(interface.SCENARIO_SAMPLER),
-    subscribes=(interface.OBITUARY.name,),
+    subscribes=(interface.NODE_STATUS.name, interface.OBITUARY.name),
     other=f'client of the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
     parameters=(*PATIENCE, *_OPTIONS),
     ends=('here 0: every run satisfied its formulas; 1: some run violated one',),
@@ -132,6 +133,7 @@ class StandaloneSampler(ScenarioSampler):
         participants: nodes of the lockstep, without the simulator.
         campaign: campaign options.
         search: search options; None if the program draws the scenes.
+        bags: folder in which the recorder writes, as it says; '' if none did.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -141,8 +143,10 @@ class StandaloneSampler(ScenarioSampler):
             UsageError: a parameter is invalid.
         """
         super().__init__(**node)
-        topic = interface.OBITUARY
+        topic, status = interface.OBITUARY, interface.NODE_STATUS
         self.create_subscription(NodeStatus, topic.name, self._on_death_notice, topic.qos)
+        self.create_subscription(NodeStatus, status.name, self._on_status, status.qos)
+        self.bags = ''
         given = declare_all(self, _OPTIONS)
         self.participants = tuple(given['participants'])
         check_participants(self.participants)
@@ -191,6 +195,11 @@ class StandaloneSampler(ScenarioSampler):
         dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
         if dead and self._is_at(notice.run_id):
             self.report_death(notice.node, notice.detail)
+
+    def _on_status(self, status: NodeStatus) -> None:
+        # A replay's has no folder.
+        if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER) and status.detail:
+            self.bags = status.detail
 
     def _is_at(self, run_id: str) -> bool:
         return self._request is not None and self._request.run_id == run_id
@@ -320,7 +329,8 @@ class _Answers:
             if self.trouble:
                 return False
             self._broken.add(request.index)
-        return self._take(request, result)
+        recorded = interface.RECORDER in request.participants
+        return self._take(request, replace(result, bags=self._node.bags if recorded else ''))
 
 
 def _trouble(result: RunResult, node: StandaloneSampler) -> str:
@@ -333,7 +343,8 @@ def _trouble(result: RunResult, node: StandaloneSampler) -> str:
     if result.kind != InfraKind.NOT_READY:
         return ''
     if result.who == interface.SIMULATOR:
-        return f'simulator: {result.detail}; start it with the same ROS_DOMAIN_ID'
+        near = 'the same ROS_DOMAIN_ID and discovery range'
+        return f'simulator: {result.detail}; start it with {near}'
     if absent := node.absent():
         names = ', '.join(absent)
         return f'{names}: not in the graph; start it, or correct the parameter participants'

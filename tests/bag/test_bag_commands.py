@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +16,10 @@ from bag_faults import chunks_of
 from PIL import Image
 from whole_runs import RUN_ID, STEPS, WEIGHTS, write_run
 
+from taxinet_ros.analysis.one_run.film import film_frames
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
+from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
 
 Taxinet = Callable[..., tuple[int, str, str]]
@@ -36,6 +41,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / 'sqlite').mkdir()
     (folder / 'sqlite' / 's_0.db3').touch()
     (folder / 'empty').mkdir()
+    (folder / 'all').mkdir()
+    (folder / 'all' / 'run').symlink_to(folder / 'run', target_is_directory=True)
     return folder
 
 
@@ -164,11 +171,37 @@ def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
         assert (gif.size, gif.n_frames, gif.info['duration']) == ((540, 480), STEPS // 2, 200)
 
 
+def test_frames_of_another_size_are_filmed_in_the_same_size(made: Path) -> None:
+    sizes = [(720, 400), (9, 5), *[(360, 200)] * (STEPS - 2)]
+    assert [frame.shape for frame in film_frames(_filmed(made, sizes))] == [(960, 1080, 3)] * STEPS
+
+
+@pytest.mark.parametrize('size', [(640, 480), (360, 199), (1, 1)])
+def test_frames_of_another_shape_are_refused_in_one_line(
+    made: Path, size: tuple[int, int]
+) -> None:
+    with pytest.raises(UsageError, match=f'run: camera frames of {size[0]} x {size[1]}; a film'):
+        list(film_frames(_filmed(made, [size] * STEPS)))
+
+
+def _filmed(made: Path, sizes: list[tuple[int, int]]) -> Any:
+    """The run with pictures of these widths and heights."""
+    run = open_recording(made / 'run')
+    frames = [frame._replace(image=cv2.resize(frame.image, size))
+              for frame, size in zip(run.frames(), sizes, strict=True)]
+    return SimpleNamespace(
+        path=run.path, columns=run.columns, facts=run.facts, scenario=run.scenario,
+        frames=lambda render: frames,
+    )
+
+
 BAD = {
     'nothing there': (['info', 'nowhere'], 2, 'nowhere: no such bag'),
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'contains no .mcap'),
+    'a campaign': (['info', 'all'], 2, 'error: all is a campaign; name a run in it, e.g. all/run'),
+    'export of a campaign': (['export', 'all', '--out', 'NEW/x.csv'], 2, 'all is a campaign; name'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'is inside the bag'),
     'export of a damaged bag': (

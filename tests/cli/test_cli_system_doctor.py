@@ -91,6 +91,38 @@ def test_given_a_poor_surrounding_then_what_is_broken_is_named_and_the_code_is_4
     assert done.stdout.splitlines()[-1] == f'broken: {name}'
 
 
+NO_MIDDLEWARE = {'RMW_IMPLEMENTATION': 'rmw_nowhere_cpp'}
+NO_RANGE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'NEAR'}
+ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}
+RECORDER = Path(sys.prefix, 'lib', 'taxinet_ros', 'recorder')
+CHECK_ROS = (
+    'from taxinet_ros.cli import system; system._CHECKS = {"ros": system._ros}; '
+    'raise SystemExit("".join(one.state + one.found for one in system.system_checks()))'
+)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('given', 'command', 'code', 'says'), [
+    (NO_MIDDLEWARE, [TAXINET, 'run', 'nominal'], 2, 'taxinet: error: RMW_IMPLEMENTATION=rmw_nowhe'),
+    (NO_MIDDLEWARE, [RECORDER], 2, 'error: RMW_IMPLEMENTATION=rmw_nowhere_cpp: this ROS 2 has no'),
+    (NO_MIDDLEWARE, [sys.executable, '-c', CHECK_ROS], 1, 'brokenRMW_IMPLEMENTATION=rmw_nowhere'),
+    (NO_RANGE, [TAXINET, 'up'], 2, 'taxinet: error: ROS_AUTOMATIC_DISCOVERY_RANGE=NEAR: unknown; '),
+    (ALONE, [RECORDER], 2, 'error: ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: nodes in processes of their'),
+    (ALONE, [TAXINET, 'check-node', 'true'], 2, 'taxinet: error: ROS_AUTOMATIC_DISCOVERY_RANGE=OF'),
+], ids=['run', 'node', 'doctor', 'range', 'no discovery', 'no discovery of a node'])
+def test_variables_of_ros_that_cannot_work_are_named_in_one_line_before_anything_else(
+    given, command, code, says, tmp_path
+):
+    done = subprocess.run(
+        command, env={**os.environ, **given}, cwd=tmp_path, capture_output=True, text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (code, ''), done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(says)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_given_no_folder_then_there_is_nothing_to_mend(monkeypatch, capsys):
     monkeypatch.setattr(sys, 'argv', ['taxinet', 'doctor', '--mend'])
     with pytest.raises(SystemExit) as end:

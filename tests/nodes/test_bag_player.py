@@ -10,15 +10,20 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from mcap.writer import Writer
 from playing import listening, make_player, playing, spin
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.bag.topics import TopicInfo, is_type_name, message_definition, offered_qos
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import message_class, open_bag, portions, recorded_qos, window
@@ -175,6 +180,90 @@ def test_given_a_bag_when_cut_into_portions_then_all_messages_are_there_in_order
     cut = list(portions(bag, names, window(info, 0.0, 0.0), set()))
     assert [p.stamp_ns for p in cut] == [k * STEP_NS for k in range(STEPS)]
     assert [m.cdr for p in cut for m in p.messages] == [m.cdr for m in read_messages(bag)]
+
+
+def foreign_bag(path: Path, messages: list[tuple[str, str, str, float, bytes]]) -> Path:
+    """A file of another recorder: topic, type, encoding, time [s] and bytes of each message."""
+    channels = {}
+    with path.open('wb') as file:
+        writer = Writer(file)
+        writer.start('ros2', 'another')
+        for name, kind, encoding, time_s, data in messages:
+            if (name, kind, encoding) not in channels:
+                ros = is_type_name(kind)
+                text = message_definition(kind).encode() if ros else b'{}'
+                schema = writer.register_schema(kind, 'ros2msg' if ros else 'jsonschema', text)
+                channels[name, kind, encoding] = writer.register_channel(name, encoding, schema)
+            stamp_ns = round(time_s * 1e9)
+            writer.add_message(channels[name, kind, encoding], stamp_ns, data, stamp_ns)
+        writer.finish()
+    return path
+
+
+def text(word: str) -> bytes:
+    return serialize_message(String(data=word))
+
+
+STRING = ('/words', 'std_msgs/msg/String', 'cdr')
+
+
+def test_messages_that_are_not_recorded_in_the_order_of_time_are_played_in_it(tmp_path):
+    times_s = [7200.0, 7199.9, 3.0, 3600.0, 3600.0, 1.0]
+    bag = foreign_bag(tmp_path / 'back.mcap', [
+        (*STRING, time_s, text(str(number))) for number, time_s in enumerate(times_s)
+    ])
+    info = open_bag(str(bag))
+    cut = list(portions(bag, {'/words'}, window(info, 0.0, 0.0), set(), info.back_ns))
+    words = [deserialize_message(m.cdr, String).data for p in cut for m in p.messages]
+    assert words == ['5', '2', '3', '4', '1', '0']
+    assert [p.stamp_ns / 1e9 for p in cut] == [1.0, 3.0, 3600.0, 7199.9, 7200.0]
+
+
+def test_what_is_no_message_of_its_topics_type_is_skipped_with_one_line_each(tmp_path, capfd):
+    padded = serialize_message(JointState())  # rclpy leaves room for what is not there
+    bag = foreign_bag(tmp_path / 'mixed.mcap', [
+        ('/json', 'chatter', 'json', 0.0, b'{"data": 1}'),
+        ('/proto', 'foxglove.Log', 'protobuf', 0.0, b'\x08\x01'),
+        ('/short', 'std_msgs/String', 'cdr', 0.0, text('x')),
+        ('/service', 'std_srvs/srv/SetBool_Event', 'cdr', 0.0, text('x')),
+        ('/joints', 'sensor_msgs/msg/JointState', 'cdr', 0.0, padded),
+        (*STRING, 0.0, text('a')), (*STRING, 0.1, b''), (*STRING, 0.1, text('bcd')[:-6]),
+        ('/words', 'std_msgs/msg/Float64', 'cdr', 0.1, serialize_message(Float64(data=1.0))),
+        *[(*STRING, 0.2, text(str(number))) for number in range(10)],
+    ])
+    words = SimpleNamespace(name='words', type=String, qos=QoSProfile(depth=100))
+    with (
+        listening(words) as (listener, executor, context),
+        playing(context, executor, bag, wait_for=['words']) as player,
+    ):
+        assert player.play(executor) == 0
+        spin(executor, lambda: len(listener.heard['words']) == 11)
+    heard = [deserialize_message(cdr, String).data for cdr in listener.heard['words']]
+    assert heard == ['a', *map(str, range(10))]
+    lines = [line.partition(']: ')[2] for line in capfd.readouterr().err.splitlines()]
+    assert [line for line in lines if line.startswith('skipping ')] == [
+        'skipping /json: chatter in json',
+        'skipping /proto: foxglove.Log in protobuf',
+        'skipping /short: std_msgs/String is not installed',
+        'skipping /service: std_srvs/srv/SetBool_Event is not installed',
+        'skipping messages: topic /words: not a std_msgs/msg/String: '
+        'Invalid or unsupported CDR encapsulation.',
+    ]
+    assert any(line.startswith('played 12 messages') for line in lines)
+
+
+def test_a_start_offset_that_is_set_while_it_plays_is_where_it_goes_on(bag):
+    odometry = interface.ODOMETRY
+    with (
+        listening(odometry) as (listener, executor, context),
+        playing(context, executor, bag, rate=10.0, wait_for=[odometry.name]) as player,
+    ):
+        (refused,) = player.set_parameters([Parameter('start_offset', value=99.0)])
+        assert (refused.successful, 'is 2 s long' in refused.reason) == (False, True)
+        (taken,) = player.set_parameters([Parameter('start_offset', value=1.5)])
+        assert taken.successful
+        assert player.play(executor) == 0
+        spin(executor, lambda: len(listener.heard[odometry.name]) == 6)
 
 
 def topic(**more) -> TopicInfo:

@@ -315,7 +315,7 @@ def test_given_a_node_when_its_parameters_are_described_then_the_docs_table_says
     for name in parameters:
         one = told[name]
         assert one.description == parameters[name].description
-        assert one.read_only
+        assert one.read_only is not parameters[name].settable
         assert allowed(one), f'{name}: neither a range nor words'
         expected.append(row(name, default_text(parameters[name]), allowed(one), one.description))
     assert rows == expected

@@ -20,7 +20,8 @@ class Stage:
     """A watch that hears of runs only when it is told to listen."""
 
     def __init__(self, context: Context) -> None:
-        self.node, self.others = (Node(name, context=context) for name in ('watch', 'others'))
+        names = 'watch', interface.SIMULATOR
+        self.node, self.others = (Node(name, context=context) for name in names)
         self.lines: list[str] = []
         self.mourned: list[tuple[str, str, str]] = []
         self.watch = RunWatch(self.node, self.lines.append)
@@ -103,3 +104,25 @@ def test_given_a_run_of_the_simulator_started_again_then_it_is_told_of_no_death(
     stage.watch.report_death(interface.PERCEPTION, 'killed as well')
     stage.until(lambda: stage.mourned)
     assert stage.mourned == [('two', interface.PERCEPTION, 'killed as well')]
+
+
+def test_a_replay_of_every_status_of_a_run_is_not_taken_for_a_run(stage):
+    player = Node('bag_player', context=stage.node.context)
+    stage._executor.add_node(player)
+    publishers = [
+        player.create_publisher(topic.type, topic.name, topic.qos)
+        for topic in (interface.NODE_STATUS, interface.RUN_STATUS)
+    ]
+    ended = RunStatus(run_id='one', state=RunStatus.ENDED, outcome='PASS')
+    for message in (READY, RUNNING, ended):
+        publishers[isinstance(message, RunStatus)].publish(message)
+    topic = interface.RUN_STATUS.name
+    stage.until(lambda: stage.node.count_publishers(topic) == 2)
+    heard = []
+    stage.others.create_subscription(RunStatus, topic, heard.append, interface.RUN_STATUS.qos)
+    stage.until(lambda: len(heard) == 2)
+    player.destroy_node()
+    stage.until(lambda: stage.node.count_publishers(topic) == 1)
+    stage.say(RunStatus(run_id='two', state=RunStatus.RUNNING))
+    stage.until(lambda: stage.watch.run_id == 'two')
+    assert (stage.lines, stage.watch.last_run) == ([], '')

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 from process_table import gone
-from standing import TAXINET, Standing, ended, environment, standing
+from standing import TAXINET, Standing, ended, environment, standing, taxinet
 from waiting import wait_for
 
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.ros
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
+GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
 ENOUGH = 'set:=["duration=40"]'
 
 
@@ -60,6 +62,17 @@ def test_given_a_sampler_in_another_terminal_then_its_runs_are_made_and_recorded
     graph.wait_to_say('run table-1-00001: PASS')
 
 
+def test_the_table_and_the_last_line_name_the_folder_in_which_the_recorder_writes(graph):
+    code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=2))
+    assert code == 0, output + errors
+    assert f'bags: {graph.out}/<run>/' in errors
+    folder = graph.folder / 'table-2'
+    (bag,) = read_table(folder)['bag']
+    assert bag == str(graph.out / 'table-2-00000')
+    found = examine(folder)
+    assert (found.findings, found.looked_at['bags']) == ([], 1)
+
+
 def test_given_the_same_scenes_once_more_then_their_bags_lie_beside_the_first(graph):
     for table in ('once', 'again'):
         code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=1, table=table))
@@ -68,6 +81,21 @@ def test_given_the_same_scenes_once_more_then_their_bags_lie_beside_the_first(gr
     compared = compare_bags(one, other)
     assert compared
     assert all(topic.equal for topic in compared)
+
+
+def test_a_replay_beside_the_graph_is_no_run_of_it_and_is_not_recorded(graph):
+    player = taxinet(
+        'node', 'bag_player', '--ros-args', '-p', f'bag:={GOLDEN}', '-p', 'rate:=100.0',
+        '-p', 'wait_for:=["scenario", "node_status", "run_status"]', '-p', 'exclude:=["/clock"]',
+        cwd=graph.folder, domain=graph.domain,
+    )
+    code, output, errors = ended(player)
+    assert code == 0, output + errors
+    code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=4))
+    assert code == 0, output + errors
+    graph.wait_to_say('run table-4-00000: PASS')
+    assert GOLDEN.name not in graph.printed
+    assert not (graph.out / GOLDEN.name).exists()
 
 
 @pytest.mark.parametrize(

@@ -137,8 +137,8 @@ def _fading(colour: str) -> list[int]:
     ]
 
 
-SCALE = 3
-"""Magnification of the camera's 360 x 200 pixels."""
+_SHAPE_PX = (1080, 600)
+"""Width and height of the picture, three times the camera's."""
 PANEL_HEIGHT_PX = 360
 _DPI = 100
 _MOST_STEERING_DEG = 30.0
@@ -198,8 +198,10 @@ class _Panel:
 def film_frames(recording: Recording) -> Iterator[Picture]:
     """The frames of a run's film, (960, 1080, 3) uint8 RGB, ten to a simulated second.
 
+    Pictures of another size, but of this shape, are filmed in the same size.
+
     Raises:
-        UsageError: the bag contains no camera frames.
+        UsageError: the bag contains no camera frames, or such of another shape.
         BagError: it is damaged, not ours, or contains no truth.
     """
     bag, trace, facts = recording.path, recording.columns, recording.facts
@@ -210,6 +212,9 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
         if (row := rows.get(frame.stamp_ns)) is None:
             continue
         shown += 1
+        height, width = frame.image.shape[:2]
+        if width * _SHAPE_PX[1] != height * _SHAPE_PX[0]:
+            raise UsageError(f'{bag}: camera frames of {width} x {height}; a film takes 360 x 200')
         now = {name: column[row] for name, column in trace.items()}
         view = _view(frame.image, now, facts)
         yield np.vstack([view, panel.at(now)])
@@ -221,8 +226,7 @@ def film_frames(recording: Recording) -> Iterator[Picture]:
 
 def _view(pixels: Picture, row: Mapping[str, Any], facts: RunFacts | None) -> Picture:
     """The enlarged camera frame with text and the steering angle."""
-    height, width = pixels.shape[:2]
-    size = (width * SCALE, height * SCALE)
+    size = _SHAPE_PX
     large = Image.fromarray(cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC))
     shade = Image.new('RGBA', size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(shade)
@@ -270,7 +274,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 def _draw_panel(trace: Mapping[str, Column], half_width_m: float) -> _Panel:
     t_s = np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S
-    figure = Figure(figsize=(360 * SCALE / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
+    figure = Figure(figsize=(_SHAPE_PX[0] / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
     plots = (figure.add_axes((0.07, 0.15, 0.5, 0.72)), figure.add_axes((0.66, 0.15, 0.32, 0.72)))
     spec = next((n for n in trace if n.startswith('rho_upper.')), '').removeprefix('rho_upper.')

@@ -91,9 +91,10 @@ class RunRecord:
     def note(self, stored: StoredMessage) -> None:
         """Process a message; problems of the message itself become findings."""
         name, stamp = stored.topic.name, stored.stamp_ns
-        if stamp < self.latest.get(name, 0):
-            self._wrong(name, stamp, f'{name}: stamp goes back from {self.latest[name]} ns')
-        self.latest[name] = max(stamp, self.latest.get(name, 0))
+        latest = self.latest.get(name, 0)  # no run begins before 0
+        if stamp < latest:
+            self._wrong(name, stamp, f'{name}: stamp goes back from {latest} ns')
+        self.latest[name] = max(stamp, latest)
         try:
             message = decode(stored.topic, stored.cdr)
         except BagError as error:

@@ -311,10 +311,10 @@ def _overlap(first: int, last: int, run: RunPart) -> int:
 
 
 def _without_topics(stored: StoredMessage, report: Any) -> bytes:
-    """The recorder's report without its topics, as it is stored (the bag itself lists them)."""
+    """The recorder's report as it stores it: without its topics and its folder."""
     if not isinstance(getattr(report, 'listens', None), list):
         return stored.cdr
-    report = dataclasses.replace(report, listens=[])
+    report = dataclasses.replace(report, listens=[], detail='')
     return bytes(typestore(stored.topic).serialize_cdr(report, stored.topic.type))
 
 

@@ -85,18 +85,28 @@ def run_request(
 
 def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
     """The row of a run that the graph has answered."""
-    # A verdict counts only if the recorder has closed the bag, wherever its folder is now.
-    recorded = result.outcome.judged or (options.out / request.run_id).is_dir()
-    bag = request.run_id if recorded and options.bags else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
     perception = options.perception
     if not perception or is_node_elsewhere(perception):
         perception = result.perception or perception
     result = dataclasses.replace(result, timing=result.timing or options.timing.words)
     return RunRow.of_run(
-        request, result, perception=perception, sim_s=sim_s, bag=bag,
+        request, result, perception=perception, sim_s=sim_s,
+        bag=_bag(options, request.run_id, result) if options.bags else '',
         stack=result.stack or this_stack(),
     )
+
+
+def _bag(options: CampaignOptions, run_id: str, result: RunResult) -> str:
+    """The bag of a run relative to the campaign's folder, or its path elsewhere, or ''."""
+    if not options.standing_graph:
+        # A verdict counts only if the recorder has closed the bag, wherever its folder is now.
+        return run_id if result.outcome.judged or (options.out / run_id).is_dir() else ''
+    # The recorder of a standing graph has a folder of its own, maybe on another machine.
+    bag = Path(result.bags, run_id)
+    if not result.bags or not bag.is_dir():
+        return ''
+    return run_id if bag.parent == options.out.resolve() else str(bag)
 
 
 def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:

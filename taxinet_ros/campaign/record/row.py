@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
@@ -66,7 +66,8 @@ class RunRow:
         steps: number of control steps.
         sim_s: simulated time that passed [s].
         retries: number of retries after infrastructure errors.
-        bag: the run's bag, relative to the campaign's folder, or ''.
+        bag: the run's bag, relative to the campaign's folder; its path if a standing graph has
+            recorded it elsewhere; or ''.
         stack: key of ``stacks`` in ``campaign.json`` with the machine, libraries and code of the
             run, or '' in rows older than this column.
         wall_s: wall-clock duration of the run [s].
@@ -161,7 +162,7 @@ class RunRow:
             raise ValueError(f'run_id is {self.run_id!r:.80}, not a plain name')
         if self.index < 0:
             raise ValueError(f'index is {self.index}')
-        if self.bag and not is_run_name(self.bag):
+        if self.bag and not is_bag_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, not a plain name')
         self._check_words()
         for column in dataclasses.fields(self):
@@ -270,7 +271,7 @@ class RunRow:
             result: result of the run.
             perception: the requested perception; the result has none after an infrastructure error.
             sim_s: simulated time that passed [s].
-            bag: path of the bag relative to the campaign's folder, or ''.
+            bag: see :class:`RunRow`.
             stack: name of the machine record, or ''.
         """
         return cls(

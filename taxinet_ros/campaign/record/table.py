@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.campaign.record.facts import (
     FACTS_NAME,
     LEDGER_NAME,
@@ -251,9 +251,11 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     for name, words in known.items():
         if name in frame.columns:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
-    for name in {'run_id', 'bag'} & set(frame.columns):
-        plain = frame[name].fillna('').map(lambda word: not word or is_run_name(str(word)))
-        _refuse(path, ~plain, f'its {name} is not a plain name')
+    fits = {'run_id': is_run_name, 'bag': is_bag_name}
+    for name in fits.keys() & set(frame.columns):
+        texts = frame[name].fillna('').astype(str)
+        unfit = texts.isin([*filterfalse(fits[name], texts)]) & (texts != '')
+        _refuse(path, unfit, f'its {name} is not a plain name')
     for name in ('run_id', 'index'):
         _refuse(path, frame[name].duplicated(), f'its {name} occurs twice')
     _refuse(path, frame['index'] < 0, 'its index is negative')

@@ -146,7 +146,7 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
     if info.duration_s > _LONGEST_S:
         yield '', 'more than a day: some stamps must be wrong'
     if info.back_ns >= NS_PER_S:
-        yield '', f'stamps go back by {info.back_ns / NS_PER_S:g} s from a message to the next'
+        yield '', f'stamps go back by up to {info.back_ns / NS_PER_S:g} s'
     if recording.runs and not recording.plain:
         yield '', f'a bag of each run: taxinet bag split {info.path} --out DIR'
     yield 'messages', str(sum(info.counts.values()))

@@ -106,6 +106,7 @@ class RunResult:
         wall_s: wall-clock time from request to result [s].
         stack: identifier of the record (:func:`.provenance.stack_id`) of the machine that made the
             run; '' for this one.
+        bags: folder in which a recorder said that it writes; '' if none did.
     """
 
     outcome: Outcome
@@ -122,6 +123,7 @@ class RunResult:
     free: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
     stack: str = ''
+    bags: str = ''
 
     @property
     def rho(self) -> Mapping[str, float]:

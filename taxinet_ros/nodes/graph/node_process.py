@@ -19,6 +19,7 @@ from taxinet_ros.nodes.graph.command_wrapper import (
     SIGTERM_GRACE_S,
     wrapped_command,
 )
+from taxinet_ros.nodes.running.domain import require_discovery
 from taxinet_ros.processes.child import ChildProcess, child_environment, end_all, module_command
 
 
@@ -43,11 +44,14 @@ class NodeProcess(ChildProcess):
             log: file for its output.
             ours: whether it is a node of this package.
         """
+        require_discovery()
         self._ours = ours
         super().__init__(
             name, command, log=log, killed_with_parent=ours, signals_held=ours,
             environment={
                 **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
+                # Else rclpy sends an int in a float field as another number (own_nodes.md).
+                **({} if ours else {'ROS_PYTHON_CHECK_FIELDS': '1'}),
             },
         )
 

@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import psutil
+from action_msgs.msg import GoalStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import qos_profile_action_status_default
 from rclpy.task import Future
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
@@ -168,7 +170,8 @@ _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
 class RunWatch:
     """Follows the runs of a graph, reports deaths to it, and can end the current run.
 
-    Subscribes only to latched topics and action feedback, which no node counts.
+    Subscribes only to latched topics and to those of the action, which no node counts. What is told
+    of a run that the simulator was not asked for is a replay: rclpy does not say who sent it.
 
     Attributes:
         run_id: the current run, or ''.
@@ -189,6 +192,7 @@ class RunWatch:
         self.running = self.closed = False
         self.seq = 0
         self.heard_s = 0.0
+        self._asked_for = False
         self.outcomes: collections.Counter[str] = collections.Counter()
         status, run_status = interface.NODE_STATUS, interface.RUN_STATUS
         node.create_subscription(RunStatus, run_status.name, self._on_run, run_status.qos)
@@ -199,6 +203,11 @@ class RunWatch:
         )
         obituaries = interface.OBITUARY
         node.create_subscription(NodeStatus, obituaries.name, self._on_death_notice, obituaries.qos)
+        node.create_subscription(
+            interface.RUN_SCENARIO_TYPE.Impl.GoalStatusMessage,
+            f'{interface.RUN_SCENARIO}/_action/status', self._on_goals,
+            qos_profile_action_status_default,
+        )
         self._death_notices = node.create_publisher(NodeStatus, obituaries.name, obituaries.qos)
         self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
 
@@ -244,8 +253,23 @@ class RunWatch:
             for end in self._node.get_publishers_info_by_topic(topic.name)
         }
 
+    def _on_goals(self, goals: Any) -> None:
+        # Accepted, executing or canceling; those that have ended have higher numbers.
+        last = GoalStatus.STATUS_CANCELING
+        self._asked_for = any(one.status <= last for one in goals.status_list)
+
+    def _is_replay(self) -> bool:
+        """Whether another node than those of a graph tells of runs, and none is under way."""
+        return not self._asked_for and any(
+            end.node_name not in topic.publishers
+            for topic in (interface.RUN_STATUS, interface.NODE_STATUS)
+            for end in self._node.get_publishers_info_by_topic(topic.name)
+        )
+
     def _on_run(self, status: RunStatus) -> None:
         if status.state != RunStatus.ENDED:
+            if self._is_replay():
+                return
             self.running = status.state == RunStatus.RUNNING
             self.seq, self.closed = status.seq, False
             self._follow(status.run_id, running=self.running)
@@ -266,7 +290,8 @@ class RunWatch:
     def _on_status(self, status: NodeStatus) -> None:
         # The simulator's messages about the run may be lost with it, but other nodes are ready for
         # it.
-        if status.state == NodeStatus.READY and not self.run_id and status.run_id != self.last_run:
+        new = not self.run_id and status.run_id != self.last_run
+        if status.state == NodeStatus.READY and new and not self._is_replay():
             self._follow(status.run_id, running=False)
         if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):
             self.closed = True

@@ -30,12 +30,14 @@ from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
 from taxinet_ros.nodes.messages.convert import header, one_line
-from taxinet_ros.nodes.messages.step import StepMessage
+from taxinet_ros.nodes.messages.step import StepMessage, subnormal
 from taxinet_ros.nodes.names import check_participants
 
 
 def check_answer(answer: StepMessage, who: str, seq: int) -> None:
-    """Check that an answer refers to a published frame. Late or repeated answers are allowed.
+    """Check that an answer refers to a published frame, with numbers that can have been meant.
+
+    Late or repeated answers are allowed.
 
     Args:
         answer: an estimate or a command.
@@ -43,7 +45,8 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
         seq: the newest frame.
 
     Raises:
-        InfraError: it refers to a future frame, or its stamp and frame number disagree.
+        InfraError: it refers to a future frame, its stamp and frame number disagree, or a number
+            of it is :func:`.subnormal`.
     """
     if answer.seq > seq:
         detail = f'answered frame {answer.seq}, which is not out yet'
@@ -51,6 +54,8 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
     if answer.stamp_ns != answer.seq * CONTROL_PERIOD_NS:
         detail = f'its answer to frame {answer.seq} is stamped {answer.stamp_ns / 1e9:g} s'
         raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
+    if detail := subnormal(answer.value):
+        raise InfraError(InfraKind.PROTOCOL, who, seq, f'answered {detail}')
 
 
 def check_command(command: TaxiCommand, who: str, seq: int) -> None:

@@ -229,7 +229,7 @@ class Speakers:
         wanted = self.wanted(participants)
         tolerated = self._tolerated(wanted)
         seen: set[str] = set()
-        for end in self._ends():
+        for end in self._named_ends(set()):
             name = end.node_name
             if name == NAMELESS:
                 continue  # It may belong to the run; its name will be known shortly.
@@ -248,7 +248,7 @@ class Speakers:
 
     def _newcomer(self) -> Stranger | None:
         """A publisher that joined since the run started; harmless ones are accepted."""
-        new = self._new_ends()
+        new = self._named_ends(self._known)
         for end in new:
             if end.node_name not in self._besides:
                 return self._named_stranger(end.node_name)
@@ -258,11 +258,11 @@ class Speakers:
     def _named_stranger(self, name: str) -> Stranger:
         return Stranger(name=_word(name), topic=self.topic, speakers=self._named)
 
-    def _new_ends(self) -> list[Any]:
-        """Endpoints added since the start, with names if they become known shortly."""
+    def _named_ends(self, known: set[Gid]) -> list[Any]:
+        """Endpoints other than the known ones, with names if they become known shortly."""
         deadline = time.monotonic() + _NAME_WAIT_S
         while True:
-            new = [end for end in self._ends() if _gid(end) not in self._known]
+            new = [end for end in self._ends() if _gid(end) not in known]
             nameless = any(end.node_name == NAMELESS for end in new)
             if not nameless or time.monotonic() > deadline:
                 return new

@@ -7,6 +7,7 @@ several times as long. Floats pass unchanged, so the graph matches the core's bi
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -79,6 +80,24 @@ def _read_progress(message: Any) -> StepMessage:
     return StepMessage(
         stamp_of(message.header.stamp), message.node, message.run_id, message.seq
     )
+
+
+def subnormal(value: TrackingError | TaxiCommand) -> str:
+    """Say which numbers of a valid answer no node can have meant, or ''.
+
+    rclpy copies a float field as a double from the memory of whatever object is in it, unless
+    ``ROS_PYTHON_CHECK_FIELDS`` is 1. Of an int, a bool, a string, an array or another number of
+    NumPy than float64, these bytes are a subnormal number.
+    """
+    if isinstance(value, TrackingError):
+        numbers = (value.cte_m, value.he_rad) if value.valid else ()
+        words = f'{value.cte_m:g} m, {value.he_rad:g} rad'
+    else:
+        numbers = value.steering_rad, value.speed_mps
+        words = f'{value.steering_rad:g} rad at {value.speed_mps:g} m/s'
+    if not any(0 < abs(number) < sys.float_info.min for number in numbers):
+        return ''
+    return f'{words}: subnormal, an int or array in a float field? see docs/own_nodes.md'
 
 
 _READ: dict[str, Callable[[Any], StepMessage]] = {

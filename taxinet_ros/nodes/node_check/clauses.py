@@ -23,6 +23,7 @@ from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import SIGINT_GRACE_S, SIGTERM_GRACE_S
 from taxinet_ros.nodes.messages.convert import same_ready
+from taxinet_ros.nodes.messages.step import subnormal
 from taxinet_ros.nodes.node_check.record import (
     SIDES,
     Answer,
@@ -81,7 +82,8 @@ CLAUSES: Final = (
     Clause('topics', 'publishes {answers} and node_status, hears scenario and {hears}; publishes '
            'nothing else of the graph', 'relative names, as in the table of the docs'),
     Clause('types', 'each topic has the type of the table', 'use the message of the table'),
-    Clause('qos', 'scenario and node_status reliable, transient local; the rest reliable, volatile',
+    Clause('qos', 'scenario and node_status reliable, transient local; the rest reliable, its '
+           'subscriptions volatile',
            'QoSProfile(depth=16), for those two with durability=TRANSIENT_LOCAL'),
     Clause('ready', 'a NodeStatus READY with the run_id of the Scenario',
            'publish it on node_status when the ends are matched'),
@@ -100,8 +102,11 @@ CLAUSES: Final = (
            'the stamp in ns divided by 100,000,000; a controller copies seq'),
     Clause('stamp', "the answer's header.stamp is that of the message answered",
            'copy the stamp of the header'),
+    Clause('fields', 'each field has the type of the message: no int, bool, str or array where a '
+           'float is due', 'in Python, float(x) around each number, bool(x) around valid'),
     Clause('finite', 'finite numbers, a speed not below 0; or valid=false',
-           'say valid=false where you cannot tell; a controller brakes'),
+           'say valid=false where you cannot tell; a controller brakes; float(x) around a negative '
+           'int, which is NaN otherwise'),
     Clause('forgets', 'the same messages in a second run have the same answers',
            'begin each run as the first: reset filters and counters, seed random numbers, have a '
            'GPU compute in a fixed order'),
@@ -151,6 +156,9 @@ def judge(record: Record) -> list[Finding]:
     }
     owed = [clause for clause in CLAUSES if role.word in clause.roles]
     judged = {clause.name: _JUDGES[clause.name](record) for clause in owed}
+    fields = judged['fields']
+    if fields is not None and fields[0] is Status.FAIL:  # Nothing follows from other numbers.
+        judged.update(dict.fromkeys(_OF_NUMBERS & judged.keys()))
     broken = ', '.join(name for name, one in judged.items() if one and one[0] is Status.FAIL)
     left = Status.NOT_TRIED, f'fix {broken} first' if broken else 'not reached'
     return [
@@ -350,6 +358,18 @@ def _wrong_stamp(run: Run, asked: Question, said: Answer) -> str:
     return f'{said.stamp_ns / NS_PER_S:g} s to frame {asked.seq}, of {asked.stamp_ns / NS_PER_S:g}'
 
 
+_OF_NUMBERS: Final = {
+    'finite', 'forgets', 'unusable', 'reproducible', 'accuracy', 'sign', 'limits',
+}
+_FIELD_REFUSED: Final = re.compile(r"The '\w+' field must be ")
+
+
+def _fields(record: Record) -> Judged:
+    if _FIELD_REFUSED.search(record.died):
+        return Status.FAIL, record.died
+    return _each_answer(lambda run, asked, said: subnormal(said.value), 'in each answer')(record)
+
+
 def _not_finite(run: Run, asked: Question, said: Answer) -> str:
     value = said.value
     if isinstance(value, TrackingError):
@@ -374,7 +394,12 @@ def _whole(record: Record, kind: str) -> list[Any] | None:
 def _difference(first: list[Any], other: list[Any]) -> str:
     pairs = enumerate(zip(first, other, strict=False))
     at = next((seq for seq, (one, two) in pairs if one != two), None)
-    return '' if at is None else f'frame {at}: {_shown(first[at])}, then {_shown(other[at])}'
+    if at is None:
+        return ''
+    pair = first[at], other[at]
+    rounded = [_shown(values) for values in pair]
+    shown = rounded if len(set(rounded)) == 2 else [_shown(values, digits=17) for values in pair]
+    return f'frame {at}: {shown[0]}, then {shown[1]}'
 
 
 def _forgets(record: Record) -> Judged:
@@ -551,10 +576,14 @@ def _accuracy(record: Record) -> Judged:
         for name in ('cte_m', 'he_rad')
     )
     words = [
-        f'CTE {np.abs(cte[:, 1] - cte[:, 0]).mean():.2f} m{_suspect("CTE", cte)}',
-        f'HE {np.degrees(np.abs(he[:, 1] - he[:, 0]).mean()):.2f} deg{_suspect("HE", he)}',
+        f'CTE {_short(np.abs(cte[:, 1] - cte[:, 0]).mean())} m{_suspect("CTE", cte)}',
+        f'HE {_short(np.degrees(np.abs(he[:, 1] - he[:, 0]).mean()))} deg{_suspect("HE", he)}',
     ]
     return Status.NOTE, f'mean absolute error of {len(usable)} frames: {", ".join(words)}'
+
+
+def _short(error: float) -> str:
+    return f'{error:.2f}' if error < 1e6 else f'{error:.3g}'
 
 
 def _suspect(name: str, pairs: np.ndarray[Any, Any]) -> str:
@@ -609,8 +638,10 @@ def _limits(record: Record) -> Judged:
     return Status.NOTE, words
 
 
-def _shown(values: tuple[Any, ...]) -> str:
-    numbers = [f'{float(one):.6g}' if isinstance(one, str) else f'valid={one}' for one in values]
+def _shown(values: tuple[Any, ...], digits: int = 6) -> str:
+    numbers = [
+        f'{float(one):.{digits}g}' if isinstance(one, str) else f'valid={one}' for one in values
+    ]
     return f'({", ".join(numbers)})'
 
 _JUDGES: Final[dict[str, Callable[[Record], Judged]]] = {
@@ -619,7 +650,7 @@ _JUDGES: Final[dict[str, Callable[[Record], Judged]]] = {
     'ready_again': _ready_again, 'answers': _answers, 'once': _once,
     'run_id': _each_answer(_wrong_run_id, 'in each answer'),
     'seq': _each_answer(_wrong_seq, 'in each answer'),
-    'stamp': _each_answer(_wrong_stamp, 'in each answer'),
+    'stamp': _each_answer(_wrong_stamp, 'in each answer'), 'fields': _fields,
     'finite': _each_answer(_not_finite, 'in each answer'),
     'forgets': _forgets, 'strange_image': _strange_image, 'unusable': _unusable,
     'other_run': _other_run, 'lives': _lives, 'sigint': _ends('SIGINT'),

@@ -60,7 +60,7 @@ from taxinet_ros.nodes.node_check.record import (
     Role,
     Run,
 )
-from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.domain import own_domain, require_discovery
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_for
@@ -125,6 +125,7 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
     Raises:
         UsageError: the program does not exist, or the role cannot be detected.
     """
+    require_discovery()
     with own_domain(options.domain) as domain:
         role = ROLES[options.role or 'perception']
         if options.start is None:

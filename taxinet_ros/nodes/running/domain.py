@@ -202,6 +202,19 @@ def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> lis
     return sorted(found)
 
 
+def require_discovery() -> None:
+    """Check that a node in a process of its own can find others.
+
+    Raises:
+        UsageError: discovery is switched off.
+    """
+    if os.environ.get(DISCOVERY_RANGE) == 'OFF':
+        raise UsageError(
+            f'{DISCOVERY_RANGE}=OFF: nodes in processes of their own do not find each other; '
+            f'unset it, or set it to {LOCALHOST}'
+        )
+
+
 def require_free_domain() -> None:
     """Check that a simulator started by hand is the only one.
 

@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
-from taxinet_ros.nodes.running.domain import domain_number
+from taxinet_ros.nodes.running.domain import domain_number, require_discovery
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
 from taxinet_ros.nodes.running.remaps import cut_off
@@ -155,6 +155,7 @@ def run_node(
             sys.exit(ExitCode.OK)
         # If it is too high, Fast DDS exits with 1; ROS converts -1 to 0.
         domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
+        require_discovery()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()

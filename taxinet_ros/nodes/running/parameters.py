@@ -43,6 +43,7 @@ class Parameter:
         limits: minimum and maximum of a number, both allowed.
         words: allowed values of a text.
         takes: description of other allowed texts.
+        settable: whether it can be set while the node runs.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Parameter:
     limits: tuple[Any, Any] | None = None
     words: tuple[str, ...] = ()
     takes: str = ''
+    settable: bool = False
 
     @property
     def allowed(self) -> str:
@@ -65,7 +67,9 @@ class Parameter:
     @property
     def descriptor(self) -> ParameterDescriptor:
         """Descriptor for ``ros2 param describe``."""
-        descriptor = ParameterDescriptor(description=self.description, read_only=True)
+        descriptor = ParameterDescriptor(
+            description=self.description, read_only=not self.settable
+        )
         if self.limits is None:
             descriptor.additional_constraints = self.allowed
         elif isinstance(self.default, float):
@@ -80,7 +84,7 @@ class Parameter:
 
 
 def declare(node: Node, parameter: Parameter) -> Any:
-    """Declare one read-only parameter and return its value; a whole number may stand for a double.
+    """Declare one parameter and return its value; a whole number may stand for a double.
 
     Raises:
         UsageError: the value has the wrong type, is out of range or not an allowed word.

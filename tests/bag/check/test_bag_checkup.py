@@ -17,7 +17,9 @@ from whole_runs import PER_STEP, SPECS, STEPS, TYPES, run_messages, run_topics, 
 
 from taxinet_ros.bag.check.doctor import Checkup, check_bag
 from taxinet_ros.bag.check.findings import ranges
+from taxinet_ros.bag.check.lockstep import RunRecord
 from taxinet_ros.bag.errors import BagEmpty
+from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.storage.records import MAGIC, encode, parse_record, split_records
 from taxinet_ros.bag.writer import BagWriter
 
@@ -49,6 +51,16 @@ def test_given_a_whole_run_when_checked_then_nothing_is_wrong(run: Path) -> None
     assert wrong(checkup) == {}
     assert not any(check.skipped for check in checkup.checks)
     assert len(run_messages()) == 1 + 4 + PER_STEP * STEPS - STEPS + 2
+
+
+@pytest.mark.parametrize('topic', [topic.name for topic in run_topics()])
+def test_a_stamp_before_the_run_begins_is_a_finding(topic: str) -> None:
+    name, _, cdr = next(one for one in run_messages() if one[0] == topic)
+    info = next(one for one in run_topics() if one.name == topic)
+    record = RunRecord()
+    record.note(StoredMessage(info, -5 * 10**9, cdr, 0))
+    assert record.stamps[0].where == f'{name} at -5.000 s'
+    assert record.stamps[0].what == 'stamp goes back from 0 ns'
 
 
 def test_given_one_file_of_a_run_when_checked_then_only_the_description_is_skipped(

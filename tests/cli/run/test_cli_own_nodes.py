@@ -348,6 +348,18 @@ def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder, pro
     assert f'died perception: {says}' in done.stdout
 
 
+def test_a_node_with_an_int_in_a_float_field_ends_the_run_and_names_field_and_type(folder):
+    program = (EXAMPLES / 'own_controller.py').read_text()
+    assert program.count(', angle)), 5.0') == 1
+    (folder / 'ints.py').write_text(program.replace(', angle)), 5.0', ', angle)), 5'))
+    command = shlex.join([sys.executable, 'ints.py'])
+    words = ('--perception', 'truth', '--controller-cmd', command, *SHORT)
+    done = taxinet('run', 'nominal', *words, '--out', 'ints', cwd=folder)
+    assert done.returncode == 4
+    assert 'INFRA_ERROR died steering_controller: exit code 1: AssertionError: ' \
+        "The 'speed' field must be of type 'float'" in done.stdout
+
+
 def test_given_a_command_that_starts_what_has_a_session_of_its_own_then_that_ends_too(folder):
     other = f'setsid sh -c "while :; do sleep 1; done # {folder}" &'
     command = shlex.join(['sh', '-c', f'{other} exec {CONTROLLER} "$@"', 'sh'])
@@ -429,7 +441,7 @@ def test_given_a_node_that_somebody_starts_when_checked_then_it_is_found_and_lef
             assert node.poll() is None
             node.kill()
     assert (kit.returncode, complaint) == (0, ''), said
-    assert 'controller: 20 kept, 0 broken, 4 not tried' in said
+    assert 'controller: 21 kept, 0 broken, 4 not tried' in said
 
 
 @pytest.mark.parametrize(('words', 'says'), [

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from hypothesis import given
@@ -16,11 +18,14 @@ from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.run.messages import command_cdr, error_cdr, odometry_cdr, progress_cdr
 from taxinet_ros.core import types
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
+from taxinet_ros.errors import InfraError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.lockstep.active_run import check_answer
 from taxinet_ros.nodes.messages.step import (
     Motion,
     StepMessage,
     step_reader,
+    subnormal,
 )
 
 FLOATS = st.floats(allow_nan=False)
@@ -47,6 +52,30 @@ def test_given_a_command_when_read_then_it_is_the_one_that_was_said(
     command = TaxiCommand(steering_rad=steering_rad, speed_mps=speed_mps)
     said = step_reader(interface.COMMAND)(command_cdr(command, run_id, seq, stamp_ns))
     assert said == StepMessage(stamp_ns, command, run_id, seq)
+
+
+@pytest.mark.parametrize('number', [
+    5, True, np.int64(5), np.float32(5.0), np.array(5.0), np.array([5.0]), '5',
+], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize('topic', [interface.ESTIMATE, interface.COMMAND], ids=lambda one: one.name)
+def test_a_number_of_a_wrong_python_type_ends_the_run_and_names_the_cause(topic, number):
+    message = topic.type()
+    message._check_fields = False  # as in a node that somebody starts without the check
+    if topic is interface.ESTIMATE:
+        message.valid, message.heading_error = True, number
+    else:
+        message.speed = number
+    answer = step_reader(topic)(serialize_message(message))
+    with pytest.raises(InfraError, match='subnormal, an int or array in a float field') as refused:
+        check_answer(answer, 'somebody', 0)
+    assert (refused.value.kind, refused.value.who) == ('protocol', 'somebody')
+
+
+@pytest.mark.parametrize('number', [0.0, -0.0, sys.float_info.min, 1e-300, -5.0])
+def test_a_small_number_that_is_not_subnormal_is_an_answer(number):
+    assert not subnormal(TaxiCommand(steering_rad=number, speed_mps=5.0))
+    assert not subnormal(types.TrackingError(cte_m=number, he_rad=0.0))
+    assert not subnormal(types.TrackingError(cte_m=5e-324, he_rad=0.0, valid=False))
 
 
 @given(FLOATS, FLOATS, FLOATS, STAMPS)

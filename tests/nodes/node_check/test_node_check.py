@@ -157,6 +157,42 @@ def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
     assert found.count('looks') == (1 if 'looks' in says else 0)
 
 
+@pytest.mark.parametrize(('role', 'answer'), [
+    ('controller', TaxiCommand(steering_rad=1.6e-314, speed_mps=5.0)),
+    ('controller', TaxiCommand(steering_rad=0.1, speed_mps=5e-324)),
+    ('perception', TrackingError(cte_m=-4.6e-310, he_rad=0.0)),
+])
+def test_subnormal_numbers_break_the_clause_of_fields_and_nothing_is_said_of_them(role, answer):
+    found = by_clause(judge(judged(role, lambda truth: answer)))
+    assert found['fields'].status is Status.FAIL
+    assert 'subnormal, an int or array in a float field?' in found['fields'].came
+    assert 'float(x)' in found['fields'].clause.mend
+    told = {'perception': 'accuracy', 'controller': 'sign'}[role]
+    assert {found[name].status for name in (told, 'finite')} == {Status.NOT_TRIED}
+
+
+def test_a_node_that_dies_of_a_wrong_type_breaks_the_clause_of_fields():
+    died = "exit code 1: AssertionError: The 'speed' field must be of type 'float'"
+    record = judged('controller', lambda truth: TaxiCommand(steering_rad=0.0, speed_mps=1.0))
+    found = by_clause(judge(dataclasses.replace(record, died=died, died_in='first')))
+    assert (found['fields'].status, found['fields'].came) == (Status.FAIL, died)
+
+
+def test_an_estimate_far_away_has_an_error_of_few_digits():
+    record = judged('perception', lambda truth: TrackingError(cte_m=1e300, he_rad=0.0))
+    assert 'CTE 1e+300 m' in by_clause(judge(record))['accuracy'].came
+
+
+def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference():
+    records = [judged('controller', lambda truth, speed_mps=speed_mps: TaxiCommand(
+        steering_rad=0.0, speed_mps=speed_mps
+    )) for speed_mps in (5.0, math.nextafter(5.0, 6.0))]
+    runs = [dataclasses.replace(record.runs[0], kind=kind)
+            for record, kind in zip(records, ('first', 'second'), strict=True)]
+    came = by_clause(judge(dataclasses.replace(records[0], runs=runs)))['forgets'].came
+    assert came == 'frame 0: (0, 5), then (0, 5.0000000000000009)'
+
+
 @pytest.mark.parametrize(('gain', 'says'), [
     (-0.05, '3 m left of the line: -8.6 deg; towards the line'),
     (0.05, '3 m left of the line: 8.6 deg; steers AWAY from the centreline'),
