@@ -136,6 +136,8 @@ class Trial:
         due_s: until when an alarm is in time [s]: when a failed run leaves the 1.5 m for the
             stretch that violates the requirement; 10 s if it never was within them; NaN if it is
             satisfied.
+        reached: whether it was within the 1.5 m in the first 10 s; a failed run that was not never
+            left them.
         off_s: when it leaves the runway [s]; NaN if it does not.
         alarm_s: when the monitor first raises an alarm [s]; NaN if never.
         reason: the check that did.
@@ -148,6 +150,7 @@ class Trial:
     left_runway: bool
     duration_s: float
     due_s: float
+    reached: bool
     off_s: float
     alarm_s: float
     reason: str
@@ -171,6 +174,14 @@ def due_s(times_s: Sequence[float], cte_m: Sequence[float]) -> float:
             step -= 1
         return times_s[step] if step else REACH_S
     return math.nan
+
+
+def reached(times_s: Sequence[float], cte_m: Sequence[float]) -> bool:
+    """Whether a run is within the tolerance in its first 10 s. Arguments as of :func:`due_s`."""
+    return any(
+        abs(cte) <= CENTRELINE_TOLERANCE_M
+        for time_s, cte in zip(times_s, cte_m, strict=True) if time_s <= REACH_S
+    )
 
 
 class Watching:
@@ -245,7 +256,8 @@ def drive(
     return Trial(
         scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
         rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
-        due_s=due_s(times_s, cte_m), off_s=off[0] if off else math.nan,
+        due_s=due_s(times_s, cte_m), reached=reached(times_s, cte_m),
+        off_s=off[0] if off else math.nan,
         alarm_s=math.nan if alarm is None else alarm.at_s,
         reason='' if alarm is None else alarm.reason,
     )
@@ -646,8 +658,8 @@ def _trial(cells: Mapping[str, str]) -> Trial:
         scene=int(cells['scene']), fallback=cells['fallback'],
         satisfied=_SWITCHES[cells['satisfied']], rho_m=number('rho_m'),
         left_runway=_SWITCHES[cells['left_runway']], duration_s=number('duration_s'),
-        due_s=number('due_s'), off_s=number('off_s'), alarm_s=number('alarm_s'),
-        reason=cells['reason'],
+        due_s=number('due_s'), reached=_SWITCHES[cells['reached']], off_s=number('off_s'),
+        alarm_s=number('alarm_s'), reason=cells['reason'],
     )
 
 
