@@ -24,7 +24,7 @@ from taxinet_ros.study.report.figures import (
     rates_picture,
     runway_pictures,
 )
-from taxinet_ros.study.report.paper import PAPER_RULE, PAPER_RUNS
+from taxinet_ros.study.report.paper import PAPER_RUNS
 from taxinet_ros.study.report.results import Results
 from taxinet_ros.study.report.tables import (
     LEARNED_COLUMNS,
