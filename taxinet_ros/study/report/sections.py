@@ -35,6 +35,7 @@ from taxinet_ros.study.report.tables import (
     table_of,
 )
 from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.plan import PAPER_RULE
 from taxinet_ros.study.stages.progress import clock, rough_duration
 
 _LEAST_P = 0.0001
