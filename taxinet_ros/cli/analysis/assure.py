@@ -58,8 +58,8 @@ def run_calibrate(options: CalibrateOptions) -> int:
     console = _console()
     console.print(
         f'{options.out}: thresholds of {found.runs:,} satisfied runs of {options.program}, seed '
-        f'{options.seed}; of further ones at most {100 * found.rate:g} % raise an alarm, on average '
-        f'over calibrations; in 95 % of them each check alone in at most '
+        f'{options.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
+        f'over calibrations, in 95 % of which each check does in at most '
         f'{100 * check_share(found):.2g} %',
         soft_wrap=True,
     )
@@ -160,9 +160,9 @@ def judged_lines(judged: Judged) -> list[str]:
         f'{judged.runs:,} scenes; first alarms by check: {reasons}',
         f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
         f'{judged.late:,} later, {judged.missed:,} none',
-        f'{reached:,} of them left the 1.5 m: lead time before {_numbers(judged.lead_s)} s (10, 50, '
-        f'90 %); {judged.unreached:,} were never within in {REACH_S:g} s: alarm after '
-        f'{_numbers(judged.unreached_alarm_s)} s',
+        f'{reached:,} of them left the 1.5 m: lead time before {_numbers(judged.lead_s)} s '
+        f'(10, 50, 90 %); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
+        f'alarm after {_numbers(judged.unreached_alarm_s)} s',
         f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
         f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
         f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: '

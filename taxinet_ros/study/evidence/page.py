@@ -359,9 +359,9 @@ def _monitor_table(name: str, monitors: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         name=f'{name}-monitors', title='Run-time monitor',
         caption='The same scenes without a fallback and with each: satisfied and off the runway '
-        'with 95 % intervals. Of the failed runs those with an alarm in time, late or never; of the '
-        f'satisfied ones those with a false alarm, and of these those after the first {REACH_S:g} '
-        's, per hour after these with 95 % interval.',
+        'with 95 % intervals. Of the failed runs those with an alarm in time, late or never; of '
+        f'the satisfied ones those with an alarm, and those after the first {REACH_S:g} s, from '
+        'then on per hour with 95 % interval.',
         columns=(
             Column(name='monitor', title='monitor'), Column(name='fallback', title='fallback'),
             Column(name='scenes', title='scenes'), Column(name='satisfied', title='satisfied'),

@@ -137,7 +137,8 @@ def _claims(found: StudyFindings) -> Section:
             'Each is tested on our runs from both sides: in kind as in the paper if runs like ours '
             'were unlikely were the statement false, not as in the paper if they were unlikely '
             'were it true, else not clear from these runs. All tests of all statements are one '
-            'family (Holm), so in at most 5 % of studies any of these verdicts is wrong; p is '
+            'family (Holm), and exact but those of ρ under two skies: so of studies whose number '
+            'of runs was fixed beforehand any of these verdicts is wrong in at most 5 %. p is '
             'adjusted for that, the intervals beside it are 95 % each by itself.',
         ),
         tables=(Table(

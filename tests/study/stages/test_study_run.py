@@ -176,7 +176,8 @@ def test_t14_study_given_a_search_that_learned_nothing_then_nothing_is_trained_o
     (out / 'flawless.txt').write_text('learn-ce-verifai-2')
     code, lines = run_study(out)
     assert code == 0
-    assert 'there is no learn-ce-verifai-2/learned.scenic, for nothing was found: nothing to do' in lines
+    missing = 'there is no learn-ce-verifai-2/learned.scenic, for nothing was found: nothing to do'
+    assert missing in lines
     assert not [line for line in asked(out) if 'iterative-learned' in line]
     assert run_study(out)[0] == 0
     assert asked(out) == []
