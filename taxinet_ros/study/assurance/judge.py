@@ -337,7 +337,24 @@ class Bounded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class FalseAlarms:
+    """Alarms in satisfied runs.
+
+    Attributes:
+        false_alarms: number of these runs with an alarm.
+        false_share: their share.
+        settled_alarms: of these, those after :data:`REACH_S`, by when the aircraft is on the line.
+        false_per_h: these per hour of satisfied runs after :data:`REACH_S` and until the alarm.
+    """
+
+    false_alarms: int
+    false_share: Rate
+    settled_alarms: int
+    false_per_h: Bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged(FalseAlarms):
     """How a monitor fares.
 
     Attributes:
@@ -345,10 +362,6 @@ class Judged:
         satisfied, off: shares without monitor.
         failed: number of failed runs without monitor.
         in_time, late, missed: of these, those with an alarm in time, later, or never.
-        false_alarms: number of satisfied runs with an alarm.
-        false_share: their share of the satisfied runs.
-        settled_alarms: of these, those after :data:`REACH_S`, by when the aircraft is on the line.
-        false_per_h: these per hour of satisfied runs after :data:`REACH_S` and until the alarm.
         lead_s: quantiles 10, 50 and 90 % of the time from the alarm until it is due, over failed
             runs with an alarm that were within the 1.5 m before; negative is late.
         unreached: failed runs that were not, and so never left them.
@@ -368,10 +381,6 @@ class Judged:
     in_time: int
     late: int
     missed: int
-    false_alarms: int
-    false_share: Rate
-    settled_alarms: int
-    false_per_h: Bounded
     lead_s: tuple[float, float, float]
     unreached: int
     unreached_alarm_s: tuple[float, float, float]
@@ -382,22 +391,17 @@ class Judged:
     trade: tuple[Trade, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Trade:
+@dataclass(frozen=True, kw_only=True)
+class Trade(FalseAlarms):
     """What the runs without a fallback tell of other thresholds.
 
     Attributes:
         factor: multiple of all thresholds.
-        false_alarms, false_share, settled_alarms, false_per_h: as in :class:`Judged`.
         off_seen: runs that leave the runway with an alarm :data:`BRAKING_S` before, or earlier.
         off: runs that leave the runway.
     """
 
     factor: float
-    false_alarms: int
-    false_share: Rate
-    settled_alarms: int
-    false_per_h: Bounded
     off_seen: int
     off: int
 

@@ -39,12 +39,7 @@ from taxinet_ros.core.perception.weights import (
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.journal import JournalEnd, damaged_line, lost_end, parse_journal
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
-from taxinet_ros.study.assurance.judge import (
-    ALARMS_NAME,
-    RESULT_NAME,
-    Judged,
-    read_judged,
-)
+from taxinet_ros.study.assurance.judge import ALARMS_NAME, RESULT_NAME, Judged, read_judged
 from taxinet_ros.study.assurance.judge import TRIALS_NAME as MONITOR_TRIALS_NAME
 
 TRUTH = 'truth'
