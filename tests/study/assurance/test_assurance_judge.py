@@ -14,7 +14,7 @@ from taxinet_ros.core.assurance.monitor import conformal_threshold
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.study.assurance import judge as judging_module
 from taxinet_ros.study.assurance.calibrate import (
     CalibrateOptions,
@@ -230,6 +230,7 @@ def untouched_is_read_and_edited_is_not(out, kept):
     options, judged = read_judged(out)
     assert options['runs'] == 2
     assert plain_judged(judged) == kept['judged']
+    assert read_sealed(out / 'assurance.json').journals.keys() == {SCENES_NAME}
     whole = (out / 'assurance.json').read_text()
     path = [out / name for name in ('trials.csv', 'alarms.csv')]
     for edit in (
