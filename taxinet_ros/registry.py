@@ -36,7 +36,7 @@ FORK = 'fork'
 
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
-    'iterative-crossing', 'iterative-learned',
+    'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
     'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',

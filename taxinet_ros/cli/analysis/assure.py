@@ -26,10 +26,11 @@ from taxinet_ros.core.assurance.monitor import (
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.study.assurance.calibrate import CalibrateOptions, calibrate
+from taxinet_ros.study.assurance.calibrate import CalibrateOptions, calibrate, check_share
 from taxinet_ros.study.assurance.judge import (
     ALARMS_NAME,
     BRAKING_S,
+    REACH_S,
     RESULT_NAME,
     TRIALS_NAME,
     WANTED_RATIO,
@@ -57,7 +58,9 @@ def run_calibrate(options: CalibrateOptions) -> int:
     console = _console()
     console.print(
         f'{options.out}: thresholds of {found.runs:,} satisfied runs of {options.program}, seed '
-        f'{options.seed}; at most {100 * found.rate:g} % of such runs raise an alarm',
+        f'{options.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
+        f'over calibrations, in 95 % of which each check does in at most '
+        f'{100 * check_share(found):.2g} %',
         soft_wrap=True,
     )
     for name, threshold in found.thresholds.items():
@@ -151,23 +154,27 @@ def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: boo
 def judged_lines(judged: Judged) -> list[str]:
     """Lines on the alarms of a monitor."""
     passed, per_h = judged.runs - judged.failed, judged.false_per_h
+    reached = judged.failed - judged.unreached
     reasons = ', '.join(f'{name} {count}' for name, count in judged.reasons.items()) or 'none'
     return [
         f'{judged.runs:,} scenes; first alarms by check: {reasons}',
         f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
-        f'{judged.late:,} later, {judged.missed:,} none; lead time {_numbers(judged.lead_s)} s '
-        '(10, 50, 90 %)',
+        f'{judged.late:,} later, {judged.missed:,} none',
+        f'{reached:,} of them left the 1.5 m: lead time before {_numbers(judged.lead_s)} s '
+        f'(10, 50, 90 %); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
+        f'alarm after {_numbers(judged.unreached_alarm_s)} s',
         f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
         f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
-        f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: {per_h.value:.3g} '
-        f'per hour (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
+        f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: '
+        f'{_share(judged.false_share)}; {judged.settled_alarms:,} after the first {REACH_S:g} s: '
+        f'{per_h.value:.3g} per hour from then on (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
     ]
 
 
 def trade_picture(judged: Judged) -> Picture:
     """Departures without an alarm in time against false alarms, by multiple of the thresholds."""
     shown = [one for one in judged.trade if abs(math.log2(one.factor)) <= _OCTAVES]
-    false = np.array([one.false_per_h.value for one in shown])
+    false = np.array([100 * one.false_share.rate for one in shown])
     missed = np.array([one.off - one.off_seen for one in shown])
 
     def draw(figure: Figure, theme: Theme) -> None:
@@ -181,10 +188,9 @@ def trade_picture(judged: Judged) -> Picture:
             )
             if own:
                 axes.plot([x], [y], color=theme.failed, marker='o', markersize=7)
-        axes.set_xscale('symlog', linthresh=5)
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
-        axes.set_xlabel('false alarms per hour of satisfied runs')
+        axes.set_xlabel('satisfied runs with a false alarm [%]')
         axes.set_ylabel(
             f'of {shown[0].off} departures, without\nan alarm {BRAKING_S:g} s before'
         )

@@ -835,7 +835,8 @@ def assure_calibrate(
         'many more say what is usual')
     ] = 84,
     rate: Annotated[
-        float, typer.Option(help='largest share of satisfied runs with an alarm, in these scenes')
+        float, typer.Option(help='largest share of satisfied runs with an alarm, in these scenes, '
+        'on average over calibrations')
     ] = 0.05,
     seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 1,
     workers: Annotated[

@@ -7,7 +7,9 @@ The thresholds of the shipped monitor are conformal (Vovk, Gammerman and Shafer,
 Learning in a Random World*, 2005, chapter 2): of n satisfied runs, the largest score of each run is
 taken, and the threshold is the ceil((n + 1)(1 - a))-th smallest. A further satisfied run of the
 same distribution exceeds it with probability a at most, whatever the distribution. With a quarter
-of the chosen rate for each of the four checks, their union keeps to the rate.
+of the chosen rate for each of the four checks, their union keeps to the rate. That is an average
+over calibrations: of one, a check's probability of an alarm is distributed as Beta(n + 1 - k, k), k
+the rank of its threshold.
 """
 
 from __future__ import annotations
@@ -119,7 +121,7 @@ class Calibration:
         source: its name, or the path of its file.
         program, seed: the scenes of the runs.
         runs: number of satisfied runs that set the thresholds.
-        rate: largest share of satisfied runs with an alarm.
+        rate: largest share of satisfied runs with an alarm, on average over calibrations.
         thresholds: by check.
         fitted: what is usual.
     """
@@ -227,6 +229,11 @@ def _check(found: Calibration) -> None:
         raise ValueError('a threshold is not positive')
 
 
+def conformal_rank(n: int, rate: float) -> int:
+    """Rank of the threshold among the ``n`` values of :func:`conformal_threshold`."""
+    return math.ceil((n + 1) * (1 - rate) - 1e-9)
+
+
 def conformal_threshold(largest: Sequence[float], rate: float) -> float:
     """Threshold that a further exchangeable value exceeds with probability ``rate`` at most.
 
@@ -238,7 +245,7 @@ def conformal_threshold(largest: Sequence[float], rate: float) -> float:
         UsageError: there are too few values for this rate.
     """
     n = len(largest)
-    rank = math.ceil((n + 1) * (1 - rate) - 1e-9)
+    rank = conformal_rank(n, rate)
     if rank > n:
         needed = math.ceil(1 / rate - 1 - 1e-9)
         raise UsageError(

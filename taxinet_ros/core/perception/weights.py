@@ -164,10 +164,10 @@ paper's network may have been trained in, ``broad`` in all of it; ``taxinet`` is
 further where that one failed. The others follow the paper: retrained on scenes of S_falsif, on a
 Halton sequence through it, and with more scenes where on the runway the original failed (section
 3.4); and ``generic`` trained further on a fifth more scenes: of S_falsif, of the crossing, and of
-where it failed (appendix A.1)."""
+where it failed as VerifAI's rule learned it (appendix A.1), and as our ``ce`` did."""
 (
     TAXINET, BROAD, ORIGINAL, GENERIC, HALTON, SPECIALISED, ITERATIVE_GENERIC, ITERATIVE_CROSSING,
-    ITERATIVE_LEARNED,
+    ITERATIVE_VERIFAI, ITERATIVE_LEARNED,
 ) = SHIPPED.values()
 MAX_BYTES = 64 << 20
 """Maximum size of a weights file; shipped files are below 1 MiB."""

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.campaign.rates import share_bounds
 from taxinet_ros.core.assurance.checks import (
     CHECKS,
     COMPONENTS,
@@ -35,6 +36,7 @@ from taxinet_ros.core.assurance.monitor import (
     Fitted,
     RawChecks,
     Seen,
+    conformal_rank,
     conformal_threshold,
     make_perceptions,
 )
@@ -75,7 +77,7 @@ class CalibrateOptions:
         perception: word or file.
         program: scenes that the perception is used to.
         runs: runs that set the thresholds; a quarter as many more say what is usual.
-        rate: largest share of satisfied runs with an alarm.
+        rate: largest share of satisfied runs with an alarm, on average over calibrations.
         seed: seed of the scenes.
         workers: processes; same results.
         out: file to write.
@@ -158,6 +160,16 @@ def calibrate(options: CalibrateOptions, progress: Progress) -> Calibration:
     )
     write_atomically(options.out, made.to_bytes())
     return made
+
+
+def check_share(found: Calibration) -> float:
+    """Share of further satisfied runs in which one check raises an alarm at most, with 95 %.
+
+    The 95th percentile over calibrations of its distribution, see
+    :mod:`taxinet_ros.core.assurance.monitor`: Clopper and Pearson's bound of the runs above it.
+    """
+    rank = conformal_rank(found.runs, found.rate / len(CHECKS))
+    return share_bounds(found.runs - rank, rank, 0.05)[1]
 
 
 def _as_stored(usual: Usual) -> Usual:

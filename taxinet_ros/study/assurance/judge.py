@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,8 @@ BRAKING_S = 2.0
 """An alarm that comes this long before the aircraft leaves the runway lets it stop before [s]."""
 WANTED_RATIO = 10.0
 """How many times less often a monitored aircraft should leave the runway."""
+_ALARM_NAMES = ('scene', *(f'{factor:.4g}' for factor in FACTORS))
+_T = TypeVar('_T')
 Progress = Callable[[str, int, int], None]
 Floats = NDArray[np.float64]
 
@@ -136,6 +138,8 @@ class Trial:
         due_s: until when an alarm is in time [s]: when a failed run leaves the 1.5 m for the
             stretch that violates the requirement; 10 s if it never was within them; NaN if it is
             satisfied.
+        reached: whether it was within the 1.5 m in the first 10 s; a failed run that was not never
+            left them.
         off_s: when it leaves the runway [s]; NaN if it does not.
         alarm_s: when the monitor first raises an alarm [s]; NaN if never.
         reason: the check that did.
@@ -148,6 +152,7 @@ class Trial:
     left_runway: bool
     duration_s: float
     due_s: float
+    reached: bool
     off_s: float
     alarm_s: float
     reason: str
@@ -171,6 +176,14 @@ def due_s(times_s: Sequence[float], cte_m: Sequence[float]) -> float:
             step -= 1
         return times_s[step] if step else REACH_S
     return math.nan
+
+
+def reached(times_s: Sequence[float], cte_m: Sequence[float]) -> bool:
+    """Whether a run is within the tolerance in its first 10 s. Arguments as of :func:`due_s`."""
+    return any(
+        abs(cte) <= CENTRELINE_TOLERANCE_M
+        for time_s, cte in zip(times_s, cte_m, strict=True) if time_s <= REACH_S
+    )
 
 
 class Watching:
@@ -245,7 +258,8 @@ def drive(
     return Trial(
         scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
         rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
-        due_s=due_s(times_s, cte_m), off_s=off[0] if off else math.nan,
+        due_s=due_s(times_s, cte_m), reached=reached(times_s, cte_m),
+        off_s=off[0] if off else math.nan,
         alarm_s=math.nan if alarm is None else alarm.at_s,
         reason='' if alarm is None else alarm.reason,
     )
@@ -323,7 +337,24 @@ class Bounded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class FalseAlarms:
+    """Alarms in satisfied runs.
+
+    Attributes:
+        false_alarms: number of these runs with an alarm.
+        false_share: their share.
+        settled_alarms: of these, those after :data:`REACH_S`, by when the aircraft is on the line.
+        false_per_h: these per hour of satisfied runs after :data:`REACH_S` and until the alarm.
+    """
+
+    false_alarms: int
+    false_share: Rate
+    settled_alarms: int
+    false_per_h: Bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged(FalseAlarms):
     """How a monitor fares.
 
     Attributes:
@@ -331,10 +362,10 @@ class Judged:
         satisfied, off: shares without monitor.
         failed: number of failed runs without monitor.
         in_time, late, missed: of these, those with an alarm in time, later, or never.
-        false_alarms: number of satisfied runs with an alarm.
-        false_per_h: false alarms per hour of satisfied runs, counted until the alarm.
         lead_s: quantiles 10, 50 and 90 % of the time from the alarm until it is due, over failed
-            runs with an alarm; negative is late.
+            runs with an alarm that were within the 1.5 m before; negative is late.
+        unreached: failed runs that were not, and so never left them.
+        unreached_alarm_s: the same quantiles of their alarms since the start.
         off_missed: runs that leave the runway without an alarm before.
         off_lead_s: the same quantiles before leaving the runway.
         reasons: alarms by check.
@@ -350,30 +381,27 @@ class Judged:
     in_time: int
     late: int
     missed: int
-    false_alarms: int
-    false_per_h: Bounded
     lead_s: tuple[float, float, float]
+    unreached: int
+    unreached_alarm_s: tuple[float, float, float]
     off_missed: int
     off_lead_s: tuple[float, float, float]
     reasons: Mapping[str, int]
     with_fallback: Mapping[str, Guarded]
-    trade: tuple[Trade, ...] = ()
+    trade: tuple[Trade, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Trade:
+@dataclass(frozen=True, kw_only=True)
+class Trade(FalseAlarms):
     """What the runs without a fallback tell of other thresholds.
 
     Attributes:
         factor: multiple of all thresholds.
-        false_alarms, false_per_h: as in :class:`Judged`.
         off_seen: runs that leave the runway with an alarm :data:`BRAKING_S` before, or earlier.
         off: runs that leave the runway.
     """
 
     factor: float
-    false_alarms: int
-    false_per_h: Bounded
     off_seen: int
     off: int
 
@@ -398,11 +426,15 @@ class Guarded:
     off_ratio: Bounded
 
 
-def summarize(trials: Sequence[Trial]) -> Judged:
+def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged:
     """Summarize the runs of all scenes.
 
     Args:
         trials: for each scene one :data:`WITHOUT`, and one for each fallback.
+        alarms_s: by scene, see :class:`Watching`.
+
+    Raises:
+        KeyError: a scene has no alarms.
     """
     plain = [one for one in trials if one.fallback == WITHOUT]
     failed = [one for one in plain if not one.satisfied]
@@ -410,7 +442,7 @@ def summarize(trials: Sequence[Trial]) -> Judged:
     lost = [one for one in plain if one.left_runway]
     alarmed = [one for one in failed if not math.isnan(one.alarm_s)]
     in_time = sum(one.alarm_s <= one.due_s for one in alarmed)
-    false, false_per_h = _false_alarms(passed, [one.alarm_s for one in passed])
+    unreached = [one for one in failed if not one.reached]
     reasons: dict[str, int] = {}
     for one in plain:
         if one.reason:
@@ -419,9 +451,12 @@ def summarize(trials: Sequence[Trial]) -> Judged:
     return Judged(
         runs=len(plain), satisfied=rate(len(passed), len(plain)), off=rate(len(lost), len(plain)),
         rho_m=_quantiles([one.rho_m for one in plain]), failed=len(failed), in_time=in_time,
-        late=len(alarmed) - in_time, missed=len(failed) - len(alarmed), false_alarms=false,
-        false_per_h=false_per_h,
-        lead_s=_quantiles([one.due_s - one.alarm_s for one in alarmed]),
+        late=len(alarmed) - in_time, missed=len(failed) - len(alarmed),
+        **_false_alarms(passed, [one.alarm_s for one in passed]),
+        lead_s=_quantiles([one.due_s - one.alarm_s for one in alarmed if one.reached]),
+        unreached=len(unreached), unreached_alarm_s=_quantiles([
+            one.alarm_s for one in unreached if not math.isnan(one.alarm_s)
+        ]),
         off_missed=sum(not one.alarm_s <= one.off_s for one in lost),
         off_lead_s=_quantiles([
             one.off_s - one.alarm_s for one in lost if not math.isnan(one.alarm_s)
@@ -431,19 +466,23 @@ def summarize(trials: Sequence[Trial]) -> Judged:
             name: _guarded(plain, [one for one in trials if one.fallback == name])
             for name in others
         },
+        trade=trade_of(plain, [alarms_s[one.scene] for one in plain]),
     )
 
 
-def _false_alarms(
-    passed: Sequence[Trial], alarms_s: Sequence[float]
-) -> tuple[int, Bounded]:
-    """Alarms in satisfied runs, and how many per hour until the alarm."""
-    count = sum(not math.isnan(time_s) for time_s in alarms_s)
-    total_s = sum(
+def _false_alarms(passed: Sequence[Trial], alarms_s: Sequence[float]) -> dict[str, Any]:
+    """Alarms in satisfied runs: how many, their share, and per hour once the aircraft settled."""
+    ends_s = [
         one.duration_s if math.isnan(time_s) else time_s
         for one, time_s in zip(passed, alarms_s, strict=True)
-    )
-    return count, per_hour(count, total_s / 3600)
+    ]
+    count = sum(not math.isnan(time_s) for time_s in alarms_s)
+    settled = sum(time_s > REACH_S for time_s in alarms_s)
+    hours = sum(max(end_s - REACH_S, 0.0) for end_s in ends_s) / 3600
+    return {
+        'false_alarms': count, 'false_share': rate(count, len(passed)),
+        'settled_alarms': settled, 'false_per_h': per_hour(settled, hours),
+    }
 
 
 def trade_of(plain: Sequence[Trial], alarms_s: Sequence[Floats]) -> tuple[Trade, ...]:
@@ -458,11 +497,11 @@ def trade_of(plain: Sequence[Trial], alarms_s: Sequence[Floats]) -> tuple[Trade,
     found = []
     for which, factor in enumerate(FACTORS):
         times_s = [float(one[which]) for one in alarms_s]
-        false, false_per_h = _false_alarms(
-            [plain[number] for number in good], [times_s[number] for number in good]
-        )
         found.append(Trade(
-            factor=factor, false_alarms=false, false_per_h=false_per_h, off=len(lost),
+            **_false_alarms(
+                [plain[number] for number in good], [times_s[number] for number in good]
+            ),
+            factor=factor, off=len(lost),
             off_seen=sum(times_s[one] <= plain[one].off_s - BRAKING_S for one in lost),
         ))
     return tuple(found)
@@ -537,13 +576,12 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
     make_out(options.out)
     driven = _drive(options, scenes, progress)
     trials = [trial for one in driven for trial in one.trials]
-    trade = trade_of([one.trials[0] for one in driven], [one.alarms_s for one in driven])
-    judged = dataclasses.replace(summarize(trials), trade=trade)
+    judged = summarize(trials, {one.trials[0].scene: one.alarms_s for one in driven})
     write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
     write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
     write_sealed(
         options.out / RESULT_NAME, plain_result(options, judged),
-        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME)],
+        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME)], [options.out / SCENES_NAME],
     )
     return judged
 
@@ -619,15 +657,27 @@ def read_trials(path: Path) -> list[Trial]:
     Raises:
         UsageError: ``path:line: message`` if a line is damaged; or it cannot be read.
     """
+    return _read_lines(path, [field.name for field in dataclasses.fields(Trial)], _trial)
+
+
+def read_alarms(path: Path) -> dict[int, Floats]:
+    """Read the times of :func:`alarms_csv`, by scene. Raises as :func:`read_trials`."""
+    def times(cells: Mapping[str, str]) -> tuple[int, Floats]:
+        scene, *times_s = cells.values()
+        return int(scene), np.array([float(cell) if cell else math.nan for cell in times_s])
+
+    return dict(_read_lines(path, _ALARM_NAMES, times))
+
+
+def _read_lines(path: Path, names: Sequence[str], take: Callable[[dict[str, str]], _T]) -> list[_T]:
     try:
         lines = csv.reader(io.StringIO(read_text(path)), strict=True)
-        names = next(lines, [])
-        if names != [field.name for field in dataclasses.fields(Trial)]:
+        if next(lines, []) != list(names):
             raise UsageError(f'{path}: is no table of taxinet assure judge')
         found = []
         for number, cells in enumerate(lines, 2):
             try:
-                found.append(_trial(dict(zip(names, cells, strict=True))))
+                found.append(take(dict(zip(names, cells, strict=True))))
             except (ValueError, KeyError) as error:
                 raise UsageError(f'{path}:{number}: damaged line ({error})') from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -646,8 +696,8 @@ def _trial(cells: Mapping[str, str]) -> Trial:
         scene=int(cells['scene']), fallback=cells['fallback'],
         satisfied=_SWITCHES[cells['satisfied']], rho_m=number('rho_m'),
         left_runway=_SWITCHES[cells['left_runway']], duration_s=number('duration_s'),
-        due_s=number('due_s'), off_s=number('off_s'), alarm_s=number('alarm_s'),
-        reason=cells['reason'],
+        due_s=number('due_s'), reached=_SWITCHES[cells['reached']], off_s=number('off_s'),
+        alarm_s=number('alarm_s'), reason=cells['reason'],
     )
 
 
@@ -663,8 +713,8 @@ def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
     Raises:
         UsageError: it is none, is damaged, or its summary is not that of its runs.
     """
-    path, runs = folder / RESULT_NAME, folder / TRIALS_NAME
-    for needed in (path, runs):
+    path, runs, alarms = (folder / name for name in (RESULT_NAME, TRIALS_NAME, ALARMS_NAME))
+    for needed in (path, runs, alarms):
         if not needed.is_file():
             raise UsageError(
                 f'{folder}: no result of taxinet assure judge: {needed.name} is not there'
@@ -680,15 +730,17 @@ def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
             raise TypeError('its options are no words')
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise UsageError(f'{path}: damaged or edited ({error}); judge again') from error
-    trials = read_trials(runs)
+    trials, alarms_s = read_trials(runs), read_alarms(alarms)
     if not any(one.fallback == WITHOUT for one in trials):
         raise UsageError(f'{runs}: has no run without a fallback')
     try:
-        judged = summarize(trials)
-    except ValueError as error:
+        judged = summarize(trials, alarms_s)
+    except (ValueError, KeyError) as error:
         raise UsageError(f'{runs}: damaged ({error}); judge again') from error
     if plain_judged(judged) != told:
-        raise UsageError(f'{path}: its figures are not those of {runs.name}; judge again')
+        raise UsageError(
+            f'{path}: its figures are not those of {runs.name} and {alarms.name}; judge again'
+        )
     return options, judged
 
 
@@ -700,9 +752,9 @@ def plain_judged(judged: Judged) -> dict[str, Any]:
 
 def alarms_csv(driven: Sequence[Driven]) -> str:
     """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
-    lines = [','.join(['scene', *(f'{factor:.4g}' for factor in FACTORS)])]
+    lines = [','.join(_ALARM_NAMES)]
     for one in driven:
-        times = ('' if math.isnan(time_s) else f'{time_s:.1f}' for time_s in one.alarms_s)
+        times = ('' if math.isnan(time_s) else repr(float(time_s)) for time_s in one.alarms_s)
         lines.append(','.join([str(one.trials[0].scene), *times]))
     return '\n'.join(lines) + '\n'
 

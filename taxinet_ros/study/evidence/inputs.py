@@ -39,11 +39,7 @@ from taxinet_ros.core.perception.weights import (
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.journal import JournalEnd, damaged_line, lost_end, parse_journal
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
-from taxinet_ros.study.assurance.judge import (
-    RESULT_NAME,
-    Judged,
-    read_judged,
-)
+from taxinet_ros.study.assurance.judge import ALARMS_NAME, RESULT_NAME, Judged, read_judged
 from taxinet_ros.study.assurance.judge import TRIALS_NAME as MONITOR_TRIALS_NAME
 
 TRUTH = 'truth'
@@ -518,10 +514,10 @@ class MonitorInput:
 
     Attributes:
         folder: its folder.
-        files: SHA-256 of summary and trials, by name.
+        files: SHA-256 of summary, trials and alarms, by name.
         options: what was judged: program, monitor, fallbacks, seed.
         perception_sha256: the network's hash.
-        judged: the figures, from the trials.
+        judged: the figures, from trials and alarms.
     """
 
     folder: Path
@@ -546,7 +542,10 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> MonitorInp
         )
     return MonitorInput(
         folder=folder, options=options, perception_sha256=sha256, judged=judged,
-        files={name: file_sha256(folder / name) for name in (RESULT_NAME, MONITOR_TRIALS_NAME)},
+        files={
+            name: file_sha256(folder / name)
+            for name in (RESULT_NAME, MONITOR_TRIALS_NAME, ALARMS_NAME)
+        },
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from taxinet_ros.analysis.odd.picture import coverage_picture
 from taxinet_ros.analysis.report.parts import Cell, Column, Drawing, Report, Section, Table
 from taxinet_ros.core.provenance import words
+from taxinet_ros.study.assurance.judge import REACH_S
 from taxinet_ros.study.evidence.argument import Argument, Kind
 from taxinet_ros.study.evidence.document import Collected
 from taxinet_ros.study.evidence.drawing import argument_svg, drawing_size
@@ -346,7 +347,8 @@ def _monitor_table(name: str, monitors: Sequence[Mapping[str, Any]]) -> Table:
         per_h = judged['false_per_h']
         alarms = (
             judged['failed'], judged['in_time'], judged['late'], judged['missed'],
-            judged['false_alarms'], per_h['value'], per_h['low'], per_h['high'],
+            judged['false_alarms'], judged['settled_alarms'],
+            per_h['value'], per_h['low'], per_h['high'],
         )
         for fallback, found in (('none', judged), *judged['with_fallback'].items()):
             first = alarms if fallback == 'none' else (None,) * len(alarms)
@@ -357,8 +359,9 @@ def _monitor_table(name: str, monitors: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         name=f'{name}-monitors', title='Run-time monitor',
         caption='The same scenes without a fallback and with each: satisfied and off the runway '
-        'with 95 % intervals. Of the failed runs those with an alarm in time, late or never; false '
-        'alarms per hour of satisfied runs with 95 % interval.',
+        'with 95 % intervals. Of the failed runs those with an alarm in time, late or never; of '
+        f'the satisfied ones those with an alarm, and those after the first {REACH_S:g} s, from '
+        'then on per hour with 95 % interval.',
         columns=(
             Column(name='monitor', title='monitor'), Column(name='fallback', title='fallback'),
             Column(name='scenes', title='scenes'), Column(name='satisfied', title='satisfied'),
@@ -366,6 +369,7 @@ def _monitor_table(name: str, monitors: Sequence[Mapping[str, Any]]) -> Table:
             Column(name='failed', title='failed'), Column(name='in_time', title='alarm in time'),
             Column(name='late', title='late'), Column(name='missed', title='never'),
             Column(name='false_alarms', title='false alarms'),
+            Column(name='settled_alarms', title=f'after {REACH_S:g} s'),
             Column(name='false_per_h', title='false per hour', decimals=1),
             Column(name='false_per_h_low', title='at least', decimals=1),
             Column(name='false_per_h_high', title='at most', decimals=1),

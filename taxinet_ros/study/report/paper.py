@@ -7,28 +7,35 @@ its own simulator; none of them is used for tuning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_shift
+from taxinet_ros.core.scenario_fields import CLOUDS
 from taxinet_ros.study.report.claim import (
-    NOTHING_KNOWN,
     Claim,
     Question,
     all_of,
     evenly_often,
     judge,
-    mean_above,
     more_often,
+    more_often_by,
     mostly,
     mostly_lower,
     pairs_more_often,
     share_above,
 )
 from taxinet_ros.study.report.results import Network, Results
-from taxinet_ros.study.stages.plan import GENERIC, HALTON, ITERATIVE, ORIGINAL, SPECIALISED
+from taxinet_ros.study.stages.plan import (
+    GENERIC,
+    HALTON,
+    ITERATIVE,
+    ORIGINAL,
+    PAPER_RULE,
+    SPECIALISED,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,8 +65,6 @@ PAPER_NETWORKS = {
 """Networks by the study's names."""
 PAPER_RUNS = 4_000
 """Approximate number of runs with each network."""
-PAPER_RULE = 'ce-verifai'
-"""The sampler with the paper's learning rule."""
 LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
 """Ends of the stretches of runway that the paper distinguishes [m]."""
 PAPER_LEARNED = (0.05, None, 0.16, 0.79, None)
@@ -78,7 +83,10 @@ ALMOST_ALL = 0.95
 SEVERAL_M = 2.0
 """Minimum required by "several meters" [m]; ours."""
 EVEN = 0.10
-"""Difference of rates allowed by "consistent across the entire day"; ours."""
+"""Difference of rates allowed by "consistent across the entire day", and required of "factors
+leading to" failures; ours."""
+EXTREME_DEG, FAR_M = 20.0, 5.0
+"""Least "extreme angle" [°] and offset "further away from the centerline" [m]; ours."""
 
 
 _TOLERANCE_M = 1.5
@@ -89,7 +97,8 @@ _AT, _OFF = 'that start at 1,200-1,600 m', 'that start elsewhere'
 def judge_claims(results: Results) -> tuple[Claim, ...]:
     """Test every statement that our runs can decide, all as one family."""
     parts: tuple[Callable[[Results], Iterator[Question]], ...] = (
-        _day, _clouds, _runway, _blame, _shadows, _retraining, _even_day, _learning, _iteration,
+        _day, _clouds, _runway, _start, _blame, _shadows, _retraining, _even_day, _learning,
+        _iteration,
     )
     return judge([question for part in parts for question in part(results)])
 
@@ -179,6 +188,32 @@ def _runway(results: Results) -> Iterator[Question]:
         )
 
 
+def _start(results: Results) -> Iterator[Question]:
+    """What else leads to failures, "even at favorable times and runway positions"."""
+    original = results.networks.get(ORIGINAL)
+    if original is None:
+        return
+    failed, frame = original.runs.failed, original.runs.frame
+    good = original.within('time_of_day_h', *LATE_MORNING_H)
+    good &= ~original.within('distance_m', *CROSSING_M)
+    for name, column, least, words in (
+        ('angle', 'heading_deg', EXTREME_DEG, f'at an extreme angle (more than {EXTREME_DEG:g}°)'),
+        ('offset', 'cross_track_m', FAR_M,
+         f'further away from the centreline (more than {FAR_M:g} m)'),
+    ):
+        there = (frame[column].abs() > least).to_numpy()
+        yield Question(
+            name=f'original_{name}', source=_DEBUGGING,
+            sides=more_often_by(failed[there], failed[~there], EVEN),
+            statement=f'starting {words} is a factor that leads to failures of the original '
+            f'network (at least {_percent(EVEN, 0)} points more often)',
+            evidence=f'of such starts {_fail(original, failed[there])}, of the others '
+            f'{_fail(original, failed[~there])}; from 9:30 to 12 h off the crossing '
+            f'{_fail(original, failed[there & good])}, of the others '
+            f'{_fail(original, failed[~there & good])}.',
+        )
+
+
 def _blame(results: Results) -> Iterator[Question]:
     truth = next((
         one for one in (results.localized or {}).get('substitutions', ())
@@ -247,6 +282,12 @@ def _retraining(results: Results) -> Iterator[Question]:
     yield from _paired(results, GENERIC, HALTON, -1, 'halton_off', _RETRAINING,
                        'the Halton network leaves the runway less often than the generic one '
                        '(3.9 to 0.6 %)', off=True)
+    yield from _paired(results, ORIGINAL, HALTON, -1, 'halton_off_original', _RETRAINING,
+                       'the Halton network leaves the runway less often than the original one '
+                       '(9.1 to 0.6 %)', off=True)
+    yield from _paired(results, ORIGINAL, SPECIALISED, -1, 'specialised_off_original', _RETRAINING,
+                       'the specialised network leaves the runway less often than the original '
+                       'one (9.1 to 0.5 %)', off=True)
     yield from _paired(results, HALTON, SPECIALISED, +1, 'specialised', _RETRAINING,
                        'the specialised network does better than the Halton one (83 to 86 %)')
     yield from _paired(results, HALTON, SPECIALISED, +1, 'specialised_crossing', _RETRAINING,
@@ -299,23 +340,47 @@ def _even_day(results: Results) -> Iterator[Question]:
         network = results.networks.get(name)
         if network is None:
             continue
-        groups = [
-            network.runs.failed[network.within('time_of_day_h', low, np.nextafter(high, 19))]
-            if high == _PARTS_OF_DAY_H[-1][1] else
-            network.runs.failed[network.within('time_of_day_h', low, high)]
-            for low, high in _PARTS_OF_DAY_H
-        ]
+        clouds = network.runs.frame['clouds'].to_numpy()
+        groups = _parts_of_day(network, np.full(len(clouds), True))
         shares = ', '.join(
             f'{_percent(network.share(group).rate)} % of {len(group):,} from {low:g} to {high:g} h'
-            for group, (low, high) in zip(groups, _PARTS_OF_DAY_H, strict=True)
+            for group, (low, high) in zip(groups, _PARTS_OF_DAY_H, strict=True) if len(group)
         )
+        what = f'no three hours fail {_percent(EVEN, 0)} points more or less often than the rest'
         yield Question(
-            name=f'{name}_day', source=f'{_RETRAINING}, Fig. 4',
-            sides=evenly_often(groups, EVEN) if all(map(len, groups)) else NOTHING_KNOWN,
-            statement=f"the {_title(name)} network's performance is consistent across the day (no "
-            f'three hours fail {_percent(EVEN, 0)} points more or less often than the rest)',
+            name=f'{name}_day', source=f'{_RETRAINING}, Fig. 4', sides=evenly_often(groups, EVEN),
+            statement=f"the {_title(name)} network's performance is consistent across the day "
+            f'({what})',
             evidence=f'fail: {shares}.',
         )
+        under = {sky: _parts_of_day(network, clouds == sky) for sky in CLOUDS}
+        yield Question(
+            name=f'{name}_day_clouds', source=_RETRAINING,
+            sides=all_of([evenly_often(groups, EVEN) for groups in under.values()]),
+            statement=f"the {_title(name)} network's performance is consistent across the day for "
+            f'each cloud type individually ({what})',
+            evidence='least and most of three hours fail: ' + '; '.join(
+                f'{_spread(groups)} under {_sky(sky)}' for sky, groups in under.items()
+            ) + '.',
+        )
+
+
+def _parts_of_day(network: Network, among: np.ndarray) -> list[np.ndarray]:
+    """Whether the runs of some scenes fail, by part of the day; the last one has its end."""
+    last = _PARTS_OF_DAY_H[-1][1]
+    return [
+        network.runs.failed[among & network.within(
+            'time_of_day_h', low, np.nextafter(high, high + 1) if high == last else high)]
+        for low, high in _PARTS_OF_DAY_H
+    ]
+
+
+def _spread(groups: Sequence[np.ndarray]) -> str:
+    shares = [float(group.mean()) for group in groups if len(group)]
+    if not shares:
+        return 'no run'
+    runs = sum(map(len, groups))
+    return f'{_percent(min(shares))} and {_percent(max(shares))} % of {runs:,}'
 
 
 def _iteration(results: Results) -> Iterator[Question]:
@@ -375,21 +440,28 @@ def _learning(results: Results) -> Iterator[Question]:
         ])
 
     before, on, end = LEARNED_EDGES_M[2:5]
-    there, difference = within(before, end), within(on, end) - within(before, on)
-    yield Question(
-        name='learned', source=_RETRAINING, sides=mean_above(there.tolist(), 0.5),
-        statement="cross-entropy by VerifAI's rule comes to a distribution of the generic "
-        "network's failures with starts at 1,200-1,600 m above all (95 % of it)",
-        evidence=f'{_searches(there)} of what was learned, '
-        f'{_percent(choice.probability_within(before, end), 0)} % of the program.',
-    )
-    yield Question(
-        name='learned_on_crossing', source=_RETRAINING, sides=mean_above(difference.tolist(), 0.0),
-        statement='of these, more on the crossing, at 1,400-1,600 m (79 %), than before it, at '
-        '1,200-1,400 m (16 %)',
-        evidence=f'{_searches(within(on, end))} at 1,400-1,600 m, '
-        f'{_searches(within(before, on))} at 1,200-1,400 m.',
-    )
+    crossing, at_start = within(before, end), within(*LEARNED_EDGES_M[:2])
+    for name, more, less, statement, evidence in (
+        ('learned', crossing, 1 - crossing,
+         "cross-entropy by VerifAI's rule comes to a distribution of the generic network's "
+         'failures with starts at 1,200-1,600 m above all (95 % of it)',
+         f'{_searches(crossing)} of what was learned, '
+         f'{_percent(choice.probability_within(before, end), 0)} % of the program'),
+        ('learned_on_crossing', within(on, end), within(before, on),
+         'of these, more on the crossing, at 1,400-1,600 m (79 %), than before it, at '
+         '1,200-1,400 m (16 %)',
+         f'{_searches(within(on, end))} at 1,400-1,600 m, '
+         f'{_searches(within(before, on))} at 1,200-1,400 m'),
+        ('learned_at_start', at_start, 1 - crossing - at_start,
+         'of the other starts, more at 0-200 m (5 %) than all others (1 %)',
+         f'{_searches(at_start)} at 0-200 m, {_searches(1 - crossing - at_start)} at all others'),
+    ):
+        higher, lower = int((more > less).sum()), int((more < less).sum())
+        yield Question(
+            name=name, source=_RETRAINING, sides=mostly(higher, lower),
+            statement=f'{statement}: in most searches',
+            evidence=f'{evidence}: in {higher} of {len(found)}.',
+        )
 
 # Words -------------------------------------------------------------------------------------------
 

@@ -27,6 +27,7 @@ from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.plan import (
     ANALYZE,
     BEST,
+    ITERATIVE,
     LOCALIZE,
     NETWORKS,
     ORIGINAL,
@@ -35,6 +36,8 @@ from taxinet_ros.study.stages.plan import (
     weights_of,
 )
 
+LEARNED = 'iterative-verifai'
+"""The shipped network that was trained on images of the failures that the paper's rule learned."""
 SETTLED_RUNS = 400
 """Number of bags read for a median: reading all 4,000 would take minutes per network."""
 
@@ -194,7 +197,9 @@ def read_results(config: StudyConfig, out: Path) -> Results:
 def read_tables(config: StudyConfig, folder: Path) -> Results:
     """Read results from tables instead of a study's folder, such as those shipped in the package.
 
-    For each network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``; that
+    For each network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``, with
+    ``iterative-verifai`` for the images of the learned failures: what is shipped as
+    ``iterative-learned`` was trained on failures that our own rule learned. The table
     of ``truth`` shows whether the network causes the original network's failures. ``experiment_
     <name>.parquet`` has the pairs of an experiment; the searches have folders, as in a study.
 
@@ -207,7 +212,7 @@ def read_tables(config: StudyConfig, folder: Path) -> Results:
     """
     networks = {}
     for name in NETWORKS:
-        word = config.best if name == BEST else name
+        word = {BEST: config.best, ITERATIVE[2]: LEARNED}.get(name, name)
         path = _largest(folder, word)
         if path is not None:
             card = weights_path(word).with_suffix('.json')

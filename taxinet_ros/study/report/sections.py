@@ -24,7 +24,7 @@ from taxinet_ros.study.report.figures import (
     rates_picture,
     runway_pictures,
 )
-from taxinet_ros.study.report.paper import PAPER_RULE, PAPER_RUNS
+from taxinet_ros.study.report.paper import PAPER_RUNS
 from taxinet_ros.study.report.results import Results
 from taxinet_ros.study.report.tables import (
     LEARNED_COLUMNS,
@@ -35,6 +35,7 @@ from taxinet_ros.study.report.tables import (
     table_of,
 )
 from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.plan import PAPER_RULE
 from taxinet_ros.study.stages.progress import clock, rough_duration
 
 _LEAST_P = 0.0001
@@ -136,7 +137,8 @@ def _claims(found: StudyFindings) -> Section:
             'Each is tested on our runs from both sides: in kind as in the paper if runs like ours '
             'were unlikely were the statement false, not as in the paper if they were unlikely '
             'were it true, else not clear from these runs. All tests of all statements are one '
-            'family (Holm), so in at most 5 % of studies any of these verdicts is wrong; p is '
+            'family (Holm), and exact but those of ρ under two skies: so of studies whose number '
+            'of runs was fixed beforehand any of these verdicts is wrong in at most 5 %. p is '
             'adjusted for that, the intervals beside it are 95 % each by itself.',
         ),
         tables=(Table(

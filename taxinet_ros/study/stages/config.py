@@ -45,7 +45,7 @@ class StudyConfig:
         learning_program, learning_runs: values for every search for the distribution of the generic
             network's failures.
         samplers, learning_seeds: there is one search for each combination; further training adds
-            scenes of the distribution learned by the first one.
+            scenes of the distribution learned by the first one by the paper's rule.
         further_epochs: epochs of the generic network's further training.
         share: share of images added in it.
         crossing: program of the images at the crossing.

@@ -24,6 +24,8 @@ BEST = 'best'
 NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
 """Names of the networks; their campaigns are ``evaluate-<name>``, except the original's."""
 
+PAPER_RULE = 'ce-verifai'
+"""The sampler with the paper's learning rule."""
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
@@ -48,8 +50,12 @@ def search_of(sampler: str, seed: int) -> str:
 
 
 def learned_program(config: StudyConfig) -> str:
-    """Program learned by the first search, whose pictures are added for further training."""
-    return f'{search_of(config.samplers[0], config.learning_seeds[0])}/learned.scenic'
+    """Program learned by the first search, whose pictures are added for further training.
+
+    By the paper's rule, or by the first sampler of a study without that rule.
+    """
+    sampler = PAPER_RULE if PAPER_RULE in config.samplers else config.samplers[0]
+    return f'{search_of(sampler, config.learning_seeds[0])}/learned.scenic'
 
 
 def stages(config: StudyConfig) -> tuple[Stage, ...]:

@@ -188,6 +188,7 @@ def test_given_saved_weights_when_saved_again_then_the_new_pair_replaces_the_old
     ('halton', ('s_falsif',), 0.6), ('specialised', ('runway_position',), 0.6),
     ('iterative-generic', ('s_falsif', 's_falsif'), 0.6),
     ('iterative-crossing', ('s_falsif', 'crossing'), 0.6),
+    ('iterative-verifai', ('s_falsif', 'learned'), 0.6),
     ('iterative-learned', ('s_falsif', 'learned'), 0.6),
 ])
 def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_card_is_complete(
@@ -209,7 +210,7 @@ def test_given_the_chain_of_trainings_when_read_then_each_link_is_shipped() -> N
     cards = {word: load_model(path).card for word, path in SHIPPED.items()}
     assert cards['taxinet'].start_sha256 == cards['broad'].weights_sha256
     assert ' --start broad ' in cards['taxinet'].command_line
-    for kind in ('generic', 'crossing', 'learned'):
+    for kind in ('generic', 'crossing', 'verifai', 'learned'):
         assert cards[f'iterative-{kind}'].start_sha256 == cards['generic'].weights_sha256
     for word in ('broad', 'original', 'generic', 'halton', 'specialised'):
         assert cards[word].start_sha256 is None

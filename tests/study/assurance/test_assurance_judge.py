@@ -3,19 +3,23 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.cli.analysis.assure import judged_lines, run_judge, run_show
+from taxinet_ros.core.assurance.monitor import conformal_threshold
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.study.assurance import judge as judging_module
 from taxinet_ros.study.assurance.calibrate import (
     CalibrateOptions,
     calibrate,
+    check_share,
     fit_kinematics,
 )
 from taxinet_ros.study.assurance.judge import (
@@ -28,6 +32,8 @@ from taxinet_ros.study.assurance.judge import (
     judge,
     off_ratio,
     per_hour,
+    plain_judged,
+    reached,
     read_judged,
     summarize,
     trade_of,
@@ -38,17 +44,20 @@ def no_progress(stage, done, total):
     pass
 
 
-@pytest.mark.parametrize(('outside', 'due'), [
-    ([(0, 4)], math.nan),                # on the line in time, and stays
-    ([(0, 4), (6, 9)], math.nan),        # away again, but back before 10 s
-    ([(0, 30)], 10.0),                   # never on the line
-    ([(12, 30)], 12.0), ([(0, 4), (8, 11)], 8.0), ([(12, 13), (20, 21)], 12.0),
+@pytest.mark.parametrize(('outside', 'due', 'within'), [
+    ([(0, 4)], math.nan, True),          # on the line in time, and stays
+    ([(0, 4), (6, 9)], math.nan, True),  # away again, but back before 10 s
+    ([(0, 31)], 10.0, False), ([(0, 12)], 10.0, False),  # not on the line in time
+    ([(0, 4), (10, 31)], 10.0, True),    # leaves it just when it has to be there
+    ([(12, 31)], 12.0, True), ([(0, 4), (8, 11)], 8.0, True), ([(12, 13), (20, 21)], 12.0, True),
 ])
-def test_given_a_run_then_an_alarm_is_due_when_it_leaves_the_line_for_its_violation(outside, due):
+def test_given_a_run_then_an_alarm_is_due_when_it_leaves_the_line_for_its_violation(
+    outside, due, within,
+):
     times = [k / 10 for k in range(301)]
     cte = [2.0 if any(a <= t < b for a, b in outside) else -1.0 for t in times]
-    found = due_s(times, cte)
-    assert found == pytest.approx(due, nan_ok=True)
+    assert due_s(times, cte) == pytest.approx(due, nan_ok=True)
+    assert reached(times, cte) is within
 
 
 def test_given_counts_then_rates_per_hour_have_the_exact_poisson_interval():
@@ -77,9 +86,13 @@ def test_given_counts_then_the_ratio_has_an_interval_that_covers_at_its_rate():
 def trial(scene, fallback=WITHOUT, **values):
     return Trial(**{
         'scene': scene, 'fallback': fallback, 'satisfied': True, 'rho_m': 1.0,
-        'left_runway': False, 'duration_s': 30.0, 'due_s': math.nan, 'off_s': math.nan,
-        'alarm_s': math.nan, 'reason': '', **values,
+        'left_runway': False, 'duration_s': 30.0, 'due_s': math.nan, 'reached': True,
+        'off_s': math.nan, 'alarm_s': math.nan, 'reason': '', **values,
     })
+
+
+def summarized(trials):
+    return summarize(trials, {one.scene: np.full(len(FACTORS), math.nan) for one in trials})
 
 
 def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false():
@@ -94,10 +107,10 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
         trial(one.scene, 'stop', satisfied=one.scene in (0, 2), left_runway=one.scene == 6)
         for one in plain
     ]
-    found = summarize([*plain, *stopped])
+    found = summarized([*plain, *stopped])
     assert (found.runs, found.failed) == (7, 5)
     assert (found.in_time, found.late, found.missed, found.false_alarms) == (1, 2, 2, 1)
-    assert found.false_per_h.value == pytest.approx(3600 / 36)
+    assert (found.settled_alarms, found.false_per_h.value) == (0, 0)
     assert found.off_missed == 1
     assert found.off_lead_s == (5.0, 5.0, 5.0)
     assert found.lead_s[1] == -3.0
@@ -106,6 +119,48 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
     assert (guarded.mended, guarded.broken) == (1, 1)
     assert guarded.off_ratio.value == 2
     assert 'of 5 failed runs 1 have an alarm in time, 2 later, 2 none' in judged_lines(found)[1]
+
+
+def test_false_alarms_are_told_by_start_and_by_hour_after_the_aircraft_had_time_to_settle():
+    alarms = [0.4, 3.0, 10.0, 22.0, *[math.nan] * 6]
+    found = summarized([trial(scene, alarm_s=time_s) for scene, time_s in enumerate(alarms)])
+    assert (found.false_alarms, found.settled_alarms) == (4, 1)
+    assert found.false_share.rate == pytest.approx(0.4)
+    assert found.false_per_h.value == pytest.approx(1 / ((12 + 6 * 20) / 3600))
+    # As many alarms and twice as long a drive: as many a start, and half as many an hour.
+    longer = summarized([
+        trial(scene, alarm_s=time_s, duration_s=42.0) for scene, time_s in enumerate(alarms)
+    ])
+    assert longer.false_share == found.false_share
+    assert longer.false_per_h.value == pytest.approx(1 / ((12 + 6 * 32) / 3600))
+    assert '4 have an alarm: 40.0 % (12.2-73.8); 1 after the first 10 s' in judged_lines(found)[-1]
+
+
+def test_a_run_that_was_never_within_the_line_has_no_lead_before_leaving_it():
+    bad = {'satisfied': False, 'rho_m': -9.0}
+    found = summarized([
+        *(trial(k, **bad, due_s=10.0, reached=False, alarm_s=0.4) for k in range(4)),
+        trial(4, **bad, due_s=12.0, alarm_s=9.0), trial(5, **bad, due_s=20.0, alarm_s=19.0),
+        trial(6, **bad, due_s=20.0), trial(7, **bad, due_s=10.0, reached=False),
+    ])
+    assert found.lead_s == pytest.approx((1.2, 2.0, 2.8))
+    assert (found.unreached, found.in_time, found.missed) == (5, 6, 2)
+    assert found.unreached_alarm_s == pytest.approx((0.4, 0.4, 0.4))
+    assert '3 of them left the 1.5 m: lead time before 1.20, 2.00, 2.80 s' in judged_lines(found)[2]
+
+
+@pytest.mark.parametrize(('runs', 'rate'), [(83, 0.05), (41, 0.1), (200, 0.1)])
+def test_one_calibration_raises_more_alarms_than_the_rate_as_often_as_is_told(runs, rate):
+    """The rate is an average over calibrations; what each check does has a known distribution."""
+    rng, each = np.random.default_rng(runs), rate / 4
+    shares = 1 - np.array([
+        conformal_threshold(rng.random(runs).tolist(), each) for _ in range(2000)
+    ])
+    made = SimpleNamespace(runs=runs, rate=rate)
+    assert shares.mean() <= each * 1.06
+    assert np.mean(shares > each) > 0.3
+    assert np.mean(shares <= check_share(made)) == pytest.approx(0.95, abs=0.015)
+    assert check_share(SimpleNamespace(runs=83, rate=0.05)) == pytest.approx(0.0354, abs=1e-4)
 
 
 def test_given_first_alarms_by_threshold_then_false_ones_and_departures_are_counted():
@@ -119,7 +174,7 @@ def test_given_first_alarms_by_threshold_then_false_ones_and_departures_are_coun
     assert [one.factor for one in found] == list(FACTORS)
     assert 1.0 in FACTORS
     assert [one.false_alarms for one in found[:4]] == [1, 1, 0, 0]
-    assert found[0].false_per_h.value == pytest.approx(3600 / 45)
+    assert found[0].false_per_h.value == pytest.approx(3600 / 25)
     assert [one.off_seen for one in found[:4]] == [1, 1, 1, 0]
     assert {one.off for one in found} == {2}
 
@@ -167,7 +222,28 @@ def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(
     assert len((tmp_path / 'out' / 'alarms.csv').read_text().splitlines()) == 3
     assert (tmp_path / 'out' / 'trade.png').stat().st_size > 5000
     assert [one['factor'] for one in kept['judged']['trade']] == list(FACTORS)
+    untouched_is_read_and_edited_is_not(tmp_path / 'out', kept)
     goes_on_after_an_end_amid(tmp_path, judging, monkeypatch)
+
+
+def untouched_is_read_and_edited_is_not(out, kept):
+    options, judged = read_judged(out)
+    assert options['runs'] == 2
+    assert plain_judged(judged) == kept['judged']
+    assert read_sealed(out / 'assurance.json').journals.keys() == {SCENES_NAME}
+    whole = (out / 'assurance.json').read_text()
+    path = [out / name for name in ('trials.csv', 'alarms.csv')]
+    for edit in (
+        lambda told: told.update(failed=told['failed'] + 1),
+        lambda told: told['trade'][3].update(false_alarms=told['trade'][3]['false_alarms'] + 1),
+    ):
+        values = json.loads(whole)
+        del values['seal'], values['checksum']
+        edit(values['judged'])
+        write_sealed(out / 'assurance.json', values, path)
+        with pytest.raises(UsageError, match=r'not those of trials\.csv and alarms\.csv; judge ag'):
+            read_judged(out)
+    (out / 'assurance.json').write_text(whole)
 
 
 def goes_on_after_an_end_amid(tmp_path, judging, monkeypatch):

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import shutil
 
+import numpy as np
 import pytest
 from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, planted
 
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.assurance.judge import (
-    JudgeOptions,
-    Trial,
-    plain_result,
-    summarize,
-    trials_csv,
-)
+from taxinet_ros.study.assurance import judge as judging
+from taxinet_ros.study.assurance.judge import FACTORS, Driven, JudgeOptions, Trial
 from taxinet_ros.study.evidence.document import EvidenceOptions, collect, parse_claim
 from taxinet_ros.study.evidence.inputs import read_requirement
 
@@ -234,24 +230,31 @@ def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
 def trial(scene, fallback='without', *, satisfied=True, alarm_s=math.nan):
     return Trial(
         scene=scene, fallback=fallback, satisfied=satisfied, rho_m=1.0 if satisfied else -1.5,
-        left_runway=False, duration_s=30.0, due_s=math.nan if satisfied else 12.0, off_s=math.nan,
-        alarm_s=alarm_s, reason='' if math.isnan(alarm_s) else 'unseen',
+        left_runway=False, duration_s=30.0, due_s=math.nan if satisfied else 12.0, reached=True,
+        off_s=math.nan, alarm_s=alarm_s, reason='' if math.isnan(alarm_s) else 'unseen',
     )
 
 
 def judged_monitor(folder, perception='original'):
-    options = JudgeOptions(
-        program='s_falsif', perception=perception, controller='steering', monitor='original',
-        fallbacks=('stop',), runs=3, seed=4, workers=1, out=folder,
-    )
-    trials = [
-        trial(0), trial(0, 'stop'), trial(1, satisfied=False, alarm_s=11.0), trial(1, 'stop'),
-        trial(2, satisfied=False, alarm_s=13.0), trial(2, 'stop', satisfied=False, alarm_s=13.0),
+    """What the command itself writes of three scenes whose runs are made up."""
+    runs = [
+        (trial(0), trial(0, 'stop')), (trial(1, satisfied=False, alarm_s=11.0), trial(1, 'stop')),
+        (trial(2, satisfied=False, alarm_s=13.0),
+         trial(2, 'stop', satisfied=False, alarm_s=13.0)),
     ]
-    folder.mkdir()
-    (folder / 'trials.csv').write_text(trials_csv(trials), encoding='utf-8')
-    (folder / 'assurance.json').write_text(
-        json.dumps(plain_result(options, summarize(trials))), encoding='utf-8')
+    driven = [
+        Driven(trials=one, alarms_s=np.where(np.array(FACTORS) <= 1, one[0].alarm_s, math.nan))
+        for one in runs
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judging, 'draw_scenes', lambda *_, **__: [
+            Scenario(cross_track_m=float(number)) for number in range(len(runs))
+        ])
+        patch.setattr(judging, '_runs', lambda *_: iter(driven))
+        judging.judge(JudgeOptions(
+            program='s_falsif', perception=perception, controller='steering', monitor='original',
+            fallbacks=('stop',), runs=len(runs), seed=4, workers=1, out=folder,
+        ), lambda *_: None)
     return folder
 
 
@@ -262,6 +265,8 @@ def test_given_a_judged_monitor_then_its_figures_are_computed_from_its_runs(tmp_
     judged = monitor['figures']['judged']
     assert (judged['failed'], judged['in_time'], judged['late'], judged['missed']) == (2, 1, 1, 0)
     assert judged['with_fallback']['stop']['mended'] == 1
+    assert [one['false_alarms'] for one in judged['trade']] == [0] * len(FACTORS)
+    assert sorted(monitor['files']) == ['alarms.csv', 'assurance.json', 'trials.csv']
     assert 'no-monitor' not in limits(content)
     assert 'monitor-program' in limits(content)
 

@@ -104,7 +104,7 @@ def searches(*distances: tuple[float, ...]) -> dict[str, tuple[LearnedResult, ..
     )}
 
 
-def bins(before: float, on: float) -> tuple[float, ...]:
-    """A distribution with so much at 1,200-1,400 and 1,400-1,600 m, the rest evenly elsewhere."""
-    rest = (1 - before - on) / 8
-    return tuple([rest] * 6 + [before, on] + [rest] * 2)
+def bins(before: float, on: float, start: float | None = None) -> tuple[float, ...]:
+    """A distribution with so much at 1,200-1,400, 1,400-1,600 and 0-200 m, the rest evenly."""
+    rest = (1 - before - on) / 8 if start is None else (1 - before - on - start) / 7
+    return tuple([rest if start is None else start] + [rest] * 5 + [before, on] + [rest] * 2)

@@ -19,10 +19,9 @@ from taxinet_ros.campaign.scenes.search_space import Choice, Piece
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.study.report.paper import PAPER_RULE
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config, write_study
 from taxinet_ros.study.stages.log import StageLog
-from taxinet_ros.study.stages.plan import LOCALIZE, campaign_of, search_of
+from taxinet_ros.study.stages.plan import LOCALIZE, PAPER_RULE, campaign_of, search_of
 
 RUNS = 900
 FAILING: dict[str, Callable[[pd.DataFrame], object]] = {

@@ -129,7 +129,7 @@ def test_given_planted_differences_then_the_words_follow_from_them(study):
     assert verdicts['generic'] == 'agrees'
     assert verdicts['specialised_crossing'] == 'agrees'
     assert verdicts['specialised_elsewhere'] == 'agrees'
-    assert verdicts['learned'] == 'agrees'
+    assert verdicts['learned'] == 'unclear'  # the searches are few
     assert not [name for name in verdicts if name.startswith('iterative')]
 
 

@@ -14,10 +14,10 @@ from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.cli.main import app
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.report.paper import PAPER_RULE
 from taxinet_ros.study.stages.config import read_config, shipped_config
 from taxinet_ros.study.stages.plan import (
     NETWORKS,
+    PAPER_RULE,
     learned_program,
     stages,
     stages_until,
@@ -84,8 +84,18 @@ def test_t14_study_given_the_searches_then_there_is_one_for_each_rule_and_seed()
             assert words.startswith(f'falsify s_falsif_ce --sampler {sampler} --seed {seed} ')
             assert f'--perception {weights_of("generic")} ' in words
             assert ' --runs 1200 ' in words
-    assert LEARNED_PROGRAM == 'learn-ce-2/learned.scenic'
+    assert LEARNED_PROGRAM == 'learn-ce-verifai-2/learned.scenic'
     assert SAMPLERS[PAPER_RULE].options['alpha'].default == 0.9  # VerifAI's own
+
+
+def test_the_third_arm_trains_on_what_the_papers_rule_learned_where_there_is_a_search_by_it():
+    learned = {
+        samplers: learned_program(dataclasses.replace(SHIPPED, samplers=samplers))
+        for samplers in (('ce', 'ce-verifai'), ('ce-verifai', 'ce'), ('mab', 'ce'))
+    }
+    assert [Path(path).parent.name for path in learned.values()] == [
+        'learn-ce-verifai-2', 'learn-ce-verifai-2', 'learn-mab-2']
+    assert FOUND['train-iterative-learned'].needs == 'learn-ce-verifai-2/learned.scenic'
 
 
 def test_given_until_then_the_stages_end_there_and_an_unknown_one_lists_them():

@@ -171,12 +171,13 @@ def test_given_an_original_without_failures_then_nobody_is_asked_whose_fault_the
 def test_t14_study_given_a_search_that_learned_nothing_then_nothing_is_trained_on_it(
     finished, tmp_path
 ):
-    out = copied(finished, tmp_path, 'learn-ce-2', 'train-iterative-learned',
+    out = copied(finished, tmp_path, 'learn-ce-verifai-2', 'train-iterative-learned',
                  'evaluate-iterative-learned')
-    (out / 'flawless.txt').write_text('learn-ce-2')
+    (out / 'flawless.txt').write_text('learn-ce-verifai-2')
     code, lines = run_study(out)
     assert code == 0
-    assert 'there is no learn-ce-2/learned.scenic, for nothing was found: nothing to do' in lines
+    missing = 'there is no learn-ce-verifai-2/learned.scenic, for nothing was found: nothing to do'
+    assert missing in lines
     assert not [line for line in asked(out) if 'iterative-learned' in line]
     assert run_study(out)[0] == 0
     assert asked(out) == []
