@@ -30,11 +30,11 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def options(
-    out: Path, *, resume: bool = False, error: float = 0.0, runs: int = RUNS
+    out: Path, *, resume: bool = False, runs: int = RUNS
 ) -> SearchOptions:
     return toy.options(
         out, runs=runs, sampler='splitting', resume=resume, sampler_options={
-            'particles': '20', 'islands': '4', 'error': repr(error), 'floor': '0.001',
+            'draws': '150', 'particles': '20', 'islands': '4', 'floor': '0.001',
         },
     )
 
@@ -65,7 +65,7 @@ def estimated(
 
 def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_same(tmp_path):
     # Amid the first draws, at their end, amid a level, near the end.
-    killed = {number: tmp_path / f'killed{number}' for number in (3, 80, 100, 240)}
+    killed = {number: tmp_path / f'killed{number}' for number in (3, 150, 200, 240)}
     whole = estimated(options(tmp_path / 'whole'), killed=killed)
     for folder in killed.values():
         assert folder.is_dir()
@@ -85,18 +85,16 @@ def test_given_more_workers_then_table_and_estimate_are_the_same(tmp_path):
     toy.same_table(tmp_path / 'one', tmp_path / 'killed')
 
 
-def test_given_an_error_that_was_reached_when_resumed_with_less_then_more_islands_follow(tmp_path):
+def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_follow(tmp_path):
     out = tmp_path / 'c'
-    first = options(out, error=2.0, runs=520)
-    assert ' islands=4,' in estimated(first)
+    assert ' islands=4,' in estimated(options(out))
     before = read_table(out)['rho']
-    assert ' islands=4,' not in estimated(options(out, resume=True, runs=520))
+    assert ' islands=8,' in estimated(options(out, resume=True, runs=700))
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
 
 
 @pytest.mark.parametrize(('asked', 'words'), [
-    ({'error': 11.0}, '--target-error 11: needs to be within'),
     ({'floor': 0.6}, '--down-to 0.6: needs to be within'),
     ({'islands': 3}, '--islands 3: needs to be within'),
     ({'floor': 1e-12, 'islands': 8}, 'too few to look for 1e-12 on 8 islands; use --runs '),
@@ -107,5 +105,5 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
     )
     with pytest.raises(UsageError, match=words):
         make_estimate_options(campaign, **{
-            'error': 0.3, 'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
+            'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
         })
