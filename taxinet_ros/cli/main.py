@@ -261,8 +261,8 @@ def bench(
     `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
     err and how many runs they take.
 
-    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and by
-    plain draws and importance sampling: their errors, and how often intervals cover.
+    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and
+    reports how often the intervals hold, and on which side they miss.
 
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.

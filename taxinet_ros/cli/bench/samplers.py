@@ -133,34 +133,30 @@ def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
 
 def _print_rare(found: dict[str, Any], console: Console) -> None:
     console.print(
-        f'{found["repeats"]} estimates for each line, of at most {found["most_runs"]:,} runs; '
-        'plain: as many plain draws', soft_wrap=True,
+        f'{found["repeats"]} estimates for each line, of at most {found["most_runs"]:,} runs'
     )
-    table = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
     table.add_column('landscape', no_wrap=True)
-    for heading in ('fails', 'runs', 'plainly', 'holds', '95 %', 'above', 'below', 'ends', 'plain',
-                    'ends', 'error', 'plain', 'gain'):
+    for heading in ('fails', 'runs', 'plain', 'holds', '95 %', 'miss', 'ends', 'all plain', 'gain'):
         table.add_column(heading, justify='right', no_wrap=True)
     last = ''
     for one in found['rare']:
-        split, plain = (one[method] for method in METHODS)
+        split = one['splitting']
         table.add_row(
             '' if one['landscape'] == last else one['landscape'], f'{one["probability"]:.0e}',
             f'{one["runs"]:,.0f}', f'{one["plainly"]:.0%}', f'{split["covers"]:.1%}',
             f'{100 * split["covers_low"]:.0f}–{100 * split["covers_high"]:.0f}',
-            f'{split["above"]}', f'{split["below"]}',
-            f'{split["low"]:.2g}–{split["high"]:.2g}', f'{plain["covers"]:.1%}',
-            f'{plain["low"]:.2g}–{plain["high"]:.2g}',
-            *(f'{one[method]["error"]:.2f}' for method in METHODS), f'{split["gain"]:.2g}',
+            f'{split["above"]}/{split["below"]}',
+            *(f'{one[method]["low"]:.2g}–{one[method]["high"]:.2g}' for method in METHODS),
+            f'{split["gain"]:.2g}',
         )
         last = one['landscape']
     console.print(table)
     console.print(
-        'plainly: estimates that drew plainly; holds: intervals that contain the probability, with '
-        'a 95 % interval of this share; above, below: number of those that it is above or below '
-        'of; ends: medians, in probabilities of failure; error: median relative error of the mean; '
-        'gain: runs that plain draws need for the same mean square error, over those spent',
-        style='dim', soft_wrap=True,
+        'plain: estimates that drew plainly; holds: intervals that contain the probability, with a '
+        '95 % interval of this share; miss: how many the probability is above/below of; ends: '
+        'medians over the probability, and those of as many plain draws; gain: runs that plain '
+        'draws need for the same mean square error, over those spent', style='dim', soft_wrap=True,
     )
     for name in dict.fromkeys(one['landscape'] for one in found['rare']):
         console.print(f'{name}: {RARE[name].meaning}', style='dim', soft_wrap=True)
