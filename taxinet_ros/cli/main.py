@@ -243,7 +243,7 @@ def bench(
     pid: Annotated[
         int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
     ] = None,
-    seed: Annotated[int, typer.Option(help='chaos: random seed')] = 0,
+    seed: Annotated[int, typer.Option(help='chaos, rare: (first) random seed')] = 0,
     trials: Annotated[int | None, typer.Option(min=1, help='chaos: number of trials')] = None,
     trial: Annotated[int | None, typer.Option(min=0, help='chaos: run only this trial')] = None,
 ) -> None:
@@ -298,10 +298,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_sequential
 
         raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('rare', words, given):
+    if asks_for_study('rare', words, given, also=('seed',)):
         from taxinet_ros.cli.bench.samplers import run_rare
 
-        raise typer.Exit(run_rare(words[1:], repeats=repeats, as_json=as_json))
+        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 

@@ -114,12 +114,13 @@ def _print_sequential(found: dict[str, Any], console: Console) -> None:
     )
 
 
-def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+def run_rare(words: Sequence[str], *, repeats: int, seed: int, as_json: bool) -> int:
     """Estimate known probabilities of failure and print.
 
     Args:
         words: landscapes; none for all.
         repeats: estimates for each landscape and probability.
+        seed: of the first of them.
         as_json: print JSON.
 
     Returns:
@@ -128,7 +129,9 @@ def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
     Raises:
         UsageError: an unknown landscape, or ``repeats`` below 1.
     """
-    return run_with_progress(partial(measure_rare, words, repeats), _print_rare, as_json=as_json)
+    return run_with_progress(
+        partial(measure_rare, words, repeats, seed=seed), _print_rare, as_json=as_json
+    )
 
 
 def _print_rare(found: dict[str, Any], console: Console) -> None:
