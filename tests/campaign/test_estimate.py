@@ -7,14 +7,16 @@ import json
 import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import falsify_samples as toy
 import pytest
 
-from taxinet_ros.analysis.search.rare import estimate_of, write_estimate
+from taxinet_ros.analysis.search.rare import estimate_lines, estimate_of, write_estimate
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
 from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_options
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -92,6 +94,33 @@ def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_f
     assert ' islands=8,' in estimated(options(out, resume=True, runs=700))
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
+
+
+def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rests_on():
+    found = RareEstimate(
+        state=State.UNCLEAR, low=2.5e-5, high=0.0022, probability=1e-4, plain='', islands=8,
+        failing=5, runs=3800, drawn=2000, drawn_failed=0, steps=(), curve=(),
+    )
+    judging = SimpleNamespace(headline='near')
+    search = SimpleNamespace(
+        rows=[], options=SimpleNamespace(campaign=SimpleNamespace(judging=judging))
+    )
+    assert estimate_lines(found, search) == [
+        'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '
+        'low',
+        'at least 2.5e-05: of 8 islands 5 found failures; their mean is 0.01 %',
+        'at most 0.22 %: of 2,000 draws of the program itself 0 failed; what all islands missed is '
+        'in no figure but this',
+    ]
+    plainly = dataclasses.replace(
+        found, state=State.ESTIMATED, low=0.011, high=0.049, probability=0.025,
+        plain='4 of the first 200 failed', islands=0, failing=0, drawn=400, drawn_failed=10,
+    )
+    assert estimate_lines(plainly, search) == [
+        'P(near violated) within [1.1 %, 4.9 %] (95 %)',
+        'of 400 draws of the program itself 10 failed, 2.5 %: drawn plainly, as 4 of the first 200 '
+        'failed, and splitting would give no narrower interval',
+    ]
 
 
 @pytest.mark.parametrize(('asked', 'words'), [

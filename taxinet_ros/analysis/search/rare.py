@@ -108,9 +108,11 @@ def estimate_lines(found: RareEstimate, search: Search) -> list[str]:
         lines += [
             f'at least {probability_words(found.low)}: of {found.islands} islands {found.failing} '
             f'found failures; their mean is {probability_words(found.probability)}',
+        ] if found.islands else []
+        lines.append(
             f'at most {probability_words(found.high)}: {of}; what all islands missed is in no '
-            'figure but this',
-        ]
+            'figure but this'
+        )
     if infra := _without_result(search):
         lines.append(f'{infra} runs without a result count as moves not made, and as no draws')
     return lines + [_level_line(number, found) for number in range(len(found.steps))]

@@ -14,7 +14,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from taxinet_ros.campaign.rates import TAIL, share_bounds
 from taxinet_ros.campaign.samplers.histogram import Floats
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Point, Space, run_generator
@@ -28,7 +27,7 @@ from taxinet_ros.campaign.samplers.subset_simulation import (
 
 NAME = 'splitting'
 """Its word in the table of samplers."""
-LOOK_TAIL = TAIL / 2
+LOOK_TAIL = 0.0125
 """Tail probability at each end of an interval.
 
 Half of that of a 95 % interval, as the first draws decide whether the result is that of the islands
@@ -130,7 +129,12 @@ def _interval(found: Floats, hits: int, draws: int, *, plain: bool) -> tuple[flo
         draws: their number.
         plain: whether everything was drawn plainly.
     """
-    low, high = share_bounds(hits, draws - hits, LOOK_TAIL)
+    from scipy.special import betaincinv
+
+    # That of Clopper and Pearson; campaign.rates has it too, but is no floor of the samplers.
+    misses = draws - hits
+    low = float(betaincinv(hits, misses + 1, LOOK_TAIL)) if hits else 0.0
+    high = float(betaincinv(hits + 1, misses, 1 - LOOK_TAIL)) if misses else 1.0
     least = low if plain else least_mean(found, LOOK_TAIL)
     # If the ends contradict each other, the islands' is left out.
     return (least if least < high else low), high
