@@ -18,6 +18,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
 from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_options
+from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -94,6 +95,11 @@ def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_f
     assert ' islands=8,' in estimated(options(out, resume=True, runs=700))
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
+    more = make_estimate_options(
+        CampaignOptions(program='s_falsif', runs=900, seed=0, perception='truth', out=out),
+        floor=0.01, islands=4, workers=1, resume=True,
+    )
+    assert more.sampler_options['draws'] == str(RUNS // 2)
 
 
 def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rests_on():
@@ -136,3 +142,9 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
         make_estimate_options(campaign, **{
             'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
         })
+
+
+def test_the_error_at_which_estimates_stopped_is_refused_by_name(capsys):
+    words = ['estimate', 's_falsif', '--target-error', '0.3']
+    assert _exit_code(lambda: app(words, standalone_mode=False)) == 2
+    assert '--target-error: is no option any more' in capsys.readouterr().err

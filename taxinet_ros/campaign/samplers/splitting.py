@@ -148,19 +148,18 @@ def estimate(simulation: SubsetSimulation, drawn: Floats, runs: int) -> RareEsti
         drawn: robustness of the draws of the program itself that it was told.
         runs: number of runs spent.
     """
-    plain = bool(simulation.plain)
     islands = [one for one in simulation.islands if one.wave]
+    plain = bool(simulation.plain) or not islands
     values = np.array([one.failing or 0.0 for one in islands])
     failed = int((drawn <= 0).sum())
     low, high = _interval(values, failed, len(drawn), plain=plain)
-    whole = plain or not islands
     share = failed / len(drawn) if len(drawn) else 0.0
     return RareEstimate(
         state=State.ESTIMATED if high <= WIDE * low else State.UNCLEAR, low=low, high=high,
-        probability=share if whole else float(values.mean()), plain=simulation.plain,
+        probability=share if plain else float(values.mean()), plain=simulation.plain,
         islands=len(islands), failing=int((values > 0).sum()), runs=runs,
         drawn=len(drawn), drawn_failed=failed, steps=_steps(islands),
-        curve=_curve(islands, drawn, plain=whole),
+        curve=_curve(islands, drawn, plain=plain),
     )
 
 
