@@ -205,6 +205,11 @@ class Found:
     runs: int
     plain: bool
 
+    @property
+    def clear(self) -> bool:
+        """Whether the ends of the interval are within a factor of ten."""
+        return self.high <= WIDE * self.low
+
 
 def split(
     rho: Rho, seed: int, *, runs: int = RUNS, floor: float = FLOOR
@@ -339,7 +344,7 @@ def _over(found: Sequence[Found], probability: float) -> Method:
     cost = probability * float(np.mean((ratio - 1) ** 2)) * fmean(one.runs for one in found)
     return Method(
         covers=covers.rate, covers_low=covers.low, covers_high=covers.high,
-        above=above, below=below, clear=float((high <= WIDE * low).mean()),
+        above=above, below=below, clear=fmean(one.clear for one in found),
         low=float(np.median(low)), high=float(np.median(high)),
         error=float(np.median(np.abs(ratio - 1))), gain=(1 - probability) / cost,
     )

@@ -12,15 +12,16 @@ They are the first level of the islands as well. Where enough of them fail, or t
 equal, nothing is gained by chains, and the rest is drawn plainly.
 
 **Islands.** The simulation is repeated on populations, the *islands*. The first one, the *pilot*,
-chooses the levels, the size of the others, and how far the chains go; it is not counted. Each later island is an unbiased
-estimate, given all islands of earlier waves: with levels, a step size or a model chosen by its own
-points it would not be. Its distribution is skewed, as an island may lose most of the probability
-without a sign of it: a region that leads on early levels takes the survivors of one that counts in
-the end. So the islands' agreement tells nothing of what all of them lost. Their mean gives a
-lower end that holds whatever the distribution, and no upper end.
+chooses the levels, the size of the others, the model and the size of moves; it is not counted.
+Given the pilot, the later islands are independent and unbiased: with levels, moves or a model
+chosen by an island's own points it would not be (with its own model, the estimate of 1e-6 was twice
+too great). Their distribution is skewed, as an island may lose most of the probability without a
+sign of it: a region that leads on early levels takes the survivors of one that counts in the end.
+So their agreement tells nothing of what all of them lost. They give a lower end that holds whatever
+their distribution, and no upper end.
 
 **Moves.** A move is cheap where a model can make it: several steps of a Markov chain that takes a
-Gaussian process of earlier islands' results for the robustness, and one run that accepts or rejects
+Gaussian process of the pilot's results for the robustness, and one run that accepts or rejects
 their end with the exact ratio (the surrogate transition method; Liu, Monte Carlo Strategies in
 Scientific Computing, 2001, section 9.4.3; Christen and Fox, Journal of Computational and Graphical
 Statistics 14, 2005). So a wrong model costs acceptance, not correctness. A share of the steps jumps
