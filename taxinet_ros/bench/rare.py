@@ -266,7 +266,7 @@ class Method:
     Attributes:
         covers, covers_low, covers_high: share of intervals that contain the probability, with a
             95 % interval.
-        above, below: number of intervals below which, and above which, the probability is.
+        above, below: number of intervals that the probability is above of, and below of.
         clear: share of intervals whose ends are within a factor of ten.
         low, high: median ends of the intervals over the probability.
         error: median relative error of the mean of what was found.
