@@ -129,13 +129,13 @@ def falsify(
 
 
 @takes(
-    program=PATH, target_error=FINITE, down_to=FINITE, runs=FROM_1, islands=FROM_1, seed=FROM_0,
+    program=PATH, down_to=FINITE, runs=FROM_1, islands=FROM_1, seed=FROM_0,
     perception=WORD, controller=WORD, settings=NONE | MAPPING, bounds=TEXTS, rates=TEXTS,
     latency=TEXTS, world=WORD, workers=FROM_1, out=NONE | PATH, resume=FLAG,
 )
 @says_parameters
 def estimate(
-    program: str | os.PathLike[str], *, target_error: float = 0.3, down_to: float = 1e-6,
+    program: str | os.PathLike[str], *, down_to: float = 1e-5,
     runs: int = 4000, islands: int = 8, seed: int = 0, perception: str = 'taxinet',
     controller: str = STEERING, specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS,
     settings: Mapping[str, object] | None = None, bounds: str | Sequence[str] = (),
@@ -146,10 +146,9 @@ def estimate(
 
     Args:
         program: as for ``tx.falsify``.
-        target_error: relative standard error at which to stop; 0: after all runs.
         down_to: least probability that the runs have to suffice for.
         runs: maximum number of runs.
-        islands: independent populations at first, 4 or more; their spread gives the interval.
+        islands: independent populations, 4 or more; their mean gives the lower end.
         seed: seed of the scenes.
         perception: as for ``tx.falsify``.
         controller: as for ``tx.falsify``.
@@ -164,8 +163,8 @@ def estimate(
         resume: continue the estimate in ``out``.
 
     Returns:
-        ``.state`` (``estimated``, ``unclear`` or ``at most``), ``.probability``, ``.low`` and
-        ``.high`` (95 %), ``.why``, ``.relative_error``, ``.runs``, ``.curve``.
+        ``.low`` and ``.high`` (95 %), ``.state`` (``estimated``, or ``unclear`` for a wide
+        interval), ``.probability`` (of what was found), ``.plain``, ``.runs``, ``.curve``.
 
     Raises:
         UsageError: bad input, in one line; or no scene could be run.
@@ -181,7 +180,7 @@ def estimate(
     )
     search = Search(
         make_estimate_options(
-            dataclasses.replace(options, bags=False, engine=LOOP), error=target_error,
+            dataclasses.replace(options, bags=False, engine=LOOP),
             floor=down_to, islands=islands, workers=workers, resume=resume,
         ),
         participants=(),

@@ -1,20 +1,15 @@
-"""Estimates of rare failures on landscapes of known probability: splitting beside two others.
+"""Estimates of rare failures on landscapes of known probability: do their intervals hold?
 
 A formula for ρ replaces the simulator, vectorised over points. A landscape has five continuous
 dimensions, which enter by their standard normal quantiles z, and a category; its probability of
-failure is exact, as every region is a half space, a corner, or the outside of a circle. Splitting
-runs as ``taxinet estimate`` does by default. The other two have as many runs as it took, repetition
-by repetition:
-
-* plain draws, of which a binomial number fails, with the Clopper-Pearson interval;
-* importance sampling by cross entropy with mixtures of normal distributions (Rubinstein and Kroese,
-  The Cross-Entropy Method, 2004, section 3.6; Geyer, Papaioannou and Straub, Structural Safety 76,
-  2019), a tenth of whose last proposal is the program itself (Hesterberg, Technometrics 37, 1995),
-  with the normal interval of the last sample's weights in the logarithm.
+failure is exact, as every region is a half space, a corner, a box, or the outside of a circle. The
+estimate is that of the sampler behind ``taxinet estimate``, with its defaults. Beside it are plain
+draws, as many runs as it took, of which a binomial number fails, with the Clopper-Pearson interval.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -27,17 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.campaign.rates import TAIL, rate
+from taxinet_ros.campaign.rates import rate
+from taxinet_ros.campaign.samplers.sampler import Exhausted
 from taxinet_ros.campaign.samplers.space import Dimension, Space
-from taxinet_ros.campaign.samplers.splitting import State, estimate, particles_for
-from taxinet_ros.campaign.samplers.subset_simulation import Plan, SubsetSimulation
+from taxinet_ros.campaign.samplers.splitting import WIDE, make_splitting, particles_for
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.pool import process_pool
 
 Floats = npt.NDArray[np.float64]
 
-PROBABILITIES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-RUNS, ISLANDS, ERROR, FLOOR = 4000, 8, 0.3, 1e-6
+PROBABILITIES = (1e-2, 1e-3, 1e-4, 1e-5)
+RUNS, ISLANDS, FLOOR = 4000, 8, 1e-5
 """What ``taxinet estimate`` does unless told otherwise."""
 WEIGHTS = (6.0, 3.0, 1.0)
 """Of the category, the last dimension."""
@@ -81,9 +76,9 @@ def _two(probability: float) -> Rho:
     return rho
 
 
-def _four(probability: float) -> Rho:
-    limit = _beyond(math.sqrt(probability) / 2)
-    return lambda points: limit - np.abs(points[:, :2]).min(axis=1)
+def _corners(dimensions: int, probability: float) -> Rho:
+    limit = _beyond(probability ** (1 / dimensions) / 2)
+    return lambda points: limit - np.abs(points[:, :dimensions]).min(axis=1)
 
 
 def _ring(probability: float) -> Rho:
@@ -115,6 +110,55 @@ def _hidden(probability: float) -> Rho:
     return rho
 
 
+def _late(probability: float) -> Rho:
+    """A corner of 30 % and a half space of the rest, of other dimensions than the corner's.
+
+    On the way from 2 % of the draws down, the corner's funnel is the more probable part of each
+    level but the last.
+    """
+    corner = 0.3 * probability
+    limit = _beyond((probability - corner) / (1 - corner))
+    funnel = max(0.02, 2 * corner)
+
+    def rho(points: Floats) -> Floats:
+        from scipy.special import log_ndtr
+
+        side = log_ndtr(points[:, :2]).max(axis=1)
+        way = (2 * side - math.log(corner)) / math.log(funnel / corner)
+        slope = limit - points[:, 2:5] @ (_ALONG[2:] / np.linalg.norm(_ALONG[2:]))
+        return np.minimum(slope, np.where(way < 1, way, math.inf))
+
+    return rho
+
+
+def _three(probability: float) -> Rho:
+    centres = np.array([[0.2, 0.25], [0.75, 0.3], [0.4, 0.8]])
+    sides = np.sqrt(np.array([0.6, 0.3, 0.1]) * probability)
+
+    def rho(points: Floats) -> Floats:
+        from scipy.special import ndtr
+
+        off = np.abs(ndtr(points[:, None, :2]) - centres).max(axis=2)
+        return (off - sides / 2).min(axis=1)
+
+    return rho
+
+
+def _capped(probability: float) -> Rho:
+    half, usual = _half(probability), _beyond(probability) - _beyond(0.05)
+    return lambda points: np.minimum(half(points), max(usual, 0.1))
+
+
+def _rough(probability: float) -> Rho:
+    half = _half(probability)
+
+    def rho(points: Floats) -> Floats:
+        noise = np.modf(1e4 * np.abs(np.sin(points[:, :5] @ (1e3 * _ALONG[::-1]))))[0]
+        return half(points) * np.exp(6 * noise - 3)
+
+    return rho
+
+
 @dataclass(frozen=True, slots=True)
 class Landscape:
     """A family of landscapes by their probability of failure.
@@ -131,9 +175,14 @@ class Landscape:
 LANDSCAPES: Mapping[str, Landscape] = {
     'half': Landscape('one half space, across five dimensions', _half),
     'two': Landscape('two opposite half spaces, with 70 and 30 % of the probability', _two),
-    'four': Landscape('four corners of two dimensions, separated', _four),
+    'four': Landscape('four corners of two dimensions, separated', partial(_corners, 2)),
+    'corners': Landscape('eight corners of three dimensions', partial(_corners, 3)),
     'ring': Landscape('everywhere outside a circle in two dimensions', _ring),
     'kinds': Landscape('80 % in a category of 10 %, 20 % in one of 60 %', _kinds),
+    'three': Landscape('three boxes, with 60, 30 and 10 % of the probability', _three),
+    'late': Landscape('70 % in a half space, after a corner that leads until the end', _late),
+    'capped': Landscape('a half space; equal for 95 % of the draws', _capped),
+    'rough': Landscape('a half space; the sign is right, the size is noise', _rough),
     'hidden': Landscape('half of it a cliff, to which no slope leads', _hidden),
 }
 """All landscapes by name; nothing but plain draws can know ``hidden``."""
@@ -145,45 +194,47 @@ class Found:
 
     Attributes:
         probability: the estimate.
-        low, high: 95 % interval; 1 as the upper end if nothing is known.
+        low, high: 95 % interval.
         runs: runs spent.
-        clear: whether it claims its interval: not *unclear*, and no mere upper limit.
+        plain: whether all of them were plain draws.
     """
 
     probability: float
     low: float
     high: float
     runs: int
-    clear: bool = True
+    plain: bool
+
+    @property
+    def clear(self) -> bool:
+        """Whether the ends of the interval are within a factor of ten."""
+        return self.high <= WIDE * self.low
 
 
 def split(
-    rho: Rho, seed: int, *, runs: int = RUNS, error: float = ERROR, floor: float = FLOOR,
+    rho: Rho, seed: int, *, runs: int = RUNS, floor: float = FLOOR
 ) -> Found:
     """Estimate as ``taxinet estimate`` does."""
     from scipy.special import ndtri
 
-    particles = particles_for(runs, ISLANDS, floor)
-    plan = Plan(particles=particles, islands=ISLANDS, error=error, floor=floor / 10, runs=runs)
-    simulation = SubsetSimulation(SPACE, seed, plan)
-    random = np.random.default_rng([seed, 0])
-    batches = simulation.batches()
-    spent = failed = 0
-    batch = next(batches)
-    while spent + len(batch.quantiles) <= runs:
-        at = random.random(batch.quantiles.shape) if batch.drawn else batch.quantiles
-        found = rho(ndtri(np.clip(at, 1e-15, 1 - 1e-15)))
-        if not spent:
-            failed = int((found <= 0).sum())
-        spent += len(at)
-        try:
-            batch = batches.send((at, found.tolist()))
-        except StopIteration:
-            break
-    told = estimate(simulation.islands, particles, ISLANDS * particles, failed)
+    sampler = make_splitting(SPACE, seed, runs, {
+        'draws': runs // 2, 'particles': particles_for(runs, ISLANDS, floor),
+        'islands': ISLANDS, 'floor': floor,
+    })
+    spent = 0
+    with contextlib.suppress(Exhausted):
+        while spent < runs:
+            points = [sampler.ask()]
+            while len(points) + spent < runs and sampler.needed() <= spent:
+                points.append(sampler.ask())
+            found = rho(ndtri(np.clip(np.array(points, dtype=float), 1e-15, 1 - 1e-15)))
+            for number, value in enumerate(found.tolist()):
+                sampler.tell(spent + number, value)
+            spent += len(points)
+    told = sampler.estimate()
     return Found(
         probability=told.probability, low=told.low, high=told.high, runs=spent,
-        clear=told.state is State.ESTIMATED,
+        plain=bool(told.plain),
     )
 
 
@@ -191,128 +242,21 @@ def draw(probability: float, runs: int, seed: int) -> Found:
     """Estimate by plain draws."""
     failed = int(np.random.default_rng([seed, 1]).binomial(runs, probability))
     found = rate(failed, runs)
-    return Found(probability=failed / runs, low=found.low, high=found.high, runs=runs)
-
-
-# Importance sampling --------------------------------------------------------------------------
-
-_KEPT = 0.1
-"""Share of each sample that the next proposal is fitted to, until it is all failures."""
-_PART = 8
-"""One sample takes this part of the runs; the last takes all that are left."""
-_COMPONENTS = 4
-_DEFENSIVE = 0.1
-"""Share of the last proposal that is the program itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Mixture:
-    """A mixture of normal distributions with independent coordinates."""
-
-    shares: Floats
-    """(k,)"""
-    means: Floats
-    """(k, d)"""
-    deviations: Floats
-    """(k, d)"""
-
-    def draw(self, count: int, random: np.random.Generator) -> Floats:
-        own = random.choice(len(self.shares), size=count, p=self.shares)
-        noise = random.standard_normal((count, self.means.shape[1]))
-        drawn: Floats = self.means[own] + self.deviations[own] * noise
-        return drawn
-
-    def logs(self, points: Floats) -> Floats:
-        """Log of each component's share and density over the standard normal one; (n, k)."""
-        off = (points[:, None] - self.means) / self.deviations
-        found: Floats = np.log(self.shares) + (
-            (points[:, None] ** 2 - off**2) / 2 - np.log(self.deviations)
-        ).sum(axis=2)
-        return found
-
-    def ratio(self, points: Floats) -> Floats:
-        """Density over the program's."""
-        found: Floats = np.exp(self.logs(points)).sum(axis=1)
-        return found
-
-
-def _fitted(points: Floats, weights: Floats, random: np.random.Generator) -> _Mixture:
-    """Fit by expectation maximisation with weights."""
-    weights = weights / weights.sum()
-    count = min(_COMPONENTS, len(points))
-    first = random.choice(len(points), size=count, replace=False, p=weights) \
-        if (weights > 0).sum() >= count else np.arange(count)
-    spread = np.sqrt(np.maximum(np.average(
-        (points - np.average(points, axis=0, weights=weights))**2, axis=0, weights=weights
-    ), 0.01))
-    found = _Mixture(
-        np.full(count, 1 / count), points[first], np.tile(spread, (count, 1))
-    )
-    for _ in range(30):
-        logs = found.logs(points)
-        owned = np.exp(logs - logs.max(axis=1, keepdims=True))
-        owned *= (weights / owned.sum(axis=1))[:, None]
-        shares = owned.sum(axis=0) + 1e-6
-        means = owned.T @ points / shares[:, None]
-        squares = (owned[:, :, None] * (points[:, None] - means) ** 2).sum(axis=0)
-        # A little of the whole spread keeps a component from collapsing on a point.
-        deviations = np.sqrt((squares + 0.02 * spread**2) / (shares[:, None] + 0.02))
-        found = _Mixture(shares / shares.sum(), means, np.maximum(deviations, 0.05))
-    return found
-
-
-def weigh(rho: Rho, runs: int, seed: int) -> Found:
-    """Estimate by importance sampling."""
-    random = np.random.default_rng([seed, 2])
-    size = max(runs // _PART, 20)
-    left = runs
-    dimensions = len(SPACE)
-    proposal = _Mixture(np.ones(1), np.zeros((1, dimensions)), np.ones((1, dimensions)))
-    while left >= 2 * size:
-        points = proposal.draw(size, random)
-        left -= size
-        found = rho(points)
-        level = max(float(np.quantile(found, _KEPT)), 0.0)
-        chosen = found <= level
-        proposal = _fitted(points[chosen], 1 / proposal.ratio(points[chosen]), random)
-        if not level:
-            break
-    plain = random.random(left) < _DEFENSIVE
-    points = np.where(
-        plain[:, None], random.standard_normal((left, dimensions)), proposal.draw(left, random)
-    )
-    ratio = _DEFENSIVE + (1 - _DEFENSIVE) * proposal.ratio(points)
-    weights = np.where(rho(points) <= 0, 1 / ratio, 0.0)
-    mean = float(weights.mean())
-    if not mean:
-        return Found(probability=0.0, low=0.0, high=1.0, runs=runs, clear=False)
-    reach = _beyond(TAIL) * float(weights.std(ddof=1)) / math.sqrt(left) / mean
-    return Found(
-        probability=mean, low=mean * math.exp(-reach), high=min(1.0, mean * math.exp(reach)),
-        runs=runs,
-    )
-
-
-# The study ------------------------------------------------------------------------------------
+    return Found(probability=failed / runs, low=found.low, high=found.high, runs=runs, plain=True)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """One repetition: the three estimates of one landscape."""
+    """One repetition: the estimates of one landscape."""
 
     splitting: Found
     plain: Found
-    importance: Found
 
 
 def attempt(landscape: str, probability: float, seed: int) -> Trial:
     """One repetition."""
-    rho = LANDSCAPES[landscape].make(probability)
-    own = split(rho, seed)
-    return Trial(
-        splitting=own, plain=draw(probability, own.runs, seed),
-        importance=weigh(rho, own.runs, seed),
-    )
+    own = split(LANDSCAPES[landscape].make(probability), seed)
+    return Trial(splitting=own, plain=draw(probability, own.runs, seed))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -320,32 +264,32 @@ class Method:
     """Estimates of one method over the repetitions; shares are of these.
 
     Attributes:
-        error: median relative error.
-        bias: mean of estimate over probability, less 1.
-        gain: runs that plain draws need for the same mean square error, over those spent.
-        covers: share of intervals that contain the probability, of all.
-        clear: share that claims its interval (:attr:`Found.clear`).
-        covers_clear, covers_clear_low, covers_clear_high: share of these that contains it, with a
-            95 % interval; None without any.
-        width: median of the upper end over the lower; None if the lower is 0.
+        covers, covers_low, covers_high: share of intervals that contain the probability, with a
+            95 % interval.
+        above, below: number of intervals that the probability is above of, and below of.
+        clear: share of intervals whose ends are within a factor of ten.
+        low, high: median ends of the intervals over the probability.
+        error: median relative error of the mean of what was found.
+        gain: runs that plain draws need for its mean square error, over those spent.
     """
 
-    error: float
-    bias: float
-    gain: float
     covers: float
+    covers_low: float
+    covers_high: float
+    above: int
+    below: int
     clear: float
-    covers_clear: float | None
-    covers_clear_low: float | None
-    covers_clear_high: float | None
-    width: float | None
+    low: float
+    high: float
+    error: float
+    gain: float
 
 
 def measure_rare(
     words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
     *, probabilities: Sequence[float] = PROBABILITIES, workers: int | None = None, seed: int = 0,
 ) -> dict[str, Any]:
-    """Estimate every landscape at several probabilities by the three methods.
+    """Estimate every landscape at several probabilities.
 
     Args:
         words: landscapes; none for all of them.
@@ -375,6 +319,7 @@ def measure_rare(
             lines.append({
                 'landscape': name, 'probability': probability,
                 'runs': fmean(one.splitting.runs for one in trials),
+                'plainly': fmean(one.splitting.plain for one in trials),
                 **{
                     method: asdict(_over([getattr(one, method) for one in trials], probability))
                     for method in METHODS
@@ -382,28 +327,24 @@ def measure_rare(
             })
             progress(len(lines), len(cases))
     return {
-        'machine': machine_facts(), 'repeats': repeats, 'most_runs': RUNS, 'target_error': ERROR,
-        'down_to': FLOOR, 'rare': lines,
+        'machine': machine_facts(), 'repeats': repeats, 'most_runs': RUNS, 'down_to': FLOOR,
+        'rare': lines,
     }
 
 
-METHODS = ('splitting', 'plain', 'importance')
+METHODS = ('splitting', 'plain')
 
 
 def _over(found: Sequence[Found], probability: float) -> Method:
     ratio = np.array([one.probability for one in found]) / probability
-    covers = np.array([one.low <= probability <= one.high for one in found])
-    clear = np.array([one.clear for one in found])
-    runs = fmean(one.runs for one in found)
-    square = float(np.mean((ratio - 1) ** 2))
-    share = rate(int((covers & clear).sum()), int(clear.sum())) if clear.any() else None
-    widths = [one.high / one.low if one.low else math.inf for one in found]
-    width = float(np.median(widths))
+    low = np.array([one.low for one in found]) / probability
+    high = np.array([one.high for one in found]) / probability
+    above, below = int((high < 1).sum()), int((low > 1).sum())
+    covers = rate(len(found) - above - below, len(found))
+    cost = probability * float(np.mean((ratio - 1) ** 2)) * fmean(one.runs for one in found)
     return Method(
-        error=float(np.median(np.abs(ratio - 1))), bias=float(ratio.mean()) - 1,
-        gain=(1 - probability) / (probability * square * runs),
-        covers=float(covers.mean()), clear=float(clear.mean()),
-        covers_clear=share and share.rate, covers_clear_low=share and share.low,
-        covers_clear_high=share and share.high,
-        width=width if math.isfinite(width) else None,
+        covers=covers.rate, covers_low=covers.low, covers_high=covers.high,
+        above=above, below=below, clear=fmean(one.clear for one in found),
+        low=float(np.median(low)), high=float(np.median(high)),
+        error=float(np.median(np.abs(ratio - 1))), gain=(1 - probability) / cost,
     )

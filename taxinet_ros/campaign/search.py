@@ -212,10 +212,9 @@ class Search:
         """Indices of the runs planned before the first one; only within the ``with``."""
         return planned_runs(self.book.facts)
 
-    @property
-    def sampler(self) -> Sampler:
-        """The sampler with the results so far; only within the ``with``."""
-        return self._sampler.sampler
+    def ended_sampler(self) -> Sampler:
+        """The sampler with all results, after the last run; only within the ``with``."""
+        return self._sampler.ended()
 
     def learned(self) -> Probabilities:
         """The sampler's failure histograms; empty if it has none."""

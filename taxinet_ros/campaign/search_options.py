@@ -253,46 +253,43 @@ def check_workers_or_cluster(
 
 
 def make_estimate_options(
-    campaign: CampaignOptions, *, error: float, floor: float, islands: int, workers: int,
+    campaign: CampaignOptions, *, floor: float, islands: int, workers: int,
     resume: bool,
 ) -> SearchOptions:
     """Options of an estimate of a rare failure's probability.
 
     Args:
         campaign: validated campaign options; its runs are the most to spend.
-        error: relative standard error at which to stop.
         floor: least probability that the runs have to suffice for.
         islands: independent populations at first; with ``resume``, those recorded.
         workers: number of concurrent runs.
-        resume: continue an interrupted estimate, or one with another error or more runs.
+        resume: continue an interrupted estimate, or one with more runs.
 
     Raises:
         UsageError: one line on the first error.
     """
-    if not 0 <= error <= 10:
-        raise UsageError(f'--target-error {error:g}: needs to be within 0..10, as in 0.3')
     if not 1e-12 <= floor <= 0.5:
         raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
     if not 4 <= islands <= 100:
         raise UsageError(f'--islands {islands}: needs to be within 4..100')
-    particles = particles_for(campaign.runs, islands, floor)
+    runs = campaign.runs
     if resume and (before := read_facts(campaign.out)) is not None:
-        told = before.values.get('sampler_options')
-        if before.values.get('sampler') == NAME and isinstance(told, dict):
-            particles = int(float(told.get('particles', particles)))
-    least = LEAST_PARTICLES
-    if particles < least:
-        needed = math.ceil(campaign.runs * least / max(particles, 1)) if particles else 0
-        while particles_for(needed, islands, floor) < least:
+        first = before.values.get('first_runs')
+        runs = first if isinstance(first, int) else runs
+    particles = particles_for(runs, islands, floor)
+    if particles < LEAST_PARTICLES:
+        needed = runs
+        while particles_for(needed, islands, floor) < LEAST_PARTICLES:
             needed += 100
         raise UsageError(
-            f'--runs {campaign.runs}: too few to look for {floor:g} on {islands} islands; use '
+            f'--runs {runs}: too few to look for {floor:g} on {islands} islands; use '
             f'--runs {needed}, or a greater --down-to'
         )
     return make_search_options(
         campaign, sampler=NAME, workers=workers, resume=resume, until=None, budget_min=None,
         sampler_options=[
-            f'particles={particles}', f'islands={islands}', f'error={error!r}', f'floor={floor!r}',
+            f'draws={runs // 2}', f'particles={particles}', f'islands={islands}',
+            f'floor={floor!r}',
         ],
     )
 

@@ -243,7 +243,7 @@ def bench(
     pid: Annotated[
         int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
     ] = None,
-    seed: Annotated[int, typer.Option(help='chaos: random seed')] = 0,
+    seed: Annotated[int, typer.Option(help='chaos, rare: (first) random seed')] = 0,
     trials: Annotated[int | None, typer.Option(min=1, help='chaos: number of trials')] = None,
     trial: Annotated[int | None, typer.Option(min=0, help='chaos: run only this trial')] = None,
 ) -> None:
@@ -261,8 +261,8 @@ def bench(
     `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
     err and how many runs they take.
 
-    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and by
-    plain draws and importance sampling: their errors, and how often intervals cover.
+    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and
+    reports how often the intervals hold, and on which side they miss.
 
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
@@ -298,10 +298,10 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_sequential
 
         raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('rare', words, given):
+    if asks_for_study('rare', words, given, also=('seed',)):
         from taxinet_ros.cli.bench.samplers import run_rare
 
-        raise typer.Exit(run_rare(words[1:], repeats=repeats, as_json=as_json))
+        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 

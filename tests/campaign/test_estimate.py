@@ -7,15 +7,18 @@ import json
 import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import falsify_samples as toy
 import pytest
 
-from taxinet_ros.analysis.search.rare import estimate_of, write_estimate
+from taxinet_ros.analysis.search.rare import estimate_lines, estimate_of, write_estimate
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
 from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_options
+from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -30,11 +33,11 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def options(
-    out: Path, *, resume: bool = False, error: float = 0.0, runs: int = RUNS
+    out: Path, *, resume: bool = False, runs: int = RUNS
 ) -> SearchOptions:
     return toy.options(
         out, runs=runs, sampler='splitting', resume=resume, sampler_options={
-            'particles': '20', 'islands': '4', 'error': repr(error), 'floor': '0.001',
+            'draws': '150', 'particles': '20', 'islands': '4', 'floor': '0.001',
         },
     )
 
@@ -65,7 +68,7 @@ def estimated(
 
 def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_same(tmp_path):
     # Amid the first draws, at their end, amid a level, near the end.
-    killed = {number: tmp_path / f'killed{number}' for number in (3, 80, 100, 240)}
+    killed = {number: tmp_path / f'killed{number}' for number in (3, 150, 200, 240)}
     whole = estimated(options(tmp_path / 'whole'), killed=killed)
     for folder in killed.values():
         assert folder.is_dir()
@@ -85,18 +88,48 @@ def test_given_more_workers_then_table_and_estimate_are_the_same(tmp_path):
     toy.same_table(tmp_path / 'one', tmp_path / 'killed')
 
 
-def test_given_an_error_that_was_reached_when_resumed_with_less_then_more_islands_follow(tmp_path):
+def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_follow(tmp_path):
     out = tmp_path / 'c'
-    first = options(out, error=2.0, runs=520)
-    assert ' islands=4,' in estimated(first)
+    assert ' islands=4,' in estimated(options(out))
     before = read_table(out)['rho']
-    assert ' islands=4,' not in estimated(options(out, resume=True, runs=520))
+    assert ' islands=8,' in estimated(options(out, resume=True, runs=700))
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
+    more = make_estimate_options(
+        CampaignOptions(program='s_falsif', runs=900, seed=0, perception='truth', out=out),
+        floor=0.01, islands=4, workers=1, resume=True,
+    )
+    assert more.sampler_options['draws'] == str(RUNS // 2)
+
+
+def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rests_on():
+    found = RareEstimate(
+        state=State.UNCLEAR, low=2.5e-5, high=0.0022, probability=1e-4, plain='', islands=8,
+        failing=5, runs=3800, drawn=2000, drawn_failed=0, steps=(), curve=(),
+    )
+    judging = SimpleNamespace(headline='near')
+    search = SimpleNamespace(
+        rows=[], options=SimpleNamespace(campaign=SimpleNamespace(judging=judging))
+    )
+    assert estimate_lines(found, search) == [
+        'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '
+        'low',
+        'at least 2.5e-05: of 8 islands 5 found failures; their mean is 0.01 %',
+        'at most 0.22 %: of 2,000 draws of the program itself 0 failed; what all islands missed is '
+        'in no figure but this',
+    ]
+    plainly = dataclasses.replace(
+        found, state=State.ESTIMATED, low=0.011, high=0.049, probability=0.025,
+        plain='4 of the first 200 failed', islands=0, failing=0, drawn=400, drawn_failed=10,
+    )
+    assert estimate_lines(plainly, search) == [
+        'P(near violated) within [1.1 %, 4.9 %] (95 %)',
+        'of 400 draws of the program itself 10 failed, 2.5 %: drawn plainly, as 4 of the first 200 '
+        'failed, and splitting would give no narrower interval',
+    ]
 
 
 @pytest.mark.parametrize(('asked', 'words'), [
-    ({'error': 11.0}, '--target-error 11: needs to be within'),
     ({'floor': 0.6}, '--down-to 0.6: needs to be within'),
     ({'islands': 3}, '--islands 3: needs to be within'),
     ({'floor': 1e-12, 'islands': 8}, 'too few to look for 1e-12 on 8 islands; use --runs '),
@@ -107,5 +140,11 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
     )
     with pytest.raises(UsageError, match=words):
         make_estimate_options(campaign, **{
-            'error': 0.3, 'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
+            'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
         })
+
+
+def test_the_error_at_which_estimates_stopped_is_refused_by_name(capsys):
+    words = ['estimate', 's_falsif', '--target-error', '0.3']
+    assert _exit_code(lambda: app(words, standalone_mode=False)) == 2
+    assert '--target-error: is no option any more' in capsys.readouterr().err

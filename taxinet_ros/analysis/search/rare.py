@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.campaign.rates import TAIL, rate, share_bounds
-from taxinet_ros.campaign.samplers.splitting import RareEstimate, Splitting, State
+from taxinet_ros.campaign.rates import CONFIDENCE
+from taxinet_ros.campaign.samplers.splitting import WIDE, RareEstimate, Splitting, State
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
@@ -24,33 +24,23 @@ JSON_NAME = 'estimate.json'
 
 def estimate_of(search: Search) -> RareEstimate:
     """The estimate of an ended search by ``splitting`` whose Scenic child still runs."""
-    sampler = search.sampler
+    sampler = search.ended_sampler()
     assert isinstance(sampler, Splitting)
     return sampler.estimate()
-
-
-def plain_interval(probability: float, runs: int) -> tuple[float, float]:
-    """The 95 % interval that as many plain draws give if they fail as often as expected."""
-    failures = round(probability * runs)
-    return share_bounds(failures, runs - failures, TAIL)
 
 
 def estimate_values(found: RareEstimate, search: Search) -> dict[str, Any]:
     """The estimate as plain values for JSON."""
     options = search.options
-    plain = plain_interval(found.probability, found.runs) if found.probability else None
     return {
         'program': options.campaign.program, 'perception': search.perception,
         'headline': options.campaign.judging.headline, 'seed': options.campaign.seed,
         'sampler_options': dict(options.sampler_options), 'state': str(found.state),
-        'why': found.why, 'probability': found.probability or None, 'low': found.low,
-        'high': found.high, 'confidence': 1 - 2 * TAIL,
-        'relative_error': _finite(found.relative_error),
+        'low': found.low, 'high': found.high, 'confidence': CONFIDENCE,
+        'probability': found.probability or None, 'drawn_plainly': found.plain,
         'runs': found.runs, 'without_result': _without_result(search),
         'islands': found.islands, 'islands_failing': found.failing,
         'drawn': found.drawn, 'drawn_failed': found.drawn_failed,
-        'drawn_interval': list(rate(found.drawn_failed, found.drawn)[1:]),
-        'plain_interval_for_as_many_runs': plain and list(plain),
         'levels': [
             {
                 'below': _finite(step.below), 'probability': step.probability,
@@ -99,41 +89,33 @@ def interval_words(low: float, high: float) -> str:
 
 
 def estimate_lines(found: RareEstimate, search: Search) -> list[str]:
-    """What to print: probability, what it rests on, plain draws, and the next command."""
-    low, high = found.low, found.high
-    infra = _without_result(search)
-    lines = []
-    name = f'P({search.options.campaign.judging.headline} violated)'
-    if found.state is State.AT_MOST:
-        lines.append(f'{name} at most {probability_words(high)} (95 %): {found.why}')
+    """What to print: the interval, and what each of its ends rests on."""
+    wide = '' if found.state is State.ESTIMATED else (
+        f'; UNCLEAR: more than {WIDE} times as high as low' if found.low else
+        '; UNCLEAR: an upper end only'
+    )
+    of = f'of {found.drawn:,} draws of the program itself {found.drawn_failed} failed'
+    lines = [
+        f'P({search.options.campaign.judging.headline} violated) within '
+        f'{interval_words(found.low, found.high)} (95 %){wide}'
+    ]
+    if found.plain:
+        lines.append(
+            f'{of}, {probability_words(found.probability)}: drawn plainly, as {found.plain}, and '
+            'splitting would give no narrower interval'
+        )
     else:
-        sure = '' if found.state is State.ESTIMATED else f'; UNCLEAR: {found.why}'
+        lines += [
+            f'at least {probability_words(found.low)}: of {found.islands} islands {found.failing} '
+            f'found failures; their mean is {probability_words(found.probability)}',
+        ] if found.islands else []
         lines.append(
-            f'{name} = {probability_words(found.probability)} '
-            f'{interval_words(low, high)} (95 %), relative error {found.relative_error:.2f}{sure}'
+            f'at most {probability_words(found.high)}: {of}; what all islands missed is in no '
+            'figure but this'
         )
-    lines.append(
-        f'{found.runs:,} runs on {found.islands} islands, {found.failing} of which found failures'
-        + (f'; {infra} runs without a result count as moves not made' if infra else '')
-    )
-    lines += [_level_line(number, found) for number in range(len(found.steps))]
-    drawn = rate(found.drawn_failed, found.drawn)
-    lines.append(
-        f'without any assumption: of {found.drawn:,} draws of the program itself '
-        f'{found.drawn_failed} failed {interval_words(drawn.low, drawn.high)}'
-    )
-    if found.state is not State.AT_MOST and found.runs:
-        plain = plain_interval(found.probability, found.runs)
-        times = (plain[1] - plain[0]) / (high - low)
-        lines.append(
-            f'{found.runs:,} plain draws would give about {interval_words(*plain)}, '
-            f'{times:.1f} times as wide'
-        )
-        lines.append(
-            'the interval holds if the islands reach every region of failures; one that none of '
-            'them met is in neither figure but the plain draws'
-        )
-    return lines
+    if infra := _without_result(search):
+        lines.append(f'{infra} runs without a result count as moves not made, and as no draws')
+    return lines + [_level_line(number, found) for number in range(len(found.steps))]
 
 
 def _level_line(number: int, found: RareEstimate) -> str:
@@ -154,9 +136,12 @@ def tail_picture(found: RareEstimate, title: str, headline: str) -> Picture:
         axes = figure.subplots()
         figure.suptitle(title, fontsize=11, wrap=True)
         axes.fill_between(
-            rho, low, high, color=theme.passed, alpha=0.25, linewidth=0, label='95 % interval'
+            rho, low, high, color=theme.passed, alpha=0.25, linewidth=0, label='95 % at each r'
         )
-        axes.plot(rho, mean, color=theme.passed, linewidth=1.8, label='splitting')
+        axes.plot(
+            rho, mean, color=theme.passed, linewidth=1.8,
+            label='share of the draws' if found.plain else 'mean of the islands',
+        )
         for step in found.steps:
             if math.isfinite(step.below):
                 axes.axvline(step.below, color=theme.ink, linewidth=0.7, linestyle=':')
@@ -165,13 +150,10 @@ def tail_picture(found: RareEstimate, title: str, headline: str) -> Picture:
             'fails', (0.0, 1.0), xycoords=('data', 'axes fraction'), xytext=(-4, -12),
             textcoords='offset points', ha='right', fontsize=9, color=theme.failed,
         )
-        if found.state is not State.AT_MOST:
-            axes.errorbar(
-                [0.0], [found.probability],
-                yerr=[[found.probability - found.low], [found.high - found.probability]],
-                color=theme.failed, marker='o', markersize=5, capsize=4,
-                label=f'P(failure) {probability_words(found.probability)}',
-            )
+        axes.vlines(
+            0.0, found.low or low.min(), found.high, color=theme.failed, linewidth=4, alpha=0.6,
+            label=f'P(failure) {interval_words(found.low, found.high)}',
+        )
         axes.set_yscale('log')
         axes.set_ylim(top=1.5)
         axes.set_xlabel(f'robustness r of {headline}')

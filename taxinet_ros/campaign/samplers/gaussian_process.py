@@ -56,8 +56,9 @@ class Features:
             for parent, categories in dimension.when:
                 active |= np.isin(bins[self._numbers[parent]], categories)
             within = np.where(active, given, 0.5)
-            bins.append(np.where(active, np.searchsorted(dimension.edges, within, 'right') - 1, -1))
+            bins.append(np.full(len(given), -1))
             if dimension.discrete:
+                bins[-1][active] = np.searchsorted(dimension.edges, within[active], 'right') - 1
                 taken = bins[-1][:, None] == np.arange(len(dimension.weights))
                 columns.append(taken / math.sqrt(2))
             else:

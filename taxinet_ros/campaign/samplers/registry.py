@@ -248,17 +248,16 @@ SPLITTING = SamplerKind(
     meaning='chains down the levels of robustness: for taxinet estimate',
     make=make_splitting, batched=True,
     options={
+        'draws': Option(
+            meaning='plain draws at first', default=1000, low=10, high=1e9, whole=True,
+        ),
         'particles': Option(
-            meaning='points of an island at each level, a multiple of 5',
-            default=100, low=10, high=1e5, whole=True,
+            meaning='points of the pilot at each level after these, a multiple of 5',
+            default=40, low=10, high=1e5, whole=True,
         ),
         'islands': Option(
-            meaning='independent populations at first; their spread gives the interval',
+            meaning='populations beside a pilot; their mean gives the lower end',
             default=8, low=2, high=100, whole=True,
-        ),
-        'error': Option(
-            meaning='relative standard error at which to stop; 0: after all runs',
-            default=0.3, low=0, high=10,
         ),
         'floor': Option(
             meaning='least probability to look for', default=1e-6, low=1e-12, high=0.5,

@@ -189,6 +189,13 @@ class Lagged:
         """The wrapped sampler."""
         return self._sampler
 
+    def ended(self) -> Sampler:
+        """The wrapped sampler, told all results that arrived; nothing is asked for after it."""
+        for index in sorted(self._waiting):
+            self._sampler.tell(index, self._waiting.pop(index))
+        self._told = self._asked
+        return self._sampler
+
     @property
     def ready(self) -> bool:
         """Whether the results that the next run depends on have arrived."""

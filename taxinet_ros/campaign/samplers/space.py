@@ -12,6 +12,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple, Self
 
@@ -81,11 +82,7 @@ class Dimension:
     @property
     def edges(self) -> tuple[float, ...]:
         """Quantiles 0 … 1 between its bins: its categories, or its buckets."""
-        if not self.discrete:
-            return tuple(number / self.buckets for number in range(self.buckets + 1))
-        total = math.fsum(self.weights)
-        inner = (math.fsum(self.weights[:number]) / total for number in range(len(self.weights)))
-        return (*inner, 1.0)
+        return _edges(self.weights, self.buckets)
 
     @property
     def prior(self) -> tuple[float, ...]:
@@ -95,6 +92,15 @@ class Dimension:
     def bin(self, quantile: float) -> int:
         """Number of the category or bucket that owns a quantile in [0, 1)."""
         return bisect_right(self.edges, quantile) - 1
+
+
+@cache
+def _edges(weights: tuple[float, ...], buckets: int) -> tuple[float, ...]:
+    if not weights:
+        return tuple(number / buckets for number in range(buckets + 1))
+    total = math.fsum(weights)
+    inner = (math.fsum(weights[:number]) / total for number in range(len(weights)))
+    return (*inner, 1.0)
 
 
 class Space(tuple[Dimension, ...]):

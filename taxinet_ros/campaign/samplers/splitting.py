@@ -23,33 +23,29 @@ from taxinet_ros.campaign.samplers.subset_simulation import (
     Island,
     Plan,
     SubsetSimulation,
-    relative_error,
 )
 
 NAME = 'splitting'
 """Its word in the table of samplers."""
-TAIL = 0.025
-"""Tail probability at each end of an interval."""
-CLEAR = 0.5
-"""Relative standard error above which the interval of so few islands is not to be relied on."""
+LOOK_TAIL = 0.0125
+"""Tail probability at each end of an interval.
 
-MISSED = 0.1
-"""Share of islands without a failure above which the result is unclear.
-
-Of 16 estimates of 1e-5 (``taxinet bench rare two``), the three with two such islands of ten and a
-small spread all had intervals that were too low.
+Half of that of a 95 % interval, as the first draws decide whether the result is that of the islands
+or of as many draws again: two looks.
 """
+WIDE = 10
+"""Upper end over the lower one above which an interval is called wide."""
+BETS = np.linspace(0.05, 1.0, 20)
+"""Shares of the stake that :func:`least_mean` bets."""
 
 
 class State(StrEnum):
-    """What an estimate tells."""
+    """A word for the interval, which holds in either case."""
 
     ESTIMATED = 'estimated'
-    """The probability, with its interval."""
+    """Its ends are within a factor of :data:`WIDE`."""
     UNCLEAR = 'unclear'
-    """Failures, but the islands or the plain draws contradict the interval."""
-    AT_MOST = 'at most'
-    """An upper limit only."""
+    """They are not."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,26 +67,26 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RareEstimate:
-    """Probability of failure by splitting.
+    """Probability of failure by splitting, or by plain draws.
 
     Attributes:
-        state, why: what it tells, and why no more; '' if it is estimated.
-        probability: mean over the islands; unbiased up to terms of the order 1/particles.
-        low, high: 95 % interval; 0 and the upper limit if :attr:`state` is ``at most``.
-        relative_error: standard error over the probability; infinite without failures.
-        islands: number of islands; failing: of those that found failures.
+        state: a word for how wide the interval is.
+        low, high: 95 % interval. The upper end is that of the plain draws, whatever the islands
+            found: what all of them lost is in no island.
+        probability: mean of the islands: what they found; or the share of the plain draws.
+        plain: why everything was drawn plainly, or ''.
+        islands: number of islands that count; failing: of those that found failures.
         runs: number of runs spent.
-        drawn, drawn_failed: runs that the program itself drew, and of those the failures.
+        drawn, drawn_failed: runs that the upper end rests on, and of those the failures.
         steps: levels from plain draws down.
-        curve: robustness r, estimated P(robustness <= r), and the ends of its 95 % interval.
+        curve: robustness r, estimated P(robustness <= r), and its 95 % interval, made alike.
     """
 
     state: State
-    why: str
-    probability: float
     low: float
     high: float
-    relative_error: float
+    probability: float
+    plain: str
     islands: int
     failing: int
     runs: int
@@ -100,83 +96,70 @@ class RareEstimate:
     curve: tuple[tuple[float, float, float, float], ...]
 
 
-def log_interval(mean: float, relative: float, islands: int) -> tuple[float, float]:
-    """95 % interval of a mean over islands, symmetric in the logarithm.
+def least_mean(values: Floats, tail: float) -> float:
+    """Lower confidence limit of the mean of non-negative values, whatever their distribution.
 
-    Student's t with ``islands - 1`` degrees of freedom, by the delta method: the estimate of a
-    product of shares is nearly log-normal (Cerou and others 2012, section 3.2).
+    The least mean against which a gambler would not have multiplied the stake by 1/tail, who bets
+    on each value in turn that it is greater, a share of the stake from :data:`BETS` each (Ville,
+    1939; Waudby-Smith and Ramdas, Journal of the Royal Statistical Society B 86, 2024). It needs
+    values whose expectation, given those before, is at most the mean, and holds for any number of
+    them.
 
     Args:
-        mean: mean over the islands, above 0.
-        relative: its relative standard error.
-        islands: number of islands, 2 or more.
+        values: the values, 0 or more.
+        tail: probability that the limit is above the mean.
     """
-    from scipy.special import stdtrit
+    top = float(values.mean()) if len(values) else 0.0
+    if not top:
+        return 0.0
+    low, high = math.log(top) - 40.0, math.log(top)
+    for _ in range(32):
+        middle = (low + high) / 2
+        factors = 1 - BETS[:, None] + BETS[:, None] * values / math.exp(middle)
+        low, high = (middle, high) if factors.prod(axis=1).mean() >= 1 / tail else (low, middle)
+    return math.exp(low)
 
-    reach = float(stdtrit(islands - 1, 1 - TAIL)) * relative
-    return mean * math.exp(-min(reach, 700.0)), min(1.0, mean * math.exp(min(reach, 700.0)))
 
-
-def estimate(
-    islands: Sequence[Island], particles: int, drawn: int, drawn_failed: int
-) -> RareEstimate:
-    """The estimate of a simulation.
+def _interval(found: Floats, hits: int, draws: int, *, plain: bool) -> tuple[float, float]:
+    """95 % interval of a probability.
 
     Args:
-        islands: its islands; those without an end count as an upper limit.
-        particles: points of an island at each level.
-        drawn: number of runs that the program itself drew, with a result.
-        drawn_failed: failures among them.
+        found: the islands' estimates of it.
+        hits: what it is of among the draws of the program itself.
+        draws: their number.
+        plain: whether everything was drawn plainly.
     """
     from scipy.special import betaincinv
 
-    # A later island without its end would be counted only if it was short: a biased choice.
-    used = [one for one in islands if one.levels]
-    ended = [one for one in used if one.failing is not None]
-    plain_high = float(betaincinv(drawn_failed + 1, drawn - drawn_failed, 1 - TAIL)) \
-        if drawn > drawn_failed else 1.0
-    plain_low = float(betaincinv(drawn_failed, drawn - drawn_failed + 1, TAIL)) \
-        if drawn_failed else 0.0
-    values = np.array([one.reached if one.failing is None else one.failing for one in used])
-    mean = float(values.mean()) if len(values) else 0.0
-    relative = relative_error(used, particles) if mean and len(values) > 1 else math.inf
-    state, why = State.ESTIMATED, ''
-    low, high = log_interval(mean, relative, len(values)) if mean else (0.0, 1.0)
-    if len(ended) < len(used) or not used:
-        state, low = State.AT_MOST, 0.0
-        why = f'{len(used) - len(ended)} of {len(used)} islands were not ended'
-        if not used:
-            high = plain_high
-    elif not mean:
-        state, low, why = State.AT_MOST, 0.0, 'no island found a failure'
-        flat = any(one.flat for one in used)
-        reached = np.array([one.reached for one in used])
-        spread = max(float(reached.std(ddof=1)), float(reached.mean()) / math.sqrt(particles))
-        high = log_interval(
-            float(reached.mean()), spread / math.sqrt(len(used)) / float(reached.mean()), len(used)
-        )[1]
-        if flat:
-            high = plain_high
-            why = 'islands ended at equal results: flat robustness, or chains that do not move'
-    elif relative > CLEAR or (values == 0).mean() > MISSED:
-        missed = int((values == 0).sum())
-        state = State.UNCLEAR
-        why = (
-            f'the islands differ too much: relative error {relative:.2f}' if relative > CLEAR else
-            f'{missed} of {len(values)} islands found no failure'
-        )
-    elif high < plain_low or low > plain_high:
-        state = State.UNCLEAR
-        why = (
-            f'of {drawn} draws of the program itself {drawn_failed} failed, which contradicts it; '
-            'a region of failures was missed'
-        )
+    # That of Clopper and Pearson; campaign.rates has it too, but is no floor of the samplers.
+    misses = draws - hits
+    low = float(betaincinv(hits, misses + 1, LOOK_TAIL)) if hits else 0.0
+    high = float(betaincinv(hits + 1, misses, 1 - LOOK_TAIL)) if misses else 1.0
+    least = low if plain else least_mean(found, LOOK_TAIL)
+    # If the ends contradict each other, the islands' is left out.
+    return (least if least < high else low), high
+
+
+def estimate(simulation: SubsetSimulation, drawn: Floats, runs: int) -> RareEstimate:
+    """The estimate of a simulation.
+
+    Args:
+        simulation: the simulation; islands without an end count as without a failure.
+        drawn: robustness of the draws of the program itself that it was told.
+        runs: number of runs spent.
+    """
+    islands = [one for one in simulation.islands if one.wave]
+    plain = bool(simulation.plain) or not islands
+    values = np.array([one.failing or 0.0 for one in islands])
+    failed = int((drawn <= 0).sum())
+    low, high = _interval(values, failed, len(drawn), plain=plain)
+    share = failed / len(drawn) if len(drawn) else 0.0
     return RareEstimate(
-        state=state, why=why, probability=mean if state is not State.AT_MOST else 0.0,
-        low=low, high=high, relative_error=relative if state is not State.AT_MOST else math.inf,
-        islands=len(used), failing=int(sum(bool(one.failing) for one in used)),
-        runs=sum(one.runs for one in islands), drawn=drawn, drawn_failed=drawn_failed,
-        steps=_steps(used), curve=_curve(used, particles),
+        state=State.ESTIMATED if high <= WIDE * low else State.UNCLEAR, low=low, high=high,
+        probability=share if plain else float(values.mean()), plain=simulation.plain,
+        islands=len(islands), failing=int((values > 0).sum()), runs=runs,
+        drawn=len(drawn), drawn_failed=failed, steps=_steps(islands),
+        curve=_curve(islands, drawn, plain=plain),
     )
 
 
@@ -194,24 +177,23 @@ def _steps(islands: Sequence[Island]) -> tuple[Step, ...]:
 
 
 def _curve(
-    islands: Sequence[Island], particles: int
+    islands: Sequence[Island], drawn: Floats, *, plain: bool
 ) -> tuple[tuple[float, float, float, float], ...]:
     """P(robustness <= r) at a hundred values of r, from the least seen to the greatest."""
-    if len(islands) < 2:
-        return ()
-    values = np.concatenate([level.rho for one in islands for level in one.levels])
+    seen = [drawn, *(np.array(level.rho) for one in islands for level in one.levels)]
+    values = np.concatenate(seen)
     values = values[np.isfinite(values)]
     if not len(values):
         return ()
+    ended = [one for one in islands if one.failing is not None]
+    unended = [0.0] * (len(islands) - len(ended))
     curve = []
     for rho in np.unique(np.append(np.quantile(values, np.linspace(0, 1, 100)), 0.0)):
-        shares = np.array([one.probability_below(float(rho)) for one in islands])
-        mean = float(shares.mean())
-        if not mean:
-            continue
-        least = math.sqrt(max(1 - mean, 0.0) / max(mean, 0.1) / particles)
-        relative = max(float(shares.std(ddof=1)) / mean, least) / math.sqrt(len(shares))
-        curve.append((float(rho), mean, *log_interval(mean, relative, len(shares))))
+        hits = int((drawn <= rho).sum())
+        found = np.array([one.probability_below(float(rho)) for one in ended] + unended)
+        mean = hits / len(drawn) if plain else float(found.mean())
+        if mean:
+            curve.append((float(rho), mean, *_interval(found, hits, len(drawn), plain=plain)))
     return tuple(curve)
 
 
@@ -242,9 +224,8 @@ class Splitting:
         self._answers: list[float | None] = [None] * len(self._batch.quantiles)
         self._run_at = np.array(self._batch.quantiles)
         self._places: list[int | None] = []
-        self._drawn: list[bool] = []
         self._attempt = 0
-        self._failed = self._known = 0
+        self._told: dict[int, float] = {}
 
     def needed(self) -> int:
         """Number of results that the next run depends on: all, where a batch begins."""
@@ -263,7 +244,6 @@ class Splitting:
         if self._batch is None:
             raise Exhausted(self.simulation.ended)
         self._places.append(self._next_place)
-        self._drawn.append(self._batch.drawn and self._of_first_wave)
         return self._take()
 
     def again(self) -> Point:
@@ -282,10 +262,9 @@ class Splitting:
 
     def tell(self, index: int, rho: float | None) -> None:
         """Record a result."""
+        if rho is not None:
+            self._told[index] = rho
         place = self._places[index]
-        if self._drawn[index] and rho is not None:
-            self._known += 1
-            self._failed += rho <= 0
         if place is not None and index >= self._first:
             self._answers[place] = rho
 
@@ -293,8 +272,8 @@ class Splitting:
         """None: the density is unknown."""
 
     def drawn(self, index: int) -> bool:
-        """Whether the program itself drew a run: those that begin the first islands."""
-        return self._drawn[index]
+        """Whether the program itself drew a run, whatever the results: the first ones."""
+        return index < self._plan.draws
 
     def learned(self) -> Probabilities:
         """Empty: nothing is learned per dimension."""
@@ -304,13 +283,9 @@ class Splitting:
         """The estimate by the results so far; call it once all runs have ended."""
         if self._batch is not None and self._next_place == len(self._batch.quantiles):
             self._begin_batch()
-        return estimate(
-            self.simulation.islands, self._plan.particles, self._known, self._failed
-        )
-
-    @property
-    def _of_first_wave(self) -> bool:
-        return self.simulation.islands[-1].wave == 0
+        counted = self._plan.draws * (2 if self.simulation.plain else 1)
+        drawn = [rho for index, rho in self._told.items() if index < counted]
+        return estimate(self.simulation, np.array(drawn), len(self._places))
 
     def _take(self) -> Point:
         """The next point of the batch."""
@@ -337,16 +312,21 @@ class Splitting:
 
 
 def particles_for(runs: int, islands: int, floor: float) -> int:
-    """Particles of an island such that ``runs`` suffice down to a probability of ``floor``."""
-    levels = math.ceil(-math.log(floor) / math.log(KEEP))
-    whole = runs / (islands * (1 + (1 - 1 / KEEP) * levels))
+    """Particles of an island such that ``runs`` suffice down to a probability of ``floor``.
+
+    Args:
+        runs: number of runs, half of which are plain draws.
+        islands: number of islands beside the pilot.
+        floor: the probability.
+    """
+    levels = max(1, math.ceil(-math.log(floor) / math.log(KEEP)) - 1)
+    whole = runs / 2 / ((islands + 1) * levels * (1 - 1 / KEEP))
     return int(whole // KEEP * KEEP)
 
 
 def make_splitting(space: Space, seed: int, runs: int, values: Mapping[str, float]) -> Splitting:
     """The sampler with its option values."""
-    particles = int(values['particles']) // KEEP * KEEP
     return Splitting(space, seed, Plan(
-        particles=particles, islands=int(values['islands']), error=values['error'],
-        floor=values['floor'] / 10, runs=runs,
+        draws=int(values['draws']), particles=int(values['particles']) // KEEP * KEEP,
+        islands=int(values['islands']), floor=values['floor'] / 10, runs=runs,
     ))

@@ -1,25 +1,31 @@
 """Probability of rare failures by subset simulation: multilevel splitting with Markov chains.
 
-A failure of probability 1e-6 is a chain of events that are not rare: a robustness below the first
-level (one draw in five), then, given that, below a second, and so on to 0 (Au and Beck,
-Probabilistic Engineering Mechanics 16, 2001; Cerou and others, Statistics and Computing 22, 2012).
-Each level's points are drawn from the program's own distribution conditioned on the level before:
-Markov chains in the unit cube, started at its survivors, that reject every move above the level.
+A failure of probability 1e-5 is a chain of events that are not rare: a robustness below the first
+level, then, given that, below a second, and so on to 0 (Au and Beck, Probabilistic Engineering
+Mechanics 16, 2001; Cerou and others, Statistics and Computing 22, 2012). Each level's points are
+drawn from the program's own distribution conditioned on the level before: Markov chains in the unit
+cube, started at its survivors, that reject every move above the level.
 
-**Islands.** The simulation is repeated on independent populations, the *islands*; their estimates
-have the spread from which the interval is computed. An island that lost a region of failures
-differs from one that kept it, so the interval widens, where the textbook variance of one
-population would see nothing. All islands have the same levels, chosen from the first ones together:
-levels of an island's own would bias its estimate by 1/particles, which no number of islands mends.
+**Plain draws.** Half of the runs are draws of the program itself. They alone say what the islands
+cannot know, how probable a region of failures is that no slope leads to, or that a population lost.
+They are the first level of the islands as well. Where enough of them fail, or their results are
+equal, nothing is gained by chains, and the rest is drawn plainly.
+
+**Islands.** The simulation is repeated on populations, the *islands*. The first one, the *pilot*,
+chooses the levels, the size of the others, the model and the size of moves; it is not counted.
+Given the pilot, the later islands are independent and unbiased: with levels, moves or a model
+chosen by an island's own points it would not be (with its own model, the estimate of 1e-6 was twice
+too great). Their distribution is skewed, as an island may lose most of the probability without a
+sign of it: a region that leads on early levels takes the survivors of one that counts in the end.
+So their agreement tells nothing of what all of them lost. They give a lower end that holds whatever
+their distribution, and no upper end.
 
 **Moves.** A move is cheap where a model can make it: several steps of a Markov chain that takes a
-Gaussian process of all results so far for the robustness, and one run that accepts or rejects their
-end with the exact ratio (the surrogate transition method; Liu, Monte Carlo Strategies in Scientific
-Computing, 2001, section 9.4.3; Christen and Fox, Journal of Computational and Graphical Statistics
-14, 2005). So a wrong model costs acceptance, not correctness, as long as it does not know the chain
-itself: the chain would leave the points it was fitted to. So islands move by the results of others
-(with their own, the estimate of 1e-6 was twice too great). A share of the steps jumps to the
-neighbourhood of another survivor, which is how chains pass between separate regions.
+Gaussian process of the pilot's results for the robustness, and one run that accepts or rejects
+their end with the exact ratio (the surrogate transition method; Liu, Monte Carlo Strategies in
+Scientific Computing, 2001, section 9.4.3; Christen and Fox, Journal of Computational and Graphical
+Statistics 14, 2005). So a wrong model costs acceptance, not correctness. A share of the steps jumps
+to the neighbourhood of another survivor, which is how chains pass between separate regions.
 
 Pure: the caller runs the points. ``P(robustness <= 0)`` is estimated; everything is a function of
 space, seed, options and results.
@@ -45,8 +51,12 @@ from taxinet_ros.campaign.samplers.space import Space, run_generator
 
 KEEP = 5
 """One particle in so many survives a level."""
-ADDED = 2
-"""Islands added at a time after the first ones, until the error is small enough."""
+PLAIN = 2
+"""Failures among the first draws from which on the rest is drawn plainly.
+
+With so many, as many draws again give about as narrow an interval as islands that miss little; with
+more, a narrower one.
+"""
 WINDOW = 200
 """Most results that the model is conditioned on."""
 FITTED = 120
@@ -91,12 +101,10 @@ class Island:
     """One independent population.
 
     Attributes:
-        wave: 0 for the first islands, then 1, 2, ….
+        wave: 0 for the pilot, then 1, 2, ….
         levels: its levels, from plain draws on.
         failing: estimated probability of failure; None before its end.
-        flat: whether it ended at equal results above 0: the robustness is flat there, or all its
-            chains are at one point.
-        runs: number of runs spent.
+        runs: number of runs of its chains.
         quantiles, rho: its points, and their robustness.
         known, results: all its results so far, accepted or not.
     """
@@ -104,7 +112,6 @@ class Island:
     wave: int
     levels: list[Level] = field(default_factory=list)
     failing: float | None = None
-    flat: bool = False
     runs: int = 0
     quantiles: Floats = field(default_factory=lambda: np.empty((0, 0)))
     rho: Floats = field(default_factory=lambda: np.empty(0))
@@ -119,7 +126,7 @@ class Island:
 
     def end(self) -> None:
         """End it, with the failures among its points."""
-        share = float((self.rho <= 0).sum()) / len(self.rho)
+        share = float((self.rho <= 0).mean()) if len(self.rho) else 0.0
         self.failing = self.levels[-1].probability * share
 
     def probability_below(self, rho: float) -> float:
@@ -129,11 +136,6 @@ class Island:
                 share = float(np.searchsorted(level.rho, rho, 'right')) / len(level.rho)
                 return level.probability * share
         raise ValueError('the island has no level')
-
-    @property
-    def reached(self) -> float:
-        """Estimated probability of the last level: at least that of a failure."""
-        return self.levels[-1].probability if self.levels else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,17 +160,18 @@ class Plan:
     """Size of a simulation.
 
     Attributes:
-        particles: points of an island at each level, a multiple of :data:`KEEP`.
-        islands: number of islands in the first wave, 2 or more.
-        error: relative standard error at which to stop; 0 to use all runs.
+        draws: draws of the program itself at first, and as many again if it is drawn plainly.
+        particles: points of the pilot at each level after them, a multiple of :data:`KEEP`; the
+            islands after it have as many as twice the draws suffice for.
+        islands: number of islands after the pilot; as many follow as long as the runs suffice.
         floor: probability below which an island ends without a failure.
         runs: most runs.
     """
 
+    draws: int
     particles: int
     islands: int = 8
-    error: float = 0.0
-    floor: float = 1e-7
+    floor: float = 1e-6
     runs: int = 4000
 
 
@@ -176,7 +179,8 @@ class SubsetSimulation:
     """The simulation, as a generator of batches.
 
     Attributes:
-        islands: the islands so far.
+        islands: the islands so far, the pilot first.
+        plain: why everything is drawn plainly, or ''.
         ended: why it ended, or ''.
     """
 
@@ -189,100 +193,89 @@ class SubsetSimulation:
             plan: its size.
         """
         self.islands: list[Island] = []
+        self.plain = ''
         self.ended = ''
         self._space = space
         self._seed = seed
         self._plan = plan
         self._features = Features(space)
-        self._scale = 0.5
+        self._guides: list[_Guide] = []
         self._moves = 0
         self._runs = 0
         self._levels: list[float | None] = []
+        self._particles = plan.particles
 
     def batches(self) -> Generator[Batch, tuple[Floats, Answers], None]:
         """Yield batches; send the quantiles that were run, shape (n, d), and their results."""
-        wave, size = 0, self._plan.islands
-        while True:
-            islands = [Island(wave=wave) for _ in range(size)]
-            self.islands += islands
-            yield from self._wave(islands)
-            if self.ended or self._enough():
-                return
-            wave, size = wave + 1, ADDED
+        plan = self._plan
+        drawn = yield from self._draw(plan.draws)
+        self.plain = _plain(drawn[1])
+        if self.plain:
+            yield from self._draw(plan.draws)
+            self.ended = 'all plain draws are made; a new estimate with more --runs makes more'
+            return
+        parts = _parts(*drawn, plan.islands + 1)
+        yield from self._wave(parts[:1])
+        levels = max(len(self._levels) - 1, 1)
+        rest = (2 * plan.draws - self._runs) / (plan.islands * levels * (1 - 1 / KEEP))
+        self._particles = max(int(rest) // KEEP, 1) * KEEP
+        fresh = len(parts[0][1]) * plan.islands
+        while not self.ended:
+            yield from self._wave(parts[1:])
+            cost = plan.islands * max(island.runs for island in self.islands)
+            if self._runs + fresh + cost > plan.runs:
+                self.ended = 'the rest of the runs is too few for as many islands again'
+            else:
+                parts = parts[:1] + _parts(*(yield from self._draw(fresh)), plan.islands)
 
-    def _enough(self) -> bool:
-        """Whether to end after a whole wave."""
-        plan, spent = self._plan, [island.runs for island in self.islands]
-        found = [island.failing or 0.0 for island in self.islands]
-        if all(island.flat for island in self.islands):
-            self.ended = 'all islands ended at equal results above 0'
-        elif not any(found):
-            self.ended = f'no failure down to a probability of {plan.floor:g}'
-        elif relative_error(self.islands, plan.particles) <= plan.error:
-            self.ended = f'relative error {plan.error:g} reached'
-        elif self._runs + ADDED * (max(spent) + plan.particles) > plan.runs:
-            self.ended = 'the rest of the runs is too few for another island'
-        return bool(self.ended)
-
-    def _wave(self, islands: list[Island]) -> Generator[Batch, tuple[Floats, Answers], None]:
-        """Take some islands to their end, one level at a time."""
-        count = self._plan.particles
-        size = len(islands) * count
-        nowhere = np.full((size, len(self._space)), np.nan)
+    def _draw(
+        self, count: int
+    ) -> Generator[Batch, tuple[Floats, Answers], tuple[Floats, Floats]]:
+        """Draws of the program itself, and their robustness; NaN without a result."""
+        nowhere = np.full((count, len(self._space)), np.nan)
         quantiles, answers = yield Batch(nowhere, True)
-        self._runs += size
-        known = np.array([math.nan if rho is None else rho for rho in answers])
-        for number, island in enumerate(islands):
-            own = slice(number * count, (number + 1) * count)
-            there = ~np.isnan(known[own])
-            island.quantiles, island.rho = quantiles[own][there], known[own][there]
-            island.runs = count
-            island.learn(quantiles[own], known[own])
-            island.levels.append(_level(math.inf, 1.0, island.rho))
-        yield from self._down(islands)
+        self._runs += count
+        return quantiles, np.array([math.nan if rho is None else rho for rho in answers])
 
-    def _down(self, islands: list[Island]) -> Generator[Batch, tuple[Floats, Answers], None]:
-        """Take islands with plain draws to their end, level by level."""
-        self._end_empty(islands)
+    def _wave(
+        self, parts: Sequence[tuple[Floats, Floats]]
+    ) -> Generator[Batch, tuple[Floats, Answers], None]:
+        """Take islands, each with its part of the plain draws, to their end, level by level."""
+        wave = self.islands[-1].wave + 1 if self.islands else 0
+        islands = [Island(wave=wave) for _ in parts]
+        for island, (quantiles, rho) in zip(islands, parts, strict=True):
+            there = ~np.isnan(rho)
+            island.quantiles, island.rho = quantiles[there], rho[there]
+            island.learn(quantiles, rho)
+            island.levels.append(_level(math.inf, 1.0, island.rho))
+        self.islands += islands
         for number in itertools.count():
             going = [one for one in islands if one.failing is None]
             if not going:
                 return
             if number == len(self._levels):
-                self._choose_level(going)
+                self._choose_level(going[0])
             before = self._levels[number - 1] if number else math.inf
             level = self._levels[number]
-            if level is None or before is None:
-                for one in going:
-                    one.end()
-                return
             seeds = []
             for one in going:
-                live = np.flatnonzero(one.rho < level)
+                live = np.flatnonzero(one.rho < (-math.inf if level is None else level))
                 if len(live):
                     seeds.append((one, live))
                 else:
                     one.end()
             if seeds:
+                assert level is not None
+                assert before is not None
                 yield from self._next_level(seeds, level, before)
 
-    @staticmethod
-    def _end_empty(islands: list[Island]) -> None:
-        """End islands none of whose draws has a result."""
-        for one in islands:
-            if not len(one.rho):
-                one.failing, one.flat = 0.0, True
-
-    def _choose_level(self, going: list[Island]) -> None:
-        """Add the next level, or None where the islands end, from what they have in common."""
-        rho = np.sort(np.concatenate([one.rho for one in going]))
+    def _choose_level(self, pilot: Island) -> None:
+        """Add the next level, or None where the islands end."""
+        rho = np.sort(pilot.rho)
         keep = max(len(rho) // KEEP, 1)
-        below = float(rho[min(keep, len(rho) - 1)])
+        below = float(rho[min(keep, len(rho) - 1)]) if len(rho) else 0.0
         passed = int((rho < below).sum())
-        reached = float(np.mean([one.levels[-1].probability for one in self.islands]))
-        if below > 0 and not passed:
-            for one in going:
-                one.flat = not (one.rho <= 0).any()
+        reached = pilot.levels[-1].probability
         ends = below <= 0 or not passed or reached * passed / len(rho) < self._plan.floor
         self._levels.append(None if ends else below)
 
@@ -291,7 +284,7 @@ class SubsetSimulation:
     ) -> Generator[Batch, tuple[Floats, Answers], None]:
         """Fill the next level of some islands by chains from their survivors."""
         chance = self._chance()
-        keep = self._plan.particles // KEEP
+        keep = self._particles // KEEP
         owner = np.repeat(np.arange(len(going)), keep)
         # Which survivors have one chain more than others, or none, is left to chance.
         seeds = [np.resize(chance.permutation(live), keep) for _, live in going]
@@ -299,49 +292,44 @@ class SubsetSimulation:
         rho = np.concatenate([one.rho[own] for (one, _), own in zip(going, seeds, strict=True)])
         passed = [one.levels[-1].probability * len(live) / len(one.rho) for one, live in going]
         path, heights, accepted = [at], [rho], []
-        share = float(np.mean(passed))
-        guides = [
-            (np.flatnonzero(np.isin(owner, movers)), _Guide(self._space, self._features, donors))
-            for movers, donors in self._helped([one for one, _ in going])
-        ]
-        for _, guide in guides:
-            guide.begin(level, before, self._chance())
+        number, pilot = len(going[0][0].levels) - 1, not going[0][0].wave
+        if pilot:
+            scale = self._guides[-1].scale if self._guides else 0.5
+            self._guides.append(_Guide(
+                self._space, self._features, self.islands[0], level, before, chance, scale
+            ))
+        guide = self._guides[number]
+        guide.learn(chance)
         for _ in range(KEEP - 1):
             chance = self._chance()
-            proposed, ratio = np.array(at), np.ones(len(at))
-            moves, steps = 0.0, 0
-            for chains, guide in guides:
-                expect = guide.survival(share, chance)
-                with blas_threads().limit(limits=1):
-                    proposed[chains], ratio[chains], moved = guide.walk.moved(
-                        at[chains], expect, self._scale, chance
-                    )
-                moves, steps = moves + moved * len(chains), steps + len(chains)
-            self._scale = min(1.0, max(0.02, self._scale * math.exp(0.5 * (moves / steps - 0.3))))
+            proposed, ratio, moved = guide.moved(at, chance)
             still = (proposed == at).all(axis=1)
             tried = np.flatnonzero(~still)
             found = np.full(len(at), math.nan)
             if len(tried):
                 _, answers = yield Batch(proposed[tried], False)
                 found[tried] = [math.nan if one is None else one for one in answers]
-                for number, (island, _) in enumerate(going):
-                    own = tried[owner[tried] == number]
+                for place, (island, _) in enumerate(going):
+                    own = tried[owner[tried] == place]
                     island.learn(proposed[own], found[own])
                 self._runs += len(tried)
             takes = (found < level) & (chance.random(len(at)) < ratio)  # NaN is not below
             at = np.where(takes[:, None], proposed, at)
             rho = np.where(takes, found, rho)
+            if pilot:
+                guide.adapt(moved)
+                guide.learn(chance)
             path.append(at)
             heights.append(rho)
             accepted.append(takes)
-            for number, (island, _) in enumerate(going):
-                island.runs += int((owner[tried] == number).sum())
-        for number, (island, _) in enumerate(going):
-            mine = owner == number
+            for place, (island, _) in enumerate(going):
+                island.runs += int((owner[tried] == place).sum())
+        for place, (island, _) in enumerate(going):
+            mine = owner == place
             island.quantiles = np.vstack([some[mine] for some in path])
             island.rho = np.concatenate([some[mine] for some in heights])
             island.levels.append(_level(
-                level, passed[number], island.rho,
+                level, passed[place], island.rho,
                 float(np.mean([some[mine] for some in accepted])),
             ))
 
@@ -350,85 +338,83 @@ class SubsetSimulation:
         self._moves += 1
         return run_generator(self._seed, self._moves, stream=_STREAM)
 
-    def _helped(self, going: Sequence[Island]) -> list[tuple[list[int], list[Island]]]:
-        """Numbers of islands that move by the results of others, and these others.
 
-        A chain whose moves were chosen with its own past would not keep its distribution. So each
-        half of the first islands moves by the results of the other, later ones by those of all
-        earlier waves.
-        """
-        if wave := going[0].wave:
-            return [(list(range(len(going))), [one for one in self.islands if one.wave < wave])]
-        first = [number for number, one in enumerate(self.islands) if one in going]
-        groups = []
-        for half in range(2):
-            movers = [place for place, number in enumerate(first) if number % 2 == half]
-            if movers:
-                groups.append((movers, self.islands[1 - half::2]))
-        return groups
+def _plain(rho: Floats) -> str:
+    """Why draws with such results are better followed by plain ones than by chains, or ''."""
+    known = np.sort(rho[~np.isnan(rho)])
+    failed = int((known <= 0).sum())
+    if failed >= PLAIN:
+        return f'{failed} of the first {len(known):,} failed'
+    if not len(known) or known[0] == known[len(known) // 50]:
+        return f'the least results of the first {len(known):,} are equal'
+    return ''
+
+
+def _parts(quantiles: Floats, rho: Floats, count: int) -> list[tuple[Floats, Floats]]:
+    """Draws in equal parts, one for each island."""
+    return [
+        (quantiles[own], rho[own]) for own in np.array_split(np.arange(len(rho)), count)
+    ]
 
 
 class _Guide:
-    """Proposes moves, by the results of other islands: their model, and jumps to where they were.
+    """Proposes moves at a level by the results of the pilot: a model, and jumps to where it was.
 
     Attributes:
-        walk: the moves of a level.
+        scale: typical size of a local step [standard deviations], 0..1.
     """
 
-    walk: _Walk
-
-    def __init__(self, space: Space, features: Features, donors: Sequence[Island]) -> None:
+    def __init__(
+        self, space: Space, features: Features, pilot: Island, level: float, before: float,
+        chance: np.random.Generator, scale: float,
+    ) -> None:
+        """Fit the model's length scales around a level."""
+        self.scale = scale
         self._space = space
         self._features = features
         self._model = GaussianProcess(features)
-        self._donors = donors
-        self._level = 0.0
-        self._unit = 1.0
-
-    def begin(self, level: float, before: float, chance: np.random.Generator) -> None:
-        """Fit the model's length scales around a level, and choose where to jump."""
+        self._pilot = pilot
         quantiles, rho = self._results()
-        top = before if math.isfinite(before) or not len(rho) else float(np.median(rho))
+        top = before if math.isfinite(before) else float(np.median(rho))
         self._level, self._unit = level, top - level
         if not (math.isfinite(self._unit) and self._unit > 0):
             self._unit = abs(level) if math.isfinite(level) and level else 1.0
-        inside = chance.permutation(np.flatnonzero(rho < level))[:CENTRES]
-        self.walk = _Walk(self._space, _Jumps(self._space, quantiles[inside]))
         some = self._chosen(rho, FITTED, chance)
         scaled = self._scaled(rho[some])
         if len(set(scaled)) > 1:
             with blas_threads().limit(limits=1):
-                self._model.fit(self._features.of(quantiles[some]), scaled)
+                self._model.fit(features.of(quantiles[some]), scaled)
 
-    def survival(self, share: float, chance: np.random.Generator) -> Callable[[Floats], Floats]:
-        """Expected probability that points are below the level, as the weight of their moves.
-
-        Args:
-            share: estimated probability of the level.
-            chance: random numbers.
-        """
-        from scipy.special import ndtr
-
+    def learn(self, chance: np.random.Generator) -> None:
+        """Condition the model on the pilot's results so far, and choose where to jump."""
         quantiles, rho = self._results()
-        if not len(rho):
-            return lambda points: np.ones(len(points))
+        inside = chance.permutation(np.flatnonzero(rho < self._level))[:CENTRES]
+        self._walk = _Walk(self._space, _Jumps(self._space, quantiles[inside]))
         some = self._chosen(rho, WINDOW, chance)
         known = self._features.of(quantiles[some])
         with blas_threads().limit(limits=1):
-            predict = self._model.conditioned(known, self._scaled(rho[some]), known[:0])
+            self._predict = self._model.conditioned(known, self._scaled(rho[some]), known[:0])
 
-        def expect(points: Floats) -> Floats:
-            mean, deviation = predict(self._features.of(points))
-            found: Floats = np.maximum(ndtr(-mean / deviation), OPEN * share)
-            return found
+    def moved(self, at: Floats, chance: np.random.Generator) -> tuple[Floats, Floats, float]:
+        """Where chains are after some steps; see :meth:`_Walk.moved`."""
+        with blas_threads().limit(limits=1):
+            return self._walk.moved(at, self._survival, self.scale, chance)
 
-        return expect
+    def adapt(self, moved: float) -> None:
+        """Change the size of the steps by the share of them that was accepted."""
+        self.scale = min(1.0, max(0.02, self.scale * math.exp(0.5 * (moved - 0.3))))
+
+    def _survival(self, points: Floats) -> Floats:
+        """Expected probability that points are below the level, as the weight of their moves."""
+        from scipy.special import ndtr
+
+        mean, deviation = self._predict(self._features.of(points))
+        found: Floats = np.maximum(ndtr(-mean / deviation), OPEN / KEEP)
+        return found
 
     def _results(self) -> tuple[Floats, Floats]:
-        """All results of the donors."""
-        quantiles = [some for one in self._donors for some in one.known]
-        rho = [some for one in self._donors for some in one.results]
-        return np.vstack(quantiles), np.concatenate(rho)
+        """All results of the pilot."""
+        return np.vstack(self._pilot.known), np.concatenate(self._pilot.results)
 
     def _scaled(self, rho: Floats) -> Floats:
         """Robustness relative to the level, in units of the way to it."""
@@ -599,25 +585,3 @@ def _uniform(normal: Floats) -> Floats:
 
     found: Floats = np.minimum(ndtr(normal), math.nextafter(1.0, 0.0))
     return found
-
-
-def ideal_error(island: Island, particles: int) -> float:
-    """Relative standard error of one island if all points of each level were independent."""
-    shares = [
-        after.probability / before.probability
-        for before, after in zip(island.levels, island.levels[1:], strict=False)
-    ]
-    if island.failing:
-        shares.append(island.failing / island.reached)
-    return math.sqrt(sum((1 - share) / (share * particles) for share in shares))
-
-
-def relative_error(islands: Sequence[Island], particles: int) -> float:
-    """Relative standard error of the islands' mean: their spread, or the ideal error if greater."""
-    values = np.array([island.failing or 0.0 for island in islands])
-    mean = float(values.mean())
-    if not mean:
-        return math.inf
-    spread = float(values.std(ddof=1)) / mean
-    ideal = max(ideal_error(island, particles) for island in islands)
-    return max(spread, ideal) / math.sqrt(len(values))

@@ -114,12 +114,13 @@ def _print_sequential(found: dict[str, Any], console: Console) -> None:
     )
 
 
-def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+def run_rare(words: Sequence[str], *, repeats: int, seed: int, as_json: bool) -> int:
     """Estimate known probabilities of failure and print.
 
     Args:
         words: landscapes; none for all.
         repeats: estimates for each landscape and probability.
+        seed: of the first of them.
         as_json: print JSON.
 
     Returns:
@@ -128,42 +129,37 @@ def run_rare(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
     Raises:
         UsageError: an unknown landscape, or ``repeats`` below 1.
     """
-    return run_with_progress(partial(measure_rare, words, repeats), _print_rare, as_json=as_json)
+    return run_with_progress(
+        partial(measure_rare, words, repeats, seed=seed), _print_rare, as_json=as_json
+    )
 
 
 def _print_rare(found: dict[str, Any], console: Console) -> None:
     console.print(
-        f'{found["repeats"]} estimates for each line, of at most {found["most_runs"]:,} runs; '
-        'error, coverage: splitting, plain draws, importance sampling with as many runs',
-        soft_wrap=True,
+        f'{found["repeats"]} estimates for each line, of at most {found["most_runs"]:,} runs'
     )
-    table = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
     table.add_column('landscape', no_wrap=True)
-    for heading in ('fails', 'runs', 'error', 'plain', 'i.s.', 'clear', 'covers', '95 %', 'all',
-                    'plain', 'i.s.', 'bias', 'gain'):
+    for heading in ('fails', 'runs', 'plain', 'holds', '95 %', 'miss', 'ends', 'all plain', 'gain'):
         table.add_column(heading, justify='right', no_wrap=True)
     last = ''
     for one in found['rare']:
         split = one['splitting']
-        share = split['covers_clear']
         table.add_row(
             '' if one['landscape'] == last else one['landscape'], f'{one["probability"]:.0e}',
-            f'{one["runs"]:,.0f}', *(f'{one[method]["error"]:.2f}' for method in METHODS),
-            f'{split["clear"]:.0%}',
-            *(('', '') if share is None else (
-                f'{share:.0%}',
-                f'{100 * split["covers_clear_low"]:.0f}–{100 * split["covers_clear_high"]:.0f}',
-            )),
-            *(f'{one[method]["covers"]:.0%}' for method in METHODS),
-            f'{100 * split["bias"]:+.0f} %', f'{split["gain"]:.2g}',
+            f'{one["runs"]:,.0f}', f'{one["plainly"]:.0%}', f'{split["covers"]:.1%}',
+            f'{100 * split["covers_low"]:.0f}–{100 * split["covers_high"]:.0f}',
+            f'{split["above"]}/{split["below"]}',
+            *(f'{one[method]["low"]:.2g}–{one[method]["high"]:.2g}' for method in METHODS),
+            f'{split["gain"]:.2g}',
         )
         last = one['landscape']
     console.print(table)
     console.print(
-        'error: median relative error; clear: estimates that claim their interval, and how many of '
-        'these cover (95 % interval of this share); all: how many of all cover, the unclear '
-        'included; bias: of the mean; gain: runs that plain draws need for the same mean square '
-        'error, over those spent', style='dim', soft_wrap=True,
+        'plain: estimates that drew plainly; holds: intervals that contain the probability, with a '
+        '95 % interval of this share; miss: how many the probability is above/below of; ends: '
+        'medians over the probability, and those of as many plain draws; gain: runs that plain '
+        'draws need for the same mean square error, over those spent', style='dim', soft_wrap=True,
     )
     for name in dict.fromkeys(one['landscape'] for one in found['rare']):
         console.print(f'{name}: {RARE[name].meaning}', style='dim', soft_wrap=True)

@@ -33,8 +33,8 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
         as_json: print the result as JSON, and all else on standard error.
 
     Returns:
-        Exit code: 0 estimated with the error asked for, 3 an upper limit, unclear, or a greater
-        error, 4 runs without a result ended it, 130 interrupted.
+        Exit code: 0 estimated, 3 a wide interval, 4 runs without a result ended it, 130
+        interrupted.
 
     Raises:
         UsageError: bad input.
@@ -56,44 +56,32 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
         table, picture = write_estimate(found, search)
         values = estimate_values(found, search)
         told = estimate_lines(found, search)
-    asked = float(options.sampler_options['error'])
     if as_json:
         print(json.dumps(values, indent=2, allow_nan=False))
     console.print('\n'.join(told), soft_wrap=True, markup=False)
     files = f'written: {table}' + (f', {picture.name}' if picture is not None else '')
     console.print(files, soft_wrap=True, markup=False)
-    for line in _next_lines(found, search, asked):
+    for line in _next_lines(found, search):
         console.print(line, soft_wrap=True, markup=False)
     if not whole:
         return ExitCode.INTERRUPTED
     if not search.exhausted and search.stopped:
         return ExitCode.INFRA
-    reached = found.state is State.ESTIMATED and found.relative_error <= asked
-    return ExitCode.OK if reached else ExitCode.INCOMPLETE
+    return ExitCode.OK if found.state is State.ESTIMATED else ExitCode.INCOMPLETE
 
 
-def _next_lines(found: RareEstimate, search: Search, asked: float) -> Sequence[str]:
+def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
     """Why it ended, and the next useful command."""
     options = search.options
     out = shlex.quote(str(options.campaign.out))
-    runs = options.campaign.runs
     why = 'interrupted' if search.interrupted else search.stopped
     lines = [f'ended: {why}'] if why else []
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
     if search.interrupted or (search.stopped and not search.exhausted):
         lines.append('next: the same command with --resume continues it')
-    elif found.state is State.AT_MOST and not search.exhausted:
-        lines.append(
-            f'next: the same command with --resume and --runs {2 * runs}; its islands were cut off'
-        )
-    elif found.state is State.UNCLEAR or (
-        found.state is State.ESTIMATED and found.relative_error > asked > 0
-    ):
-        more = max(2.0, (found.relative_error / (asked or found.relative_error)) ** 2)
-        lines.append(
-            'next: the same command with --resume and --runs '
-            f'{round(runs * min(more, 10.0), -2):.0f}'
-        )
+    elif found.state is State.UNCLEAR:
+        more = '' if found.plain else '; --resume with more --runs adds islands, for the lower one'
+        lines.append(f'next: a new estimate with more --runs narrows both ends{more}')
     elif failed:
         worst = min(failed, key=lambda row: row.headline[1] if row.headline else 0.0)
         lines.append(
