@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from taxinet_ros.analysis.gate import further_runs as gate_further_runs
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import CONFIDENCE, ProgramRate, rate_of
 from taxinet_ros.campaign.sample_size import (
@@ -142,8 +141,6 @@ class Planned:
         powered: the shortest plan with the wanted chance, if a true share is assumed.
         any_look: runs without failure that ``gate`` takes without ``--planned``, as it keeps half
             of its error for other looks.
-        at_share: further runs by which ``gate`` decides if the share of the campaign stays the
-            same; None if too many, or decided.
         by_sequential: further runs without a failure that ``gate --sequential`` takes.
         sequential: a test designed for the assumed share; None without one, or if it takes too
             long to compute.
@@ -161,7 +158,6 @@ class Planned:
     found: ProgramRate | None = None
     further: tuple[Further, ...] = ()
     likely: Further | None = None
-    at_share: int | None = None
     by_sequential: int | None = None
 
 
@@ -217,16 +213,9 @@ def plan_claim(
             _further(claim, found, failures) for failures in allowed
         ),
         likely=None if found is None else _likely(claim, found),
-        at_share=None if found is None else gate_further_runs(
-            good_of(found), 1 - claim.limit, claim.confidence),
         by_sequential=None if found is None else further_runs(
             found.drawn, found.drawn_hits, claim.limit, claim.confidence, 0),
     )
-
-
-def good_of(bad: ProgramRate) -> ProgramRate:
-    """The rate of the other runs."""
-    return replace(bad, hits=bad.runs - bad.hits, drawn_hits=bad.drawn - bad.drawn_hits)
 
 
 def _allowed(most: int) -> Sequence[int]:

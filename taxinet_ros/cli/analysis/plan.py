@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.analysis.gate import further_words
+from taxinet_ros.analysis.gate import further_runs, further_words
 from taxinet_ros.analysis.plan import (
     Claim,
     Further,
     Planned,
-    good_of,
     hopeless,
     parse_so_far,
     plan_claim,
@@ -152,8 +152,10 @@ def _print_further(
         console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}',
                       soft_wrap=True)
     if found.drawn_hits:
-        words = further_words(good_of(found), planned.at_share)
-        console.print(f'to decide: {words}', soft_wrap=True)
+        good = replace(
+            found, hits=found.runs - found.hits, drawn_hits=found.drawn - found.drawn_hits)
+        more = further_runs(good, 1 - claim.limit, claim.confidence)
+        console.print(f'to decide: {further_words(good, more)}', soft_wrap=True)
     alone = '' if planned.by_sequential is None else (
         f'; judged from its first run by --sequential alone, {planned.by_sequential:,} without a '
         'failure'
@@ -206,7 +208,7 @@ def _json(planned: Planned) -> dict[str, Any]:
             'runs': found.runs, 'drawn': found.drawn, 'bad': found.drawn_hits, 'low': low,
             'high': high, 'number_fixed': not found.anytime, 'claim_is_false': hopeless(planned),
             'further': [dataclasses.asdict(one) for one in planned.further],
-            'at_share': planned.at_share, 'further_by_sequential': planned.by_sequential,
+            'further_by_sequential': planned.by_sequential,
             'likely': planned.likely and dataclasses.asdict(planned.likely),
         }
     return told

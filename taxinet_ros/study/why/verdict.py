@@ -263,9 +263,9 @@ def _whose(evidence: Evidence, fault: Fault) -> str:
             )
         case Fault.NETWORK:
             return (
-                f'The network {evidence.network} is at fault, not the controller: {counted} with '
-                f'perfect estimates{"," if one else ""} {"satisfies" if one else "satisfy"} '
-                f'{spec}{shares(blames.network)}.'
+                f'The network {evidence.network} is at fault in the failures examined, not the '
+                f'controller: {counted} with perfect estimates{"," if one else ""} '
+                f'{"satisfies" if one else "satisfy"} {spec}{shares(blames.network)}.'
             )
         case Fault.CONTROLLER:
             return (

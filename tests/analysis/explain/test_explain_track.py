@@ -80,6 +80,8 @@ def test_given_errors_then_words_tell_the_side():
     assert error_words(TrackingError(cte_m=-0.01, he_rad=0.0)) == '0.0 m, nose 0°'
     assert error_words(NO_ESTIMATE) == 'no estimate'
     # Thought to be too far left, the aircraft is turned to the right.
-    assert misled_words(math.radians(12)) == 'steered 12° too far right'
-    assert misled_words(math.radians(-12)) == 'steered 12° too far left'
+    assert misled_words(math.radians(12)) == (
+        'the estimate asks for a heading 12° too far right')
+    assert misled_words(math.radians(-12)) == (
+        'the estimate asks for a heading 12° too far left')
     assert misled_words(math.nan) == 'no estimate, so the aircraft brakes'

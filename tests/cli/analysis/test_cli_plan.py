@@ -67,7 +67,9 @@ def test_given_runs_so_far_then_the_further_ones_are_those_of_gate(taxinet):
     assert 'the claim holds already: taxinet gate --min-satisfaction 0.99' in said
 
 
-@pytest.mark.parametrize(('passed', 'open_ended'), [(30, False), (30, True), (1, False), (60, True)])
+@pytest.mark.parametrize(('passed', 'open_ended'), [
+    (30, False), (30, True), (1, False), (60, True),
+])
 def test_gate_and_plan_count_the_same_further_runs(passed, open_ended):
     runs = campaign(passed, 0)
     options = GateOptions(min_satisfaction=0.9)
@@ -87,9 +89,9 @@ def test_gate_and_plan_count_the_same_further_runs(passed, open_ended):
 def test_thirty_satisfied_runs_are_told_alike_by_gate_and_plan(tmp_path, taxinet):
     found = gate_result(campaign(30, 0).rows, GateOptions(min_satisfaction=0.9), planned=30)
     assert found.criteria[0].sentence == (
-        '100.00 % of 30 runs are satisfied: at least 88.43 % and at most 100.00 % (97.5 % one-sided '
-        'each, as you may look again; if you look once, --planned: 90.50 % and 100.00 %); 14 more '
-        'runs needed, without a failure')
+        '100.00 % of 30 runs are satisfied: at least 88.43 % and at most 100.00 % (97.5 % '
+        'one-sided each, as you may look again; if you look once, --planned: 90.50 % and 100.00 %); '
+        '14 more runs needed, without a failure')
     once = gate_result(campaign(30, 0).rows, GateOptions(
         min_satisfaction=0.9, look=Look.PLANNED), planned=30)
     assert once.verdict is Verdict.PASS

@@ -80,7 +80,8 @@ def test_given_all_trials_pass_then_the_interval_is_that_of_clopper_and_pearson(
     whose, where, sure = judge(evidence(blames=Blames(network=16), causes=(WET,))).sentences
     # 1 - 0.025 ** (1 / 16) = 0.206 can be at fault otherwise.
     assert whose == (
-        'The network original is at fault, not the controller: all 16 failed runs driven again '
+        'The network original is at fault in the failures examined, not the controller: all 16 '
+        'failed runs driven again '
         'with perfect estimates satisfy phi (95 % interval 79–100 %).'
     )
     assert 'rain of 37 % or more' in where
