@@ -222,7 +222,7 @@ class Cause:
         region: region of the scenes.
         rank: 1 for the cause found first.
         inside, outside: failure rates inside and outside the region, among the runs that lie in no
-            earlier cause.
+            earlier cause, nor in its rim.
         whole: failure rate of all runs in the region, including those in earlier causes.
         share: share of all failures that lie in the region.
         added: share of all failures that lie in the region and in no earlier cause.
@@ -301,7 +301,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
     again = len(runs.frame) - len(frame)
     failed = frame['failed'].to_numpy(dtype=bool)
-    left = np.ones(len(frame), dtype=bool)
+    left, covered = np.ones(len(frame), dtype=bool), np.zeros(len(frame), dtype=bool)
     searched = not set(runs.sampler.split(', ')) <= _OUTCOME_BLIND_SAMPLERS
     # Neither scenes chosen by outcomes nor runs left out by theirs give intervals.
     free = not searched and not runs.undecided
@@ -329,15 +329,14 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         found.append(Cause(
             region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
             outside=_rate(failed[beyond], deviance), whole=_rate(failed[within], deviance),
-            share=float(within[failed].mean()), added=float(inside[failed].mean()),
+            share=float(within[failed].mean()), added=float((within & ~covered)[failed].mean()),
             associated=_associated(failed, within, deviance), p=p, p_is_bound=bound,
         ))
+        covered |= within
     if not found:
         slack = _OF_ALL if free else math.nan
-    in_none = ~np.any([np.zeros(len(frame), dtype=bool),
-                       *(cause.region.mask(frame) for cause in found)], axis=0)
     return Causes(
-        found=tuple(found), rest=_rate(failed[in_none], slack), why_not=why_not,
+        found=tuple(found), rest=_rate(failed[~covered], slack), why_not=why_not,
         candidates=candidates, searched=searched, again=again,
     )
 

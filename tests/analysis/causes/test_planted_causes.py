@@ -200,6 +200,8 @@ def test_the_rim_of_a_cause_is_no_further_cause(tmp_path):
         assert (one & other).sum() <= 0.5 * (one | other).sum()
     beyond = ~np.any(masks, axis=0)
     assert causes.rest.runs == beyond.sum(), 'the rim is outside all causes'
+    failed = frame['failed'].to_numpy()
+    assert causes.explained == pytest.approx(1 - failed[beyond].sum() / failed.sum())
 
 
 @pytest.mark.parametrize(('runs', 'failing', 'words'), [

@@ -90,8 +90,8 @@ def test_thirty_satisfied_runs_are_told_alike_by_gate_and_plan(tmp_path, taxinet
     found = gate_result(campaign(30, 0).rows, GateOptions(min_satisfaction=0.9), planned=30)
     assert found.criteria[0].sentence == (
         '100.00 % of 30 runs are satisfied: at least 88.43 % and at most 100.00 % (97.5 % '
-        'one-sided each, as you may look again; if you look once, --planned: 90.50 % and 100.00 %); '
-        '14 more runs needed, without a failure')
+        'one-sided each, as you may look again; if you look once, --planned: 90.50 % and 100.00 '
+        '%); 14 more runs needed, without a failure')
     once = gate_result(campaign(30, 0).rows, GateOptions(
         min_satisfaction=0.9, look=Look.PLANNED), planned=30)
     assert once.verdict is Verdict.PASS
