@@ -450,32 +450,45 @@ class SearchScan(Scan):
 
     def p_given(self, feature: str, rng: np.random.Generator) -> float:
         """Like that of the base class, with few cells, as the rate of each is unknown."""
-        crossed = [(block, axis) for block in self._of_family(_TWO) for axis in block.axes
-                   if axis.part.feature == feature]
-        blocks = [block for block, _ in crossed]
-        return _p_of(self._log_evidence(blocks, crossed[0][1].places)) if crossed else 1.0
+        every = [self._evidence_given(block, axis) for block in self._of_family(_TWO)
+                 for axis in range(2) if block.axes[axis].part.feature == feature]
+        return _p_of(_log_mean(np.concatenate(every))) if every else 1.0
+
+    def _evidence_given(self, block: _Block, axis: int) -> Floats:
+        """Log e-value of each candidate against 'one rate in each cell of one of the axes'.
+
+        A cell of which a candidate has all or nothing says nothing and is left out.
+        """
+        sizes = [each.members.shape[1] for each in block.axes]
+        cell_of = np.indices(sizes)[axis].ravel()
+        total = np.zeros(len(block.inside))
+        for cell in range(sizes[axis]):
+            there = cell_of == cell
+            parts = _counts(block.axes, there.astype(np.float32)[:, None])[:, 0]
+            runs = block.axes[axis].places == cell
+            rows = np.array([runs, runs & self._failed], dtype=np.float32)
+            inside, failures = block.failures(rows).T
+            evidence = log_evidence(failures, inside, int(rows[1].sum()), int(rows[0].sum()))
+            total += np.where((parts > 0) & (parts < there.sum()), evidence, 0.0)
+        return total
 
     def _of_family(self, family: int) -> list[_Block]:
         return [block for block in self._blocks if block.family == family]
 
-    def _log_evidence(self, blocks: Sequence[_Block], cells: Ints | None = None) -> float:
-        """Log of the mean e-value of all candidates against 'one rate in each cell'."""
-        cells = np.zeros(len(self._failed), dtype=np.int64) if cells is None else cells
-        of_cell = np.arange(cells.max() + 1)[:, None] == cells
-        every: list[Floats] = []
-        for block in blocks:
-            inside = block.failures(of_cell.astype(np.float32))
-            failures = block.failures((of_cell & self._failed).astype(np.float32))
-            every.append(np.sum([
-                log_evidence(failures[:, cell], inside[:, cell],
-                             int((runs & self._failed).sum()), int(runs.sum()))
-                for cell, runs in enumerate(of_cell)], axis=0))
-        evidence = np.concatenate(every)
-        return float(logsumexp(evidence)) - math.log(len(evidence))
+    def _log_evidence(self, blocks: Sequence[_Block]) -> float:
+        """Log of the mean e-value of all candidates against 'one rate'."""
+        rows = self._failed[None, :].astype(np.float32)
+        return _log_mean(np.concatenate([
+            log_evidence(block.failures(rows)[:, 0], block.inside, int(self._failed.sum()),
+                         len(self._failed)) for block in blocks]))
 
 
-def _p_of(log_evidence_: float) -> float:
-    return min(1.0, math.exp(-log_evidence_))
+def _log_mean(evidence: Floats) -> float:
+    return float(logsumexp(evidence)) - math.log(len(evidence))
+
+
+def _p_of(evidence: float) -> float:
+    return math.exp(-max(evidence, 0.0))
 
 
 def least_runs(runs: int) -> int:

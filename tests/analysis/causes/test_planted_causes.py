@@ -36,12 +36,13 @@ from taxinet_ros.analysis.causes.region import (
 )
 from taxinet_ros.analysis.causes.scan import (
     Scan,
+    SearchScan,
     hoeffding_bound,
     likelihood_ratio,
     log_evidence,
 )
 from taxinet_ros.analysis.runs.campaign import runs_of
-from taxinet_ros.bench.causes import measure
+from taxinet_ros.bench.causes import Landscape, measure, searched
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
@@ -603,3 +604,13 @@ def test_given_a_file_of_ones_own_that_goes_then_a_causes_program_has_the_whole_
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():
     assert tuple(part_of(part.to_json()) for part in PARTS) == PARTS
+
+
+def test_in_a_search_too_a_feature_that_matters_is_told_from_one_that_does_not():
+    """The sampler follows failures into some hours, so shuffled outcomes would not do."""
+    hours = Landscape(rate=lambda t: np.where(t['time_of_day_h'] < 9, 0.7, 0.05))
+    for seed in range(3):
+        scan = SearchScan(searched('ce', 200, seed, hours).frame)
+        rng = np.random.default_rng(0)
+        assert scan.p_given('time_of_day_h', rng) > 0.05
+        assert scan.p_given('heading_deg', rng) < 0.01
