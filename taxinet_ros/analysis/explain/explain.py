@@ -403,7 +403,7 @@ def _cause(found: Explanation) -> Iterator[str]:
     if abs(worst.misled_rad) < _HARDLY_RAD:
         yield (
             'While the aircraft was on the runway, the network misled the steering law by '
-            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most{_of_outcome(found.outcome)}.'
+            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most{outcome_words(found.outcome)}.'
         )
         return
     if not found.effects:
@@ -431,8 +431,8 @@ def _cause(found: Explanation) -> Iterator[str]:
     yield from _others(found, blamed)
 
 
-def _of_outcome(outcome: str) -> str:
-    """What small errors of the network mean for a run."""
+def outcome_words(outcome: str) -> str:
+    """Display text of what small errors of the network mean for a run with this outcome."""
     if outcome == Outcome.PASS:
         return ', and the run passed'
     failed = 'the run failed, but' if outcome == Outcome.FAIL else 'if the run failed,'
