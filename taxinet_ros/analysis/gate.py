@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from taxinet_ros.campaign.rates import (
+    CONFIDENCE,
     Planned,
     ProgramRate,
     anytime_bounds,
@@ -61,6 +62,7 @@ from taxinet_ros.core.provenance import words
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 
+_SATISFIED = 'satisfied'
 MOST_RUNS = 10**7
 """Maximum number of additional runs suggested."""
 
@@ -120,7 +122,7 @@ class GateOptions:
     min_satisfaction: float | None = None
     max_off_runway: float | None = None
     max_infra: int = 0
-    confidence: float = 0.95
+    confidence: float = CONFIDENCE
     look: Look = Look.ANY
     design: float | None = None
     margin: float | None = None
@@ -292,6 +294,8 @@ def _with_next(one: Criterion, options: GateOptions, folder: str) -> Criterion:
         command = ['plan', folder, '--max-off-runway', f'{options.max_off_runway:g}']
     else:
         command = ['plan', folder, '--min-satisfaction', f'{options.min_satisfaction:g}']
+    if command[0] == 'plan' and options.confidence != CONFIDENCE:
+        command += ['--confidence', f'{options.confidence:g}']
     return replace(one, next=shlex.join(['taxinet', *command]))
 
 
@@ -354,7 +358,7 @@ def _criterion(
     else:
         verdict = Verdict.INCONCLUSIVE
         more = None if planned else further_runs(good, threshold, options.confidence)
-    name, shown, limit = 'satisfied', found, threshold
+    name, shown, limit = _SATISFIED, found, threshold
     if off:
         shown = Bounds(1 - found.share, 1 - found.high, 1 - found.low)
         name, limit = 'off the runway', options.max_off_runway or 0.0
@@ -443,7 +447,6 @@ def _sentence(
     name: str, shown: Bounds, good: ProgramRate, options: GateOptions, verdict: Verdict,
     more: int | None,
 ) -> str:
-    confidence = options.confidence
     if options.look is Look.PLANNED and (good.anytime or not good.runs):
         return (
             f'{good.drawn:,} runs are not the number that was planned before the first one, so '
@@ -455,16 +458,39 @@ def _sentence(
     if not good.drawn:
         return good.why_not
     text = (
-        f'{_percent(shown.share)} of {good.drawn:,} runs are {name}; with {100 * confidence:g} % '
-        f'confidence each, at least {_percent(shown.low)} and at most {_percent(shown.high)}'
+        f'{_percent(shown.share)} of {good.drawn:,} runs are {name}: at least '
+        f'{_percent(shown.low)} and at most {_percent(shown.high)} '
+        f'({_confidence_words(name, good, options)})'
     )
     if verdict is not Verdict.INCONCLUSIVE:
         return text
     if options.look is Look.PLANNED:
         return f'{text}; more runs would need another campaign, or no --planned'
+    return f'{text}; {further_words(good, more)}'
+
+
+def _confidence_words(name: str, good: ProgramRate, options: GateOptions) -> str:
+    """Confidence of both bounds, and what they would be for a single look."""
+    if options.look is Look.PLANNED:
+        return f'{100 * options.confidence:g} % one-sided each, as you look once'
+    each = f'{50 * (1 + options.confidence):g} % one-sided each'
+    if good.anytime:
+        return f'{each}, at any number of runs, as you may look again'
+    once = bounds(good, options.confidence, Look.PLANNED)
+    low, high = (once.low, once.high) if name == _SATISFIED else (1 - once.high, 1 - once.low)
+    return (
+        f'{each}, as you may look again; if you look once, --planned: {_percent(low)} and '
+        f'{_percent(high)}'
+    )
+
+
+def further_words(good: ProgramRate, more: int | None) -> str:
+    """How many further runs would decide, of :func:`further_runs`."""
     if more is None:
-        return f'{text}; too close to the threshold for any realistic number of runs'
-    return f'{text}; about {_rounded(more):,} more runs needed if the share stays the same'
+        return 'too close to the threshold for any realistic number of runs'
+    if good.drawn_hits == good.drawn:
+        return f'{more:,} more runs needed, without a failure'
+    return f'about {_rounded(more):,} more runs needed if the share stays the same'
 
 
 def _percent(share: float) -> str:

@@ -1,7 +1,8 @@
 """Plan a campaign for a claim: how many runs, from the start or after those there are.
 
 The numbers are those of :mod:`taxinet_ros.campaign.sample_size` (a fixed number, or more after a
-look) and :mod:`taxinet_ros.campaign.sequential` (a test that stops by itself).
+look) and :mod:`taxinet_ros.campaign.sequential` (a test that stops by itself). Further runs are
+those that ``gate`` takes, which spends half of its error on looks after the planned one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.rates import ProgramRate, rate_of, share_bounds
+from taxinet_ros.campaign.rates import CONFIDENCE, ProgramRate, rate_of
 from taxinet_ros.campaign.sample_size import (
     MOST_FURTHER,
     Plan,
@@ -53,7 +54,7 @@ class Claim:
 
     criterion: str
     threshold: float
-    confidence: float = 0.95
+    confidence: float = CONFIDENCE
     if_true: float | None = None
     power: float = 0.9
     failures: int | None = None
@@ -85,6 +86,11 @@ class Claim:
     def limit(self) -> float:
         """Largest share of bad runs."""
         return self.bad(self.threshold)
+
+    @property
+    def any_look(self) -> float:
+        """Confidence of each of the two kinds of looks of a gate."""
+        return (1 + self.confidence) / 2
 
     @property
     def truth(self) -> float | None:
@@ -135,6 +141,7 @@ class Planned:
         powered: the shortest plan with the wanted chance, if a true share is assumed.
         any_look: runs without failure that ``gate`` takes without ``--planned``, as it keeps half
             of its error for other looks.
+        by_sequential: further runs without a failure that ``gate --sequential`` takes.
         sequential: a test designed for the assumed share; None without one, or if it takes too
             long to compute.
         found: rate of bad runs of the campaign, if there is one.
@@ -151,6 +158,7 @@ class Planned:
     found: ProgramRate | None = None
     further: tuple[Further, ...] = ()
     likely: Further | None = None
+    by_sequential: int | None = None
 
 
 def parse_so_far(text: str) -> ProgramRate:
@@ -198,13 +206,15 @@ def plan_claim(
         claim=claim,
         fixed=tuple(_plan(claim, failures) for failures in allowed),
         powered=powered,
-        any_look=fewest_runs(claim.limit, (1 + claim.confidence) / 2),
+        any_look=fewest_runs(claim.limit, claim.any_look),
         sequential=_sequential(claim, powered),
         found=found,
         further=() if found is None else tuple(
             _further(claim, found, failures) for failures in allowed
         ),
         likely=None if found is None else _likely(claim, found),
+        by_sequential=None if found is None else further_runs(
+            found.drawn, found.drawn_hits, claim.limit, claim.confidence, 0),
     )
 
 
@@ -252,8 +262,9 @@ def _found(claim: Claim, campaign: RecordedCampaign) -> ProgramRate:
 
 
 def _further(claim: Claim, found: ProgramRate, failures: int) -> Further:
-    drawn = further_runs(
-        found.drawn, found.drawn_hits, claim.limit, claim.confidence, failures
+    shown = not failures and found.bounds(1 - claim.any_look)[1] <= claim.limit
+    drawn = 0 if shown else further_runs(
+        found.drawn, found.drawn_hits, claim.limit, claim.any_look, failures
     )
     if drawn is None:
         return Further(failures=failures, drawn=None, runs=None, chance=None)
@@ -268,7 +279,7 @@ def _further(claim: Claim, found: ProgramRate, failures: int) -> Further:
 def _likely(claim: Claim, found: ProgramRate) -> Further | None:
     truth = found.drawn_hits / found.drawn if claim.truth is None else claim.truth
     plan = further_plan(
-        found.drawn, found.drawn_hits, claim.limit, claim.confidence, truth=truth,
+        found.drawn, found.drawn_hits, claim.limit, claim.any_look, truth=truth,
         power=claim.power,
     )
     return None if plan is None else Further(
@@ -286,9 +297,4 @@ def two_sided(found: ProgramRate) -> tuple[float, float]:
 def hopeless(planned: Planned) -> bool:
     """Whether the campaign shows that the claim is false, at the claim's confidence."""
     found, claim = planned.found, planned.claim
-    if found is None:
-        return False
-    if found.anytime:
-        return found.bounds(1 - claim.confidence)[0] > claim.limit
-    good = found.drawn - found.drawn_hits
-    return share_bounds(found.drawn_hits, good, 1 - claim.confidence)[0] > claim.limit
+    return found is not None and found.bounds(1 - claim.any_look)[0] > claim.limit

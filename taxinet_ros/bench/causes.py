@@ -123,7 +123,7 @@ class Score:
     Attributes:
         tables, named: number of tables, and of those in which a cause was found.
         holds: for each table with a cause, whether the intervals of the first cause's rate, of the
-            rate elsewhere and of the attributable share contain the true value.
+            rate elsewhere and of the associated share contain the true value.
         excess: rate of the first cause minus the true one, for each table with a cause.
         width: width of the interval of its rate.
     """
@@ -172,7 +172,7 @@ def measure(name: str, sampler: str, runs: int, tables: int, seed: int = 0) -> S
             continue
         true, beyond = float(chance[inside].mean()), float(chance[~inside].mean())
         goes_with_it = 1 - beyond / float(chance.mean())
-        _, low, high = first.attributable
+        _, low, high = first.associated
         score.holds.append((
             first.inside.low <= true <= first.inside.high,
             first.outside.low <= beyond <= first.outside.high,

@@ -296,7 +296,7 @@ def test_given_a_failed_criterion_then_its_text_has_figures_worst_run_and_the_ne
     assert properties(suite)['table'] == 't.parquet'
     case = suite.find('testcase')
     first, *runs, again, after = case.find('failure').text.splitlines()
-    assert first.startswith('FAIL: 0.00 % of 40 runs are satisfied; with 95 % confidence each, at')
+    assert first.startswith('FAIL: 0.00 % of 40 runs are satisfied: at least 0.00 % and at most')
     assert runs[0] == 'run-6: phi: rho -7.000', 'the worst first'
     assert runs[10:] == ['and 30 more, in the properties']
     assert again.startswith('run run-6 again: taxinet run nominal --perception original')

@@ -94,7 +94,8 @@ def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) 
     Args:
         before: runs of the first network.
         after: runs of the second one.
-        alpha: probability of naming a cause of a change if there is none.
+        alpha: probability of naming a cause of a change if there is none; half of it is for causes
+            of what got better, half for those of what got worse.
 
     Raises:
         UsageError: they have no scene in common, or are judged by different formulas.
@@ -120,7 +121,7 @@ def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) 
     fixed = not (before.anytime or after.anytime)
     rated = before.weighting.rated and after.weighting.rated
     better, worse = (
-        _causes(after, frame, rows, (first & ~second).to_numpy(dtype=bool), alpha)
+        _causes(after, frame, rows, (first & ~second).to_numpy(dtype=bool), alpha / 2)
         for first, second in (
             (frame['failed_before'], frame['failed_after']),
             (frame['failed_after'], frame['failed_before']),

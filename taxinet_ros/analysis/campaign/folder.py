@@ -103,7 +103,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
         'region': _region(cause.region), 'inside': _rate(cause.inside),
         'outside': _rate(cause.outside), 'all_runs': _rate(cause.whole),
         'share': cause.share, 'explained': cause.added,
-        'attributable': dict(zip(('value', 'low', 'high'), cause.attributable, strict=True)),
+        'associated': dict(zip(('value', 'low', 'high'), cause.associated, strict=True)),
         'p': cause.p, 'p_is_bound': cause.p_is_bound,
     }
 

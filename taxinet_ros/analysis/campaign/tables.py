@@ -80,7 +80,7 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
         rows.append((
             cause.rank, cause.region.words(), *_shares(cause.inside),
             100 * cause.outside.rate, 100 * cause.whole.rate, 100 * cause.share,
-            *(_known(100 * part) for part in cause.attributable), 100 * cause.added,
+            *(_known(100 * part) for part in cause.associated), 100 * cause.added,
             *(_known(other) for other in others), _p(cause.p),
             str(worst.iloc[0]) if len(worst) else None,
         ))
@@ -88,17 +88,19 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
         name='causes', title='Causes', rows=tuple(rows), run_id_column='worst_run',
         caption='Each among the runs that remain after the causes above it; "all" is the rate of '
         'all runs in it. Regions are selected for their rates, so these are biased upwards; the '
-        'intervals allow for that. "Contains" is the share of all failures in it, "attributable" '
-        'the share of all failures that would not occur if it failed like all other runs: neither '
-        'depends on the other causes. "Adds" is what no cause above it contains.',
+        'intervals allow for that. "Contains" is the share of all failures in it, "associated" '
+        'the share by which there would be fewer if it failed like all other runs. That is no '
+        'proof that it makes them fail: what the program draws together with it counts too, and '
+        'the shares of causes that overlap do not add up. "Adds" is what no cause above it '
+        'contains.',
         columns=(
             Column(name='rank', title='#'), Column(name='cause', title='cause'), *_RATE,
             Column(name='elsewhere_percent', title='elsewhere [%]', decimals=1),
             Column(name='all_runs_percent', title='all [%]', decimals=1),
             Column(name='share_percent', title='contains [%]', decimals=1),
-            Column(name='attributable_percent', title='attributable [%]', decimals=1),
-            Column(name='attributable_low_percent', title='from [%]', decimals=1),
-            Column(name='attributable_high_percent', title='to [%]', decimals=1),
+            Column(name='associated_percent', title='associated [%]', decimals=1),
+            Column(name='associated_low_percent', title='from [%]', decimals=1),
+            Column(name='associated_high_percent', title='to [%]', decimals=1),
             Column(name='added_percent', title='adds [%]', decimals=1),
             *(Column(name=f'baseline_{number}_percent', title=f'{one.baseline.label} [%]',
                      decimals=1)

@@ -33,11 +33,11 @@ from taxinet_ros.analysis.causes.region import (
 )
 from taxinet_ros.analysis.causes.scan import (
     Scan,
+    SearchScan,
     goes_round,
     interval_of,
     least_runs,
     likelihood_ratio,
-    p_of_search,
 )
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, rate_words
 from taxinet_ros.analysis.runs.features import ALL_FEATURES, BY_NAME, Floats, Mask, kinds_present
@@ -183,6 +183,8 @@ def _rounded(part: Part, frame: pd.DataFrame) -> Part:
 
 
 LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
+_ALIKE = 0.5
+"""Share of the runs of two regions together above which, if both name them, they are one."""
 _TIMES_DENSER = 2.0
 """A region is narrowed if its failure rate rises by this factor within the narrower one."""
 _OF_ALL = 1.92
@@ -220,13 +222,14 @@ class Cause:
         region: region of the scenes.
         rank: 1 for the cause found first.
         inside, outside: failure rates inside and outside the region, among the runs that lie in no
-            earlier cause.
+            earlier cause, nor in its rim.
         whole: failure rate of all runs in the region, including those in earlier causes.
         share: share of all failures that lie in the region.
         added: share of all failures that lie in the region and in no earlier cause.
-        attributable: share of all failures that would not occur if the region's runs failed as
-            often as all others, with its interval. It is independent of other causes (Levin, Acta
-            Unio Internationalis contra Cancrum 9, 1953).
+        associated: share of all failures by which there would be fewer if the region's runs failed
+            as often as all others, with its interval: the attributable fraction (Levin, Acta Unio
+            Internationalis contra Cancrum 9, 1953), without adjustment for what is drawn together
+            with the region, and for other causes.
         p: p value of the region among the remaining runs, under the hypothesis of no cause.
         p_is_bound: whether ``p`` is an upper bound of the true p value.
     """
@@ -238,7 +241,7 @@ class Cause:
     whole: FoundRate
     share: float
     added: float
-    attributable: tuple[float, float, float]
+    associated: tuple[float, float, float]
     p: float
     p_is_bound: bool
 
@@ -246,14 +249,14 @@ class Cause:
         """Display text of the cause."""
         words = self.region.words()
         remaining = '' if self.rank == 1 else 'remaining '
-        share, low, high = (100 * part for part in self.attributable)
+        share, low, high = (100 * part for part in self.associated)
         known = '' if math.isnan(low) else f' ({low:.0f}–{high:.0f} %)'.replace('-', '−')
-        attributable = f'{share:.0f} %{known}'.replace('-', '−')
+        associated = f'{share:.0f} %{known}'.replace('-', '−')
         return (
             f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} '
             f'{remaining}runs fail, elsewhere {self.outside.words()} of {self.outside.runs:,}. It '
-            f'contains {_percent(self.share)} of all failures; {attributable} of all failures are '
-            f'attributable to it ({self.p_words()})'
+            f'contains {_percent(self.share)} of all failures; {associated} of all failures are '
+            f'associated with it ({self.p_words()})'
         )
 
     def p_words(self) -> str:
@@ -298,7 +301,7 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
     again = len(runs.frame) - len(frame)
     failed = frame['failed'].to_numpy(dtype=bool)
-    left = np.ones(len(frame), dtype=bool)
+    left, covered = np.ones(len(frame), dtype=bool), np.zeros(len(frame), dtype=bool)
     searched = not set(runs.sampler.split(', ')) <= _OUTCOME_BLIND_SAMPLERS
     # Neither scenes chosen by outcomes nor runs left out by theirs give intervals.
     free = not searched and not runs.undecided
@@ -309,44 +312,82 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     while not why_not and len(found) < MOST_CAUSES and not _why_not(failed[left]):
         scan = Scan(frame[left])
         candidates = candidates or scan.candidates
-        p, bound = (p_of_search(frame[left]), True) if searched else scan.p_value(alpha, rng)
+        test = SearchScan(frame[left]) if searched else scan
+        p, bound = test.p_value(alpha, rng)
         if scan.region is None or p > alpha:
             break
-        region = refine_limits(scan.region, frame[left])
-        region = round_limits(_narrowed(region, frame[left], alpha, rng), frame)
+        region = round_limits(_described(scan, test, frame[left], alpha, rng), frame)
         within = region.mask(frame)
         inside, beyond = within & left, ~within & left
         if not failed[inside].any() or not beyond.any():
             break
         deviance = scan.deviance(min(inside.sum(), beyond.sum())) if free else math.nan
         slack += deviance
+        left = beyond
+        if any(_alike(within, cause.region.mask(frame)) for cause in found):
+            continue  # the rim of an earlier cause
         found.append(Cause(
             region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
             outside=_rate(failed[beyond], deviance), whole=_rate(failed[within], deviance),
-            share=float(within[failed].mean()), added=float(inside[failed].mean()),
-            attributable=_attributable(failed, within, deviance), p=p, p_is_bound=bound,
+            share=float(within[failed].mean()), added=float((within & ~covered)[failed].mean()),
+            associated=_associated(failed, within, deviance), p=p, p_is_bound=bound,
         ))
-        left = beyond
+        covered |= within
     if not found:
         slack = _OF_ALL if free else math.nan
     return Causes(
-        found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
+        found=tuple(found), rest=_rate(failed[~covered], slack), why_not=why_not,
         candidates=candidates, searched=searched, again=again,
     )
 
 
-def _narrowed(
-    region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
-) -> Region:
-    """The region with one more condition if most of its failures satisfy it; else unchanged.
+def _alike(one: Mask, other: Mask) -> bool:
+    """Whether two regions mostly name the same runs."""
+    return bool((one & other).sum() > _ALIKE * (one | other).sum())
 
-    There is at most one such step, and only from one condition to two.
+
+def _described(
+    scan: Scan, test: Scan, frame: pd.DataFrame, alpha: float, rng: np.random.Generator
+) -> Region:
+    """The scan's region of conditions that each matter given the other, with exact limits.
+
+    Of two features, one that does not is dropped; if neither does, both are kept unless some single
+    one is significant. To one feature, another may be added. Either way has half of alpha.
+
+    Args:
+        scan: the scan that found it.
+        test: the scan to test by.
+        frame: the runs of both, with features and ``failed``.
+        alpha: level of the tests.
+        rng: generator for the permutations.
     """
+    def beside(name: str) -> bool:
+        """Whether another feature matters given this one."""
+        return test.p_given(name, rng) <= alpha / 2
+
+    region = scan.region
+    assert region is not None
+    names = {feature.name for feature in region.features}
+    if len(names) == 1:
+        region = refine_limits(region, frame)
+        narrower = _narrowed(region, frame, type(test), alpha / 2, rng)
+        added = narrower.features[-1].name
+        return narrower if narrower is region or beside(added) else region
+    kept = {name for name in names if all(beside(other) for other in names - {name})}
+    if kept != names and (kept or test.p_single() <= alpha):
+        region = scan.single(kept)
+    return refine_limits(region, frame)
+
+
+def _narrowed(
+    region: Region, among: pd.DataFrame, kind: type[Scan], alpha: float, rng: np.random.Generator
+) -> Region:
+    """The region of one feature with another condition, if most of its failures satisfy it."""
     inside = among[region.mask(among)]
     failed = inside['failed'].to_numpy(dtype=bool)
-    if len(region.parts) > 1 or len(region.features) > 1 or _why_not(failed):
+    if _why_not(failed):
         return region
-    scan = Scan(inside)
+    scan = kind(inside)
     new = scan.region.parts if scan.region is not None else ()
     sources = {feature.source for feature in region.features}
     new = tuple(part for part in new if isinstance(part, Interval | Kinds)
@@ -370,8 +411,8 @@ def _rate(failed: Mask, deviance: float) -> FoundRate:
     return FoundRate(runs, failures, share, *interval_of(failures, runs, deviance))
 
 
-def _attributable(failed: Mask, within: Mask, deviance: float) -> tuple[float, float, float]:
-    """Share of failures attributable to a region, with an interval from those of both rates."""
+def _associated(failed: Mask, within: Mask, deviance: float) -> tuple[float, float, float]:
+    """Share of failures associated with a region, with an interval from those of both rates."""
     part = float(within.mean())
 
     def share(inside: float, outside: float) -> float:

@@ -4,7 +4,9 @@ There are three families of regions: intervals of a numeric feature, including o
 sets of words; intervals of a sum of two features, which are slanted bands; and two conditions, of
 which both hold or exactly one does. Each family's maximum score is compared with its maxima under
 permuted outcomes; the largest excess over all families is then compared with that of the
-permutations. So the p value accounts for all regions examined.
+permutations. So the p value accounts for all regions examined. It says that something matters, not
+which feature of a region of two does: each is tested given the other, with outcomes permuted among
+runs of about equal values of the other.
 
 The statistic of a region is the log likelihood ratio of two failure rates, inside and outside,
 against one (Kulldorff, Communications in Statistics: Theory and Methods 26, 1997). Small regions
@@ -20,7 +22,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -171,7 +173,7 @@ DISCOUNT = 1.2
 """Factor by which a region of two features must exceed one of a single feature to be preferred."""
 PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0, WIND_DIRECTION.name: 360.0}
 """Periods of the cyclic features."""
-_FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
+_FIRST_SHUFFLES, _SHUFFLES_OF_BOUND, _SHUFFLES_GIVEN = 199, 59, 199
 _HOPELESS = 3.0
 """Multiple of alpha: if p exceeds it after the first permutations, no more are made."""
 _LEVEL = 0.05
@@ -283,6 +285,7 @@ class Scan:
         self.candidates = sum(len(block.inside) for block in self._blocks)
         self.region: Region | None = None
         self._greatest = np.full(3, _NONE)
+        self._singles: dict[str, tuple[float, Region]] = {}
         self._first_score, self._score_of = np.zeros(0, dtype=np.int32), np.zeros(0, np.float32)
         rows, told = self._failed[None, :].astype(np.float32), 0.0
         for block in self._blocks:
@@ -291,6 +294,8 @@ class Scan:
             self._greatest[block.family] = max(self._greatest[block.family], score[best])
             penalty = float(size_penalty(block.inside[best], len(self._failed)))
             worth = float(score[best]) + penalty
+            if block.family == _ONE:
+                self._singles[block.axes[0].part.feature] = float(score[best]), block.region(best)
             worth /= 1.0 if block.family == _ONE else math.sqrt(DISCOUNT)
             if worth > told:
                 self.region, told = block.region(best), worth
@@ -338,28 +343,41 @@ class Scan:
         root = max(usual, 0.0) + float(size_penalty(np.array([inside]), len(self._failed))[0])
         return root**2 / 2 + _OF_ONE_RATE
 
-    def p_of_search(self) -> float:
-        """Like :meth:`p_value`, but also valid if scenes were chosen by earlier outcomes.
+    def single(self, features: Collection[str]) -> Region:
+        """The best region of one feature, of these if there are any."""
+        among = [self._singles[name] for name in features or self._singles]
+        return max(among, key=lambda one: one[0])[1]
 
-        The regions must have been cut by earlier runs. Half of the weight is on regions of one
-        feature.
+    def p_single(self) -> float:
+        """P value of the best region of one feature among these, after :meth:`p_value`."""
+        above = int((self._shuffled[:, _ONE] >= self._greatest[_ONE] - 1e-9).sum())
+        return (1 + above) / (1 + len(self._shuffled))
+
+    def p_given(self, feature: str, rng: np.random.Generator) -> float:
+        """P value under the hypothesis that this feature alone matters, if any does.
+
+        Args:
+            feature: name of the feature.
+            rng: generator for the permutations.
         """
-        families = []
-        for family in range(3):
-            each = [
-                log_evidence(block.failures(rows)[:, 0], block.inside, int(self._failed.sum()),
-                             len(self._failed))
-                for block in self._blocks if block.family == family
-                for rows in [self._failed[None, :].astype(np.float32)]
-            ]
-            if each:
-                evidence = np.concatenate(each)
-                families.append(float(logsumexp(evidence)) - math.log(len(evidence)))
-        if not families:
-            return 1.0
-        weights = np.array([2.0, *[1.0] * (len(families) - 1)])
-        total = float(logsumexp(families, b=weights / weights.sum()))
-        return min(1.0, math.exp(-total))
+        blocks, cells = self._with(feature)
+        order = np.argsort(cells, kind='stable')
+        shuffled = np.argsort(cells + rng.random((_SHUFFLES_GIVEN, len(cells))), axis=1)
+        rows = np.tile(self._failed, (1 + _SHUFFLES_GIVEN, 1)).astype(np.float32)
+        rows[1:, order] = self._failed[shuffled]
+        best = np.full(len(rows), _NONE)
+        with threadpool_limits(limits=1):
+            for block in blocks:
+                np.maximum(best, self._scores(block, rows).max(axis=0), out=best)
+        return float((best >= best[0] - 1e-9).mean())
+
+    def _with(self, feature: str) -> tuple[list[_Block], Ints]:
+        """The blocks of a feature and another one, and its cell of each run."""
+        blocks = [block for block in self._blocks if block.family != _ONE and any(
+            feature in axis.part.names for axis in block.axes)]
+        cells = next(block.axes[0].places for block in self._blocks
+                     if block.axes[0].part.names == (feature,))
+        return blocks, cells
 
     def _shuffle(self, times: int, rng: np.random.Generator) -> None:
         rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
@@ -402,14 +420,75 @@ _OF_ONE_RATE = 1.92
 """Half the 95 % quantile of chi-square with one degree of freedom: for the rate of all runs."""
 
 
-def p_of_search(frame: pd.DataFrame) -> float:
-    """P value of a cause if outcomes may have influenced the choice of later scenes.
+class SearchScan(Scan):
+    """The same where scenes may have been chosen by earlier outcomes, tested by e-values.
 
-    Args:
-        frame: runs with features and ``failed``, in the order in which they were requested.
+    Regions are cut by the first runs, and tested by the others.
     """
-    first = max(1, round(_LEARNING * len(frame)))
-    return Scan(frame.iloc[first:], frame.iloc[:first]).p_of_search()
+
+    def __init__(self, frame: pd.DataFrame) -> None:
+        """Evaluate all candidates.
+
+        Args:
+            frame: runs with features and ``failed``, in the order in which they were requested.
+        """
+        first = max(1, round(_LEARNING * len(frame)))
+        super().__init__(frame.iloc[first:], frame.iloc[:first])
+
+    def p_value(self, alpha: float, rng: np.random.Generator) -> tuple[float, bool]:
+        """Like that of the base class; half of the weight is on regions of one feature."""
+        families = [self._of_family(family) for family in range(3)]
+        evidence = [self._log_evidence(blocks) for blocks in families if blocks]
+        if not evidence:
+            return 1.0, True
+        weights = np.array([2.0, *[1.0] * (len(evidence) - 1)])
+        return _p_of(float(logsumexp(evidence, b=weights / weights.sum()))), True
+
+    def p_single(self) -> float:
+        """P value of all regions of one feature together."""
+        return _p_of(self._log_evidence(self._of_family(_ONE)))
+
+    def p_given(self, feature: str, rng: np.random.Generator) -> float:
+        """Like that of the base class, with few cells, as the rate of each is unknown."""
+        every = [self._evidence_given(block, axis) for block in self._of_family(_TWO)
+                 for axis in range(2) if block.axes[axis].part.feature == feature]
+        return _p_of(_log_mean(np.concatenate(every))) if every else 1.0
+
+    def _evidence_given(self, block: _Block, axis: int) -> Floats:
+        """Log e-value of each candidate against 'one rate in each cell of one of the axes'.
+
+        A cell of which a candidate has all or nothing says nothing and is left out.
+        """
+        sizes = [each.members.shape[1] for each in block.axes]
+        cell_of = np.indices(sizes)[axis].ravel()
+        total = np.zeros(len(block.inside))
+        for cell in range(sizes[axis]):
+            there = cell_of == cell
+            parts = _counts(block.axes, there.astype(np.float32)[:, None])[:, 0]
+            runs = block.axes[axis].places == cell
+            rows = np.array([runs, runs & self._failed], dtype=np.float32)
+            inside, failures = block.failures(rows).T
+            evidence = log_evidence(failures, inside, int(rows[1].sum()), int(rows[0].sum()))
+            total += np.where((parts > 0) & (parts < there.sum()), evidence, 0.0)
+        return total
+
+    def _of_family(self, family: int) -> list[_Block]:
+        return [block for block in self._blocks if block.family == family]
+
+    def _log_evidence(self, blocks: Sequence[_Block]) -> float:
+        """Log of the mean e-value of all candidates against 'one rate'."""
+        rows = self._failed[None, :].astype(np.float32)
+        return _log_mean(np.concatenate([
+            log_evidence(block.failures(rows)[:, 0], block.inside, int(self._failed.sum()),
+                         len(self._failed)) for block in blocks]))
+
+
+def _log_mean(evidence: Floats) -> float:
+    return float(logsumexp(evidence)) - math.log(len(evidence))
+
+
+def _p_of(evidence: float) -> float:
+    return math.exp(-max(evidence, 0.0))
 
 
 def least_runs(runs: int) -> int:

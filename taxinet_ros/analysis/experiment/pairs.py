@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest, norm, wilcoxon
+from scipy.stats import binomtest, norm, rankdata, wilcoxon
 
 CONFIDENCE = 0.95
 
 _MOST_EXACT, _MOST_RANKED = 60, 4000
-"""Maximum numbers of pairs for exact rank counts, and for ranking all pairs."""
+"""Maximum numbers of (changed) pairs for exact rank counts, and for ranking all pairs."""
 
 
 class ConfidenceInterval(NamedTuple):
@@ -129,16 +129,38 @@ def paired_shift(first: Sequence[float], second: Sequence[float]) -> PairedShift
     large ones: Wilcoxon's signed-rank test, the Hodges-Lehmann estimate (the median of the means of
     all two differences) and Tukey's interval (Hollander, Wolfe and Chicken, Nonparametric
     Statistical Methods, 2014, chapter 3). They assume that without a change the differences are
-    symmetric about zero.
+    symmetric about zero. Pairs that are equal in both arms are in no p value, which is exact.
     """
     differences = np.array(second, dtype=np.float64) - np.array(first, dtype=np.float64)
     differences = differences[np.isfinite(differences)]
     more, less = int((differences > 0).sum()), int((differences < 0).sum())
     return PairedShift(
         pairs=len(differences), change=_typical(differences), more=more, less=less,
-        p_value=float(wilcoxon(differences).pvalue) if more + less else (
-            1.0 if len(differences) else math.nan),
+        p_value=_signed_rank_p(differences[differences != 0]) if len(differences) else math.nan,
     )
+
+
+def _signed_rank_p(changes: np.ndarray) -> float:
+    """Two-sided p value of Wilcoxon's test of changes other than 0, exact unless many.
+
+    Their ranks, with means for ties, are fixed; under the null each sign is a fair coin.
+    """
+    if len(changes) > _MOST_EXACT:
+        return float(wilcoxon(changes, method='approx').pvalue)
+    doubled = np.rint(2 * rankdata(np.abs(changes))).astype(np.int64)
+    positive = int(doubled[changes > 0].sum())
+    least = min(positive, int(doubled.sum()) - positive)
+    return min(1.0, 2 * float(_rank_sums(doubled)[:least + 1].sum()))
+
+
+def _rank_sums(ranks: np.ndarray) -> np.ndarray:
+    """Probability of each sum of the ranks chosen by fair coins; ranks are whole numbers."""
+    chance = np.zeros(int(ranks.sum()) + 1)
+    chance[0] = 1.0
+    for rank in ranks:
+        chosen = np.roll(chance, rank)
+        chance = (chance + chosen) / 2
+    return chance
 
 
 def _typical(differences: np.ndarray) -> ConfidenceInterval:
@@ -166,11 +188,7 @@ def _rank_cut(count: int) -> int:
     if count > _MOST_EXACT:
         spread = math.sqrt(count * (count + 1) * (2 * count + 1) / 24)
         return math.floor(total / 2 - float(norm.ppf(1 - tail)) * spread - 0.5)
-    ways = np.zeros(total + 1)
-    ways[0] = 1.0
-    for rank in range(1, count + 1):
-        ways[rank:] += ways[:-rank].copy()
-    chance = np.cumsum(ways) / 2.0**count
+    chance = np.cumsum(_rank_sums(np.arange(1, count + 1)))
     return int(np.searchsorted(chance, tail, side='right')) - 1
 
 

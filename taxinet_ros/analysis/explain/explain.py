@@ -46,6 +46,7 @@ from taxinet_ros.core.renderer import OURS, ChosenRenderer
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
@@ -93,6 +94,7 @@ class Explanation:
         again: the examined moments, taken again unchanged by a camera other than ours that was
             asked; None if none was.
         hidden: scenario keys that were not changed, as this camera does not show them.
+        outcome: outcome of the recorded run, or '' if the bag ends before.
     """
 
     bag: Path
@@ -108,6 +110,7 @@ class Explanation:
     not_modified: str = ''
     again: Effect | None = None
     hidden: tuple[str, ...] = ()
+    outcome: str = ''
 
     @property
     def own(self) -> bool:
@@ -122,7 +125,7 @@ class Explanation:
 
     @property
     def blamed(self) -> Effect | None:
-        """The factor that causes most of the error, if any causes enough."""
+        """The factor without which most of the error disappears, if enough of it does."""
         return effect_to_blame(self.effects)
 
 
@@ -186,6 +189,7 @@ def explain(
         track=track, insights=tuple(insights), effects=found, training=training,
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
+        outcome='' if recording.facts is None else recording.facts.outcome,
     )
 
 
@@ -334,7 +338,8 @@ def misled_words(misled_rad: float) -> str:
     if round(abs(degrees)) == 0:
         return 'steered as with the truth'
     # If the estimate is too far left, in position or heading, the aircraft turns right.
-    return f'steered {abs(degrees):.0f}° too far {"right" if degrees > 0 else "left"}'
+    side = 'right' if degrees > 0 else 'left'
+    return f'the estimate asks for a heading {abs(degrees):.0f}° too far {side}'
 
 
 def attention_sentences(insight: Insight) -> Iterator[str]:
@@ -398,8 +403,7 @@ def _cause(found: Explanation) -> Iterator[str]:
     if abs(worst.misled_rad) < _HARDLY_RAD:
         yield (
             'While the aircraft was on the runway, the network misled the steering law by '
-            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, the network '
-            'is probably not the cause.'
+            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most{outcome_words(found.outcome)}.'
         )
         return
     if not found.effects:
@@ -415,7 +419,7 @@ def _cause(found: Explanation) -> Iterator[str]:
         )
         return
     yield (
-        f'{_capital(blamed.factor.cause)} causes the error: in the same scene, '
+        f'{_capital(blamed.factor.cause)} contributes most to the error: in the same scene, '
         f'{blamed.factor.words}, {100 * blamed.removed:.0f} % of the error in the '
         f'{len(found.insights)} frames disappears.'
     )
@@ -425,6 +429,14 @@ def _cause(found: Explanation) -> Iterator[str]:
         f'{error_words(worst.estimate)}; {blamed.factor.words}, {error_words(outcome.estimate)}.'
     )
     yield from _others(found, blamed)
+
+
+def outcome_words(outcome: str) -> str:
+    """Display text of what small errors of the network mean for a run with this outcome."""
+    if outcome == Outcome.PASS:
+        return ', and the run passed'
+    failed = 'the run failed, but' if outcome == Outcome.FAIL else 'if the run failed,'
+    return f': {failed} the network is probably not the reason'
 
 
 def _others(found: Explanation, blamed: Effect) -> Iterator[str]:

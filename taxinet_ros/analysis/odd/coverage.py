@@ -191,7 +191,8 @@ def odd_coverage(
     scenes = pd.concat([one.scenes for one in campaigns], ignore_index=True)
     failed = np.concatenate([one.failed for one in campaigns])
     weight = _weights(campaigns)
-    anytime = any(one.anytime for one in campaigns)
+    # Who adds campaigns has seen the first before the next: the sum's number of runs was open.
+    anytime = len(campaigns) > 1 or any(one.anytime for one in campaigns)
     records: list[dict[str, Any]] = [
         dict(zip(odd.keys, values, strict=True))
         for values in scenes[list(odd.keys)].to_numpy(dtype=object).tolist()
@@ -429,7 +430,12 @@ def _cautions(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
             f'runs of {len(programs)} programs ({", ".join(programs)}) are counted together: a '
             'rate is the mean of their rates, weighted by runs'
         )
-    if any(one.anytime for one in campaigns):
+    if len(campaigns) > 1:
+        lines.append(
+            'another campaign could have been added, so intervals are those valid at any number '
+            'of runs'
+        )
+    elif any(one.anytime for one in campaigns):
         lines.append('a number of runs was open, so intervals are those valid at any time')
     return tuple(dict.fromkeys(lines))
 

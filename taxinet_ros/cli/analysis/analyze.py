@@ -86,7 +86,7 @@ def _causes(findings: Findings) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column('#', justify='right')
     table.add_column('cause')
-    for title in ('runs', 'fail', 'elsewhere', 'holds', 'associated', 'p'):
+    for title in ('runs', 'fail', 'elsewhere', 'contains', 'associated', 'p'):
         table.add_column(title, justify='right', no_wrap=True)
     for cause in findings.causes.found:
         inside = cause.inside
@@ -94,7 +94,7 @@ def _causes(findings: Findings) -> Table:
         table.add_row(
             str(cause.rank), cause.region.words(), f'{inside.runs:,}',
             f'{100 * inside.rate:.0f} %{known}', f'{100 * cause.outside.rate:.1f} %',
-            f'{100 * cause.share:.0f} %', f'{100 * cause.attributable[0]:.0f} %',
+            f'{100 * cause.share:.0f} %', f'{100 * cause.associated[0]:.0f} %',
             cause.p_words().removeprefix('p ').lstrip('= '),
         )
     return table

@@ -391,7 +391,10 @@ def gate(
     max_infra: Annotated[
         int, typer.Option(help='maximum number of runs with an infrastructure error')
     ] = 0,
-    confidence: Annotated[float, typer.Option(help='confidence of each one-sided bound')] = 0.95,
+    confidence: Annotated[
+        float,
+        typer.Option(help='confidence of PASS and of FAIL, over all looks that are covered'),
+    ] = 0.95,
     planned: Annotated[
         bool,
         typer.Option(

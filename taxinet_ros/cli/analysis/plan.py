@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from taxinet_ros.analysis.gate import further_runs, further_words
 from taxinet_ros.analysis.plan import (
     Claim,
     Further,
@@ -20,6 +22,7 @@ from taxinet_ros.analysis.plan import (
     two_sided,
 )
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.rates import CONFIDENCE
 from taxinet_ros.campaign.record.facts import recorded_rules
 from taxinet_ros.campaign.record.table import check_tables
 from taxinet_ros.errors import ExitCode, UsageError
@@ -91,12 +94,12 @@ def _print(console: Console, planned: Planned) -> None:
             f'{planned.powered.failures:,} may fail', soft_wrap=True,
         )
     console.print(
-        'runs: drawn by the program itself (--sampler random), their number fixed beforehand and '
-        'judged once: taxinet gate --planned', soft_wrap=True,
+        'if you look once, at a number of runs fixed beforehand, drawn by the program itself '
+        f'(--sampler random): {_gate(claim)} --planned', soft_wrap=True,
     )
     console.print(
-        f'taxinet gate without it also covers every other look, with half of its error: '
-        f'{planned.any_look:,} runs without any', soft_wrap=True,
+        f'if you may look again: {planned.any_look:,} runs, without a failure: {_gate(claim)}',
+        soft_wrap=True,
     )
     if planned.sequential is not None:
         one = planned.sequential
@@ -138,7 +141,7 @@ def _print_further(
             soft_wrap=True,
         )
     if planned.further[0].drawn == 0:
-        console.print('the claim holds already, whenever the campaign was stopped')
+        console.print(f'the claim holds already: {_gate(claim)}', soft_wrap=True)
         return
     for one in planned.further:
         console.print(_further_words(one), soft_wrap=True)
@@ -148,12 +151,26 @@ def _print_further(
         )
         console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}',
                       soft_wrap=True)
-    console.print(
-        'by bounds that hold at any number of runs, since who plans by the first runs chooses it: '
-        f'taxinet gate --sequential {"--max-off-runway" if claim.off else "--min-satisfaction"} '
-        f'{claim.threshold:.12g}. A new campaign takes the numbers above, by itself',
-        soft_wrap=True,
+    if found.drawn_hits:
+        good = replace(
+            found, hits=found.runs - found.hits, drawn_hits=found.drawn - found.drawn_hits)
+        more = further_runs(good, 1 - claim.limit, claim.confidence)
+        console.print(f'to decide: {further_words(good, more)}', soft_wrap=True)
+    alone = '' if planned.by_sequential is None else (
+        f'; judged from its first run by --sequential alone, {planned.by_sequential:,} without a '
+        'failure'
     )
+    console.print(
+        f'as you have looked, and may look again: {_gate(claim)}{alone}. A new campaign takes the '
+        'numbers above, by itself', soft_wrap=True,
+    )
+
+
+def _gate(claim: Claim) -> str:
+    """The command that judges the claim, without the campaign's name."""
+    command = f'taxinet gate --{claim.criterion} {claim.threshold:.12g}'
+    usual = claim.confidence == CONFIDENCE
+    return command if usual else f'{command} --confidence {claim.confidence:g}'
 
 
 def _further_words(one: Further) -> str:
@@ -191,6 +208,7 @@ def _json(planned: Planned) -> dict[str, Any]:
             'runs': found.runs, 'drawn': found.drawn, 'bad': found.drawn_hits, 'low': low,
             'high': high, 'number_fixed': not found.anytime, 'claim_is_false': hopeless(planned),
             'further': [dataclasses.asdict(one) for one in planned.further],
+            'further_by_sequential': planned.by_sequential,
             'likely': planned.likely and dataclasses.asdict(planned.likely),
         }
     return told

@@ -78,7 +78,7 @@ from taxinet_ros.study.why.plan import (
     shrink_stage,
     why_no_experiment,
 )
-from taxinet_ros.study.why.verdict import Blames, CauseEvidence, Evidence, Paired
+from taxinet_ros.study.why.verdict import Blames, CauseEvidence, Evidence, Paired, adjusted
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _ANOTHER_SEED = 1_000_003
@@ -355,7 +355,7 @@ class Investigation:
             self._compared(cause, changes[cause.rank]) if cause.rank in arms else cause
             for cause in first
         ]
-        return (*tested, *causes[MOST_CAUSES:])
+        return (*adjusted(tested), *causes[MOST_CAUSES:])
 
     def _compared(self, cause: CauseEvidence, change: Change | None) -> CauseEvidence:
         path = self.out / confirm_name(cause.rank) / 'experiment.json'
@@ -607,7 +607,8 @@ def _paired(values: Mapping[str, Any] | None, words: str) -> Paired | None:
     rates = values['satisfied']
     return Paired(
         words=words, scenes=values['pairs'], before=rates['base'], after=rates['arm'],
-        difference=rates['difference'], low=rates['low'], high=rates['high'], p=rates['p_holm'],
+        difference=rates['difference'], low=rates['low'], high=rates['high'],
+        p=rates['mcnemar_p'],
     )
 
 

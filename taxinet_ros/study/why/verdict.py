@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import enum
 import shlex
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.campaign.rates import Rate, rate
 
 _SIGNIFICANT = 0.05
@@ -72,7 +73,7 @@ class Paired:
         before, after: numbers of them that satisfy the formula.
         difference, low, high: satisfied share with the change minus that without, with its 95 %
             interval, -1..1.
-        p: of McNemar's exact test, adjusted for the arms of the experiment (Holm).
+        p: of McNemar's exact test; :func:`adjusted` for all arms of all experiments.
     """
 
     words: str
@@ -138,6 +139,21 @@ class CauseEvidence:
     def confirmed(self) -> bool | None:
         """Whether removing what is blamed helps on fresh scenes; None if not tested."""
         return None if self.without is None else self.without.better
+
+
+def adjusted(causes: Sequence[CauseEvidence]) -> tuple[CauseEvidence, ...]:
+    """The causes with p values corrected for all that was tested (Holm).
+
+    So the probability of confirming any cause by chance is at most 5 %, however many were tested.
+    """
+    tested = [one for cause in causes for one in (cause.without, cause.truth) if one is not None]
+    p = iter(holm([one.p for one in tested]))
+
+    def corrected(one: Paired | None) -> Paired | None:
+        return None if one is None else replace(one, p=next(p))
+
+    return tuple(replace(cause, without=corrected(cause.without), truth=corrected(cause.truth))
+                 for cause in causes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,9 +263,9 @@ def _whose(evidence: Evidence, fault: Fault) -> str:
             )
         case Fault.NETWORK:
             return (
-                f'The network {evidence.network} is at fault, not the controller: {counted} with '
-                f'perfect estimates{"," if one else ""} {"satisfies" if one else "satisfy"} '
-                f'{spec}{shares(blames.network)}.'
+                f'The network {evidence.network} is at fault in the failures examined, not the '
+                f'controller: {counted} with perfect estimates{"," if one else ""} '
+                f'{"satisfies" if one else "satisfy"} {spec}{shares(blames.network)}.'
             )
         case Fault.CONTROLLER:
             return (

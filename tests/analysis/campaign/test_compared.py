@@ -13,6 +13,7 @@ from taxinet_ros.analysis.campaign.compared import (
     compared_json,
     compared_sentences,
 )
+from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.errors import UsageError
 
@@ -98,6 +99,24 @@ def test_given_a_network_that_broke_in_rain_then_rain_is_named_and_only_as_worse
     first, *others = compared_sentences(found)
     assert first.startswith('after is worse than before.')
     assert any(line.startswith('Got worse: rain') for line in others)
+
+
+def test_causes_of_better_and_worse_share_the_probability_of_naming_one_by_chance(
+    tmp_path, monkeypatch,
+):
+    levels = []
+
+    def looked_for(runs, alpha):
+        levels.append(alpha)
+        return find_causes(runs, alpha)
+
+    monkeypatch.setattr('taxinet_ros.analysis.campaign.compared.find_causes', looked_for)
+
+    def rate(table):
+        return 0.0 * table['rain_percent']
+
+    compared(*pair(tmp_path, rate, rate))
+    assert levels == [0.025, 0.025]
 
 
 def test_given_scenes_chosen_by_results_then_there_is_no_test_and_the_reason_is_said(tmp_path):

@@ -34,9 +34,15 @@ from taxinet_ros.analysis.causes.region import (
     interval_cells,
     part_of,
 )
-from taxinet_ros.analysis.causes.scan import hoeffding_bound, likelihood_ratio, log_evidence
+from taxinet_ros.analysis.causes.scan import (
+    Scan,
+    SearchScan,
+    hoeffding_bound,
+    likelihood_ratio,
+    log_evidence,
+)
 from taxinet_ros.analysis.runs.campaign import runs_of
-from taxinet_ros.bench.causes import measure
+from taxinet_ros.bench.causes import Landscape, measure, searched
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
@@ -147,6 +153,58 @@ def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path)
     assert len(named) <= 1, f'named causes of nothing with seeds {named}'
 
 
+@pytest.mark.parametrize(('rate', 'features'), [
+    (lambda t: 0.05 + 0.05 * t['cross_track_m'].abs(), {'cross_track_m'}),
+    (lambda t: np.where(t['clouds'].isin(['broken', 'overcast', 'stratus']), 0.35, 0.1),
+     {'clouds', 'rain_percent'}),
+    (lambda t: 0.05 + 0.1 * (12 - t['time_of_day_h']).clip(lower=0), {'time_of_day_h'}),
+], ids=['offset', 'clouds', 'hour'])
+def test_a_condition_without_effect_is_hardly_ever_in_a_first_cause(tmp_path, rate, features):
+    firsts = [found[0] for seed in range(10)
+              if (found := causes_of(tmp_path, rate, runs=200, seed=seed).found)]
+    assert len(firsts) >= 6
+    odd = [cause.region.words() for cause in firsts
+           if {feature.source for feature in cause.region.features} - features]
+    assert len(odd) <= 1, odd
+
+
+def test_a_feature_that_matters_given_the_other_is_told_from_one_that_does_not(tmp_path):
+    """Failures rise with the hour alone: the hour matters given the heading, not conversely."""
+    table = planted_table(400, 2, lambda t: np.where(t['time_of_day_h'] < 9, 0.6, 0.1))
+    scan = Scan(planted_runs(table, tmp_path).frame)
+    p = {name: scan.p_given(name, np.random.default_rng(0))
+         for name in ('time_of_day_h', 'heading_deg')}
+    assert p['heading_deg'] == 1 / 200, 'more than the heading matters'
+    assert p['time_of_day_h'] > 0.05
+
+
+def test_the_p_value_given_a_feature_is_uniform_where_only_that_one_matters(tmp_path):
+    values = []
+    for seed in range(20):
+        table = planted_table(80, seed, lambda t: np.where(t['rain_percent'] > 0, 0.7, 0.2))
+        scan = Scan(planted_runs(table, tmp_path).frame)
+        values.append(scan.p_given('rain_percent', np.random.default_rng(seed)))
+    assert np.mean(np.array(values) <= 0.1) <= 0.25
+    assert 0.3 <= np.mean(values) <= 0.7
+
+
+def test_the_rim_of_a_cause_is_no_further_cause(tmp_path):
+    """Failures fall off gently around the crossing: one cause, not another of the same runs."""
+    def rate(table):
+        return np.clip(1.1 - (table['distance_m'] - 1300).abs() / 250, 0.01, 0.98)
+
+    causes = causes_of(tmp_path, rate, runs=3000)
+    frame = planted_runs(planted_table(3000, 1, rate), tmp_path).frame
+    masks = [cause.region.mask(frame) for cause in causes.found]
+    assert masks
+    for one, other in itertools.combinations(masks, 2):
+        assert (one & other).sum() <= 0.5 * (one | other).sum()
+    beyond = ~np.any(masks, axis=0)
+    assert causes.rest.runs == beyond.sum(), 'the rim is outside all causes'
+    failed = frame['failed'].to_numpy()
+    assert causes.explained == pytest.approx(1 - failed[beyond].sum() / failed.sum())
+
+
 @pytest.mark.parametrize(('runs', 'failing', 'words'), [
     (12, 2, '12 runs, 2 failures: too few to find causes'),
     (300, 300, '300 runs, 300 failures: all runs fail, so causes cannot be distinguished'),
@@ -220,7 +278,7 @@ def test_t16_given_two_causes_when_looked_for_then_what_goes_with_each_is_free_o
         inside = cause.region.mask(frame)
         assert cause.share == failed[inside].sum() / failed.sum()
         alone = 1 - failed[~inside].mean() / failed.mean()
-        value, low, high = cause.attributable
+        value, low, high = cause.associated
         assert value == pytest.approx(alone)
         assert low < value < high
     # In the order of finding the second adds less than it holds.
@@ -393,7 +451,7 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
         runs.facts['program_text'] = f'# --- s_falsif.scenic ---\n{text}'
     rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
     cause = Cause(region=Region(parts=PARTS), rank=1, inside=rate, outside=rate, whole=rate,
-                  share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
+                  share=0.5, added=0.5, associated=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
     program = tmp_path / program_name(cause)
     program.write_text(cause_program(runs, cause))
     for scene in sample_scenarios(program, 5, 6):
@@ -482,7 +540,7 @@ ego = new Plane at (Range(-8, 8), Range(0, 2000))
 def cause_of(*parts):
     rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
     return Cause(region=Region(parts=parts), rank=1, inside=rate, outside=rate, whole=rate,
-                 share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
+                 share=0.5, added=0.5, associated=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
 
 
 @pytest.mark.parametrize('overrides', [{}, {'place': 'bikf_10'}])
@@ -546,3 +604,13 @@ def test_given_a_file_of_ones_own_that_goes_then_a_causes_program_has_the_whole_
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():
     assert tuple(part_of(part.to_json()) for part in PARTS) == PARTS
+
+
+def test_in_a_search_too_a_feature_that_matters_is_told_from_one_that_does_not():
+    """The sampler follows failures into some hours, so shuffled outcomes would not do."""
+    hours = Landscape(rate=lambda t: np.where(t['time_of_day_h'] < 9, 0.7, 0.05))
+    for seed in range(3):
+        scan = SearchScan(searched('ce', 200, seed, hours).frame)
+        rng = np.random.default_rng(0)
+        assert scan.p_given('time_of_day_h', rng) > 0.05
+        assert scan.p_given('heading_deg', rng) < 0.01

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from scipy.stats import rankdata
 
 from taxinet_ros.analysis.experiment.arms import PairedArms, paired_arms, pairs_frame
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates, paired_shift
@@ -100,6 +101,22 @@ def test_given_few_pairs_then_the_test_is_that_of_all_signs(sizes, data):
     # The interval holds 0 if the test at 5 % does not speak against it.
     if not math.isnan(shift.change.low):
         assert (shift.change.low <= 0 <= shift.change.high) is (shift.p_value > 0.05)
+
+
+@given(st.lists(st.integers(-3, 3), min_size=1, max_size=11))
+def test_signed_ranks_of_ties_and_unchanged_pairs_are_exact(differences):
+    """By all signs of the pairs that changed, tied sizes sharing the mean of their ranks."""
+    changed = np.array([one for one in differences if one])
+    ranks = rankdata(np.abs(changed))
+    centre = ranks.sum() / 2
+    sums = np.array(list(product((0, 1), repeat=len(ranks)))) @ ranks
+    expected = (np.abs(sums - centre) >= abs(ranks[changed > 0].sum() - centre) - 1e-9).mean()
+    found = paired_shift([0.0] * len(differences), [float(one) for one in differences])
+    assert found.p_value == pytest.approx(expected)
+
+
+def test_five_of_fourteen_pairs_changed_one_way_are_not_significant():
+    assert paired_shift([0.0] * 14, [0.0] * 9 + [1.0, 2.0, 3.0, 4.0, 5.0]).p_value == 0.0625
 
 
 def test_given_many_small_and_few_great_changes_then_the_great_ones_count():

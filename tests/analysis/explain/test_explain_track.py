@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.analysis.explain.explain import error_words, misled_words
+from taxinet_ros.analysis.explain.explain import error_words, misled_words, outcome_words
 from taxinet_ros.analysis.explain.track import APART_NS, Track, choose_rows
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -80,6 +80,14 @@ def test_given_errors_then_words_tell_the_side():
     assert error_words(TrackingError(cte_m=-0.01, he_rad=0.0)) == '0.0 m, nose 0°'
     assert error_words(NO_ESTIMATE) == 'no estimate'
     # Thought to be too far left, the aircraft is turned to the right.
-    assert misled_words(math.radians(12)) == 'steered 12° too far right'
-    assert misled_words(math.radians(-12)) == 'steered 12° too far left'
+    assert misled_words(math.radians(12)) == (
+        'the estimate asks for a heading 12° too far right')
+    assert misled_words(math.radians(-12)) == (
+        'the estimate asks for a heading 12° too far left')
     assert misled_words(math.nan) == 'no estimate, so the aircraft brakes'
+
+
+def test_of_a_run_that_passed_it_is_not_asked_whether_it_failed():
+    assert outcome_words('PASS') == ', and the run passed'
+    assert outcome_words('FAIL').startswith(': the run failed, but')
+    assert outcome_words('').startswith(': if the run failed')

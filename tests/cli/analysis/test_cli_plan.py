@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from taxinet_ros.analysis.gate import GateOptions, Look, Verdict, gate_result
 from taxinet_ros.analysis.plan import Claim, hopeless, plan_claim
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER
@@ -38,7 +39,8 @@ def test_given_the_claim_of_the_rule_of_three_then_its_numbers_are_printed(taxin
     code, said, _ = taxinet('plan', '--min-satisfaction', 0.999)
     assert code == 0
     assert '       0  2,995\n       1  4,742\n' in said
-    assert '3,688 runs without any' in said  # what gate needs without --planned
+    assert ('if you may look again: 3,688 runs, without a failure: taxinet gate '
+            '--min-satisfaction 0.999\n') in said
     assert 'chance' not in said
 
 
@@ -53,14 +55,55 @@ def test_given_an_assumed_share_then_chances_and_a_sequential_test_are_there(tax
     assert found['sequential']['if_true']['mean_runs'] < found['with_power']['runs']
 
 
-def test_given_runs_so_far_then_the_further_ones_are_by_bounds_for_any_number(taxinet):
+def test_given_runs_so_far_then_the_further_ones_are_those_of_gate(taxinet):
     code, said, _ = taxinet('plan', '--min-satisfaction', 0.999, '--so-far', '4000:6')
     assert code == 0
     assert 'so far 6 of 4,000 runs failed, 0.15 %' in said
     assert 'at this share the claim is false' in said
-    assert '12,080 more runs, without a failure' in said
+    assert '13,215 more runs, without a failure' in said
+    assert 'to decide: about 85,000 more runs needed if the share stays the same' in said
+    assert 'by --sequential alone, 12,080 without a failure' in said
     code, said, _ = taxinet('plan', '--min-satisfaction', 0.99, '--so-far', '4000:6')
-    assert 'the claim holds already, whenever the campaign was stopped' in said
+    assert 'the claim holds already: taxinet gate --min-satisfaction 0.99' in said
+
+
+@pytest.mark.parametrize(('passed', 'open_ended'), [
+    (30, False), (30, True), (1, False), (60, True),
+])
+def test_gate_and_plan_count_the_same_further_runs(passed, open_ended):
+    runs = campaign(passed, 0)
+    options = GateOptions(min_satisfaction=0.9)
+    planned = 10 if open_ended else passed
+    content = dataclasses.replace(runs.content, campaign={'runs': planned})
+    plan = plan_claim(CLAIM, dataclasses.replace(runs, content=content))
+    criterion = gate_result(runs.rows, options, planned=planned).criteria[0]
+    further = plan.further[0].drawn
+    assert further == (criterion.more_runs or 0)
+    # With them the gate passes, and with one fewer it does not.
+    for more, verdict in ((further, Verdict.PASS), (further - 1, Verdict.INCONCLUSIVE)):
+        if more >= 0 and further:
+            rows = campaign(passed + more, 0).rows
+            assert gate_result(rows, options, planned=planned).verdict is verdict
+
+
+def test_thirty_satisfied_runs_are_told_alike_by_gate_and_plan(tmp_path, taxinet):
+    found = gate_result(campaign(30, 0).rows, GateOptions(min_satisfaction=0.9), planned=30)
+    assert found.criteria[0].sentence == (
+        '100.00 % of 30 runs are satisfied: at least 88.43 % and at most 100.00 % (97.5 % '
+        'one-sided each, as you may look again; if you look once, --planned: 90.50 % and 100.00 '
+        '%); 14 more runs needed, without a failure')
+    once = gate_result(campaign(30, 0).rows, GateOptions(
+        min_satisfaction=0.9, look=Look.PLANNED), planned=30)
+    assert once.verdict is Verdict.PASS
+    assert 'at least 90.50 % and at most 100.00 % (95 % one-sided each, as you look once)' in (
+        once.criteria[0].sentence)
+
+
+def test_a_plan_of_another_confidence_prints_a_gate_of_that_confidence(taxinet):
+    _, said, _ = taxinet('plan', '--min-satisfaction', 0.9, '--confidence', 0.8, '--so-far', '9:0')
+    gates = [line for line in said.splitlines() if 'taxinet gate' in line]
+    assert len(gates) == 3
+    assert all('--min-satisfaction 0.9 --confidence 0.8' in line for line in gates)
 
 
 def test_given_a_campaign_then_only_what_the_program_itself_drew_counts():

@@ -15,6 +15,7 @@ from taxinet_ros.study.why.verdict import (
     Fault,
     Paired,
     actions,
+    adjusted,
     fault_of,
     judge,
     trainable,
@@ -29,6 +30,20 @@ WET = CauseEvidence(
     bag=Path('found/r1'), blamed='dry', removed=0.69, without=HELPS,
     program=Path('why/cause-1.scenic'),
 )
+
+
+def test_an_experiment_confirms_only_what_survives_holm_over_all_that_was_tested():
+    by_chance = replace(HELPS_NOT, p=0.03, difference=0.2)
+    causes = [CauseEvidence(rank=1, words='a', without=replace(HELPS_NOT, p=0.9), truth=HELPS),
+              CauseEvidence(rank=2, words='b', without=replace(HELPS_NOT, p=0.5)),
+              CauseEvidence(rank=3, words='c', without=by_chance)]
+    found = adjusted(causes)
+    assert [cause.without.p for cause in found] == pytest.approx([1.0, 1.0, 3 * 0.03])
+    assert found[0].truth.p == pytest.approx(4 * HELPS.p)
+    assert [cause.confirmed for cause in found] == [False, False, False]
+    sentence = judge(evidence(blames=Blames(network=16), causes=found)).sentences[2]
+    assert sentence.startswith('Not confirmed by an experiment')
+    assert adjusted([CauseEvidence(rank=1, words='a')]) == (CauseEvidence(rank=1, words='a'),)
 
 
 def evidence(**values) -> Evidence:
@@ -65,7 +80,8 @@ def test_given_all_trials_pass_then_the_interval_is_that_of_clopper_and_pearson(
     whose, where, sure = judge(evidence(blames=Blames(network=16), causes=(WET,))).sentences
     # 1 - 0.025 ** (1 / 16) = 0.206 can be at fault otherwise.
     assert whose == (
-        'The network original is at fault, not the controller: all 16 failed runs driven again '
+        'The network original is at fault in the failures examined, not the controller: all 16 '
+        'failed runs driven again '
         'with perfect estimates satisfy phi (95 % interval 79–100 %).'
     )
     assert 'rain of 37 % or more' in where
