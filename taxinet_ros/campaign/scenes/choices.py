@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import inspect
 import itertools
 import math
 from collections import Counter
@@ -21,6 +22,7 @@ from functools import partial
 from statistics import NormalDist
 from typing import Any
 
+from scenic.core import requirements
 from scenic.core.distributions import (
     DiscreteRange,
     Distribution,
@@ -36,6 +38,7 @@ from scenic.core.distributions import (
     needsSampling,
     supportInterval,
 )
+from scenic.core.dynamics import scenarios
 from scenic.core.object_types import Constructible
 from scenic.core.regions import PointInRegionDistribution
 from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperatorDistribution
@@ -86,6 +89,32 @@ class Found:
     part: int = 0
 
 
+class _Ordered:
+    """A set that keeps the order in which its members were added."""
+
+    def __init__(self) -> None:
+        self._members: dict[Any, None] = {}
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._members)
+
+    def add(self, member: Any) -> None:
+        self._members[member] = None
+
+    def update(self, members: Iterable[Any]) -> None:
+        self._members.update(dict.fromkeys(members))
+
+
+def keep_order() -> None:
+    """Make Scenic draw what requirements depend on in the order in which they name it.
+
+    It keeps them in sets, whose order depends on addresses: another one in each process, and other
+    scenes.
+    """
+    for module in (requirements, scenarios):
+        module.set = _Ordered
+
+
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     """The choices that have quantiles, and the names of other random values."""
     walk = _Walk(
@@ -93,6 +122,11 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
         uses=_uses(scenario.dependencies),
     )
     for path, root in _roots(scenario):
+        walk.visit(root, path)
+    for name, value in _namespace(scenario):
+        for path, part in _parts(name, value):
+            walk.labels.setdefault(id(part), path)
+    for path, root in _required(scenario):
         walk.visit(root, path)
     entries = _entries(scenario)
     feeds = {key: _below(values) for key, values in entries.items()}
@@ -164,6 +198,8 @@ class _Walk:
             return zip((f'{path}.{axis}' for axis in 'xyz'), node.coordinates, strict=True)
         if isinstance(node, MultiplexerDistribution):
             return self._branches(node, path)
+        if isinstance(node, scenarios.LocalsSnapshot):
+            return list(node._locs.items())
         if isinstance(node, TupleDistribution):
             names = self.coordinates.get(id(node), {})
             return [
@@ -216,27 +252,56 @@ def _properties(thing: Any, path: str) -> list[tuple[str, Any]]:
 
 
 def _roots(scenario: Any) -> Iterator[tuple[str, Any]]:
-    """Roots of a scene's choices, in an order that is the same in every process."""
+    """Roots of the choices that a scene shows."""
     yield from scenario_parameters(scenario.params).items()
     if scenario.egoObject is not None:
         yield 'ego', scenario.egoObject
     for number, thing in enumerate(scenario._instances):
         yield f'object{number}', thing
-    # Scenic keeps the dependencies of its requirements in an unordered set.
+
+
+def _required(scenario: Any) -> Iterator[tuple[str, Any]]:
+    """Roots of the choices that only requirements read."""
     needed = _below(scenario.dependencies)
-    for name, value in _variables(scenario).items():
+    of_behaviors = (names.items() for names in scenario.behaviorNamespaces.values())
+    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario), *of_behaviors):
         if id(value) in needed:
             yield name, value
     for value in scenario.dependencies:
         yield '', value
 
 
-def _variables(scenario: Any) -> dict[str, Any]:
+def _bound(scenario: Any) -> Iterator[tuple[str, Any]]:
+    """What requirements read, by the names that it has where each is written."""
+    for requirement in scenario.userRequirements:
+        kept = inspect.getclosurevars(requirement.closure).nonlocals
+        variables, cells = kept['globalBindings'], kept['cells']
+        readers = [atom.closure for atom in kept['condition'].atomics()]
+        readers += filter(inspect.isfunction, [*variables.values(), *(value for _, value in cells)])
+        names = {
+            id(cell): name for reader in readers
+            for name, cell in zip(reader.__code__.co_freevars, reader.__closure__ or (),
+                                  strict=True)
+        }
+        yield from variables.items()
+        yield from ((names.get(id(cell), ''), value) for cell, value in cells)
+
+
+def _parts(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """A value, and those of a list or tuple."""
+    yield path, value
+    for number, part in enumerate(value) if isinstance(value, (list, tuple)) else ():
+        yield from _parts(f'{path}[{number}]', part)
+
+
+def _namespace(scenario: Any) -> list[tuple[str, Any]]:
     names = scenario.dynamicScenario._dummyNamespace or {}
-    return {
-        name: value for name, value in names.items()
-        if not name.startswith('_') and isinstance(value, (Distribution, Constructible))
-    }
+    return [(name, value) for name, value in names.items() if not name.startswith('_')]
+
+
+def _variables(scenario: Any) -> dict[str, Any]:
+    return {name: value for name, value in _namespace(scenario)
+            if isinstance(value, (Distribution, Constructible))}
 
 
 def _labels(scenario: Any) -> dict[int, str]:
