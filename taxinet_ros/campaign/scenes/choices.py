@@ -46,6 +46,7 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenes.paper_names import key_of
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
+from taxinet_ros.campaign.scenes.search_space import tail_of
 from taxinet_ros.campaign.scenes.values import is_ground_object, plane_property, scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
     buckets_of,
@@ -263,8 +264,8 @@ def _roots(scenario: Any) -> Iterator[tuple[str, Any]]:
 def _required(scenario: Any) -> Iterator[tuple[str, Any]]:
     """Roots of the choices that only requirements read."""
     needed = _below(scenario.dependencies)
-    of_behaviors = (names.items() for names in scenario.behaviorNamespaces.values())
-    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario), *of_behaviors):
+    libraries = (names.items() for names in scenario.behaviorNamespaces.values())
+    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario), *libraries):
         if id(value) in needed:
             yield name, value
     for value in scenario.dependencies:
@@ -642,6 +643,8 @@ def _normal(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
 
 def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
     mean, stddev = given[node.mean], given[node.stddev]
+    if tail := tail_of(mean, stddev, node.low, node.high):
+        return tail(quantile)
     below, above = (_STANDARD.cdf((end - mean) / stddev) for end in (node.low, node.high))
     value = mean + stddev * _sigmas(below + quantile * (above - below))
     return min(max(value, node.low), node.high)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
 from typing import Any, Self
+
+import numpy as np
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
@@ -83,10 +85,52 @@ class Law:
         if self.mean is None or self.stddev is None:
             return None
         mean, stddev = self.mean, self.stddev
+        tail = tail_of(mean, stddev, -math.inf if self.low is None else self.low,
+                       math.inf if self.high is None else self.high)
+        if tail is not None:
+            return [tail(quantile) for quantile in quantiles]
         low, high = (
             None if end is None else (end - mean) / stddev for end in (self.low, self.high)
         )
         return [mean + stddev * sigmas for sigmas in standard_values(quantiles, low, high)]
+
+
+_FAR_SIGMAS = 5.0
+"""Distance from the mean at which the distribution function has lost half of its digits."""
+
+
+def tail_of(
+    mean: float, stddev: float, low: float, high: float
+) -> Callable[[float], float] | None:
+    """Quantiles of a truncated normal where the plain distribution function does not give them.
+
+    With both ends far out on one side its logarithm is inverted, as in scipy.stats.truncnorm. With
+    a deviation of 0 each is the value next to the mean.
+
+    Args:
+        mean, stddev: of the normal.
+        low, high: ends between which it is truncated; may be infinite.
+
+    Returns:
+        Function of a quantile 0 … 1; None where the plain one does.
+    """
+    if stddev == 0:
+        return lambda quantile: min(max(mean, low), high)
+    ends = (low - mean) / stddev, (high - mean) / stddev
+    side = 1 if min(ends) > _FAR_SIGMAS else -1 if max(ends) < -_FAR_SIGMAS else 0
+    if side == 0:
+        return None
+    from scipy.special import log_ndtr, ndtri_exp
+
+    first, last = (float(log_ndtr(-side * end)) for end in ends)
+
+    def value(quantile: float) -> float:
+        if not 0 < quantile < 1:
+            return low if quantile <= 0 else high
+        share = float(np.logaddexp(math.log1p(-quantile) + first, math.log(quantile) + last))
+        return min(max(mean - side * stddev * float(ndtri_exp(share)), low), high)
+
+    return value
 
 
 def standard_values(
