@@ -108,8 +108,10 @@ def tail_of(
     a deviation of 0 each is the value next to the mean.
 
     Args:
-        mean, stddev: of the normal.
-        low, high: ends between which it is truncated; may be infinite.
+        mean: of the normal.
+        stddev: its deviation.
+        low: end at which it is truncated, or -inf.
+        high: the other, or inf.
 
     Returns:
         Function of a quantile 0 … 1; None where the plain one does.

@@ -247,9 +247,9 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
 
 def _checking_weights(initialise: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(initialise)
-    def init(self: Any, low: Any, high: Any, weights: Any = None, *others: Any, **named: Any) -> None:
+    def init(self: Any, low: Any, high: Any, weights: Any = None, *rest: Any, **named: Any) -> None:
         given = None if weights is None else _checked_weights(weights)
-        initialise(self, low, high, given, *others, **named)
+        initialise(self, low, high, given, *rest, **named)
 
     return init
 
@@ -259,8 +259,8 @@ def _checked_weights(weights: Iterable[Any]) -> tuple[Any, ...]:
     numbers = all(isinstance(weight, Real) and weight >= 0 for weight in given)
     if not numbers or not 0 < sum(given) < math.inf:
         shown = ', '.join(map(str, given))
-        raise ValueError(f'the weights are [{shown:.80}]; they have to be numbers of 0 or more, and '
-                         'one of them above 0')
+        raise ValueError(f'the weights are [{shown:.80}]; they have to be numbers of 0 or more, '
+                         'and one of them above 0')
     return given
 
 
@@ -270,7 +270,8 @@ def _check_numbers(choice: Any) -> None:
     for part, words in _PARTS.items():
         value = vars(choice).get(part)
         endless = part in ('low', 'high') and isinstance(choice, distributions.TruncatedNormal)
-        if isinstance(value, Real) and not (math.isfinite(value) or endless and value == value):
+        fits = (lambda number: not math.isnan(number)) if endless else math.isfinite
+        if isinstance(value, Real) and not fits(value):
             raise ValueError(f'{words} of a {kind} is {value}; it has to be a finite number')
     if isinstance(choice, distributions.Normal):
         spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
