@@ -546,11 +546,10 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     try:
         asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=names)
     except UsageError as error:
-        if taken := [name for name in numbers if name in RESERVED and name in _words(str(spec))]:
-            raise UsageError(
-                f'{error}; column {taken[0]} is named like a word of formulas: rename it'
-            ) from None
-        raise
+        if not (taken := RESERVED & numbers.keys() & set(re.split(r'\W+', str(spec)))):
+            raise
+        raise UsageError(f'{error}; column {min(taken)} is named like a word of formulas: rename '
+                         'it') from None
     _check_units(units, 't_ns' if 't_ns' in trace.columns else 't_s')
     for name in signal_names(asked.formula):
         _check_units(units, name, source_column(name, numbers))
@@ -564,15 +563,11 @@ def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any
         UsageError: there is one.
     """
     text = spec.text if isinstance(spec, Spec) else SHIPPED[spec].text if spec in SHIPPED else spec
-    read = _words(text)
+    read = set(re.findall(r'[^\W\d]\w*', text))
     for name in trace.columns:
         if str(name) in read and str(name) not in {*signals, *RESERVED}:
             raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds '
                              f'{trace[name].dtype}, no numbers')
-
-
-def _words(text: str) -> set[str]:
-    return set(re.findall(r'[^\W\d]\w*', text))
 
 
 def _check_units(units: Mapping[object, object], name: str, source: str = '') -> None:
@@ -601,13 +596,8 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
     if 't_s' not in trace.columns:
         known = ', '.join(map(str, trace.columns)) or 'none'
         raise UsageError(f'trace: no column t_ns or t_s; it has: {known}')
-    _check_time(trace, 't_s', 'iuf', 'seconds as numbers')
-    kind = trace['t_s'].dtype
-    if kind.kind == 'f' and kind.itemsize < 8:
-        raise UsageError(
-            f'trace: t_s holds {kind}, whose rounding moves samples out of windows such as '
-            '[0:0.3]; expected float64 from the start, or t_ns in integer nanoseconds'
-        )
+    _check_time(trace, 't_s', 'iuf', 'seconds as numbers, float64 from the start, as the '
+                'rounding of shorter ones moves samples out of windows')
     seconds = trace['t_s'].to_numpy(dtype=np.float64)
     if not np.isfinite(seconds).all():
         raise UsageError(f'trace: t_s is not finite at row {np.isfinite(seconds).argmin()}')
@@ -619,7 +609,7 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
 
 def _check_time(trace: pd.DataFrame, name: str, kinds: str, expected: str) -> None:
     kind = trace[name].dtype
-    if kind.kind not in kinds:
+    if kind.kind not in kinds or (kind.kind == 'f' and kind.itemsize < 8):
         raise UsageError(f'trace: {name} holds {kind}; expected {expected}')
 
 

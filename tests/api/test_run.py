@@ -246,7 +246,7 @@ def test_given_times_that_are_no_seconds_then_no_robustness_is_made_of_them(time
 def test_times_of_fewer_than_64_bits_are_refused_as_they_move_samples_out_of_windows(kind):
     trace = pd.DataFrame({'t_s': np.arange(60) * 0.1, 'a': np.where(np.arange(60) == 3, -1.0, 1.0)})
     assert tx.robustness('always[0:0.3](a >= 0)', trace) == -1.0
-    with pytest.raises(tx.UsageError, match=f't_s holds {kind}, whose rounding .*float64'):
+    with pytest.raises(tx.UsageError, match=f't_s holds {kind}; expected seconds as .* float64'):
         tx.robustness('always[0:0.3](a >= 0)', trace.astype({'t_s': kind}))
 
 

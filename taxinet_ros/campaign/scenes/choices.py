@@ -90,27 +90,20 @@ class Found:
     part: int = 0
 
 
-class _Ordered:
+class _Ordered(dict[Any, None]):
     """A set that keeps the order in which its members were added."""
 
-    def __init__(self) -> None:
-        self._members: dict[Any, None] = {}
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self._members)
-
     def add(self, member: Any) -> None:
-        self._members[member] = None
+        self[member] = None
 
-    def update(self, members: Iterable[Any]) -> None:
-        self._members.update(dict.fromkeys(members))
+    def update(self, members: Iterable[Any]) -> None:  # type: ignore[override]
+        super().update(dict.fromkeys(members))
 
 
 def keep_order() -> None:
     """Make Scenic draw what requirements depend on in the order in which they name it.
 
-    It keeps them in sets, whose order depends on addresses: another one in each process, and other
-    scenes.
+    The order of its sets depends on addresses: it would give other scenes in each process.
     """
     for module in (requirements, scenarios):
         module.set = _Ordered
@@ -125,8 +118,7 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     for path, root in _roots(scenario):
         walk.visit(root, path)
     for name, value in _namespace(scenario):
-        for path, part in _parts(name, value):
-            walk.labels.setdefault(id(part), path)
+        walk.labels.setdefault(id(value), name)
     for path, root in _required(scenario):
         walk.visit(root, path)
     entries = _entries(scenario)
@@ -264,8 +256,7 @@ def _roots(scenario: Any) -> Iterator[tuple[str, Any]]:
 def _required(scenario: Any) -> Iterator[tuple[str, Any]]:
     """Roots of the choices that only requirements read."""
     needed = _below(scenario.dependencies)
-    libraries = (names.items() for names in scenario.behaviorNamespaces.values())
-    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario), *libraries):
+    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario)):
         if id(value) in needed:
             yield name, value
     for value in scenario.dependencies:
@@ -279,20 +270,10 @@ def _bound(scenario: Any) -> Iterator[tuple[str, Any]]:
         variables, cells = kept['globalBindings'], kept['cells']
         readers = [atom.closure for atom in kept['condition'].atomics()]
         readers += filter(inspect.isfunction, [*variables.values(), *(value for _, value in cells)])
-        names = {
-            id(cell): name for reader in readers
-            for name, cell in zip(reader.__code__.co_freevars, reader.__closure__ or (),
-                                  strict=True)
-        }
+        names = {id(cell): name for one in readers if one.__closure__
+                 for name, cell in zip(one.__code__.co_freevars, one.__closure__, strict=True)}
         yield from variables.items()
         yield from ((names.get(id(cell), ''), value) for cell, value in cells)
-
-
-def _parts(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """A value, and those of a list or tuple."""
-    yield path, value
-    for number, part in enumerate(value) if isinstance(value, (list, tuple)) else ():
-        yield from _parts(f'{path}[{number}]', part)
 
 
 def _namespace(scenario: Any) -> list[tuple[str, Any]]:

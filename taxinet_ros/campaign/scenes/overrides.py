@@ -200,26 +200,13 @@ def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
 def without_idle(
     drawn: Mapping[str, Any], overrides: Mapping[str, str], changing: Collection[str]
 ) -> dict[str, Any]:
-    """The drawn values without those that have no effect in this scene, but have in others.
-
-    Args:
-        drawn: the program's values by key, in human units.
-        overrides: by key; these stay.
-        changing: keys whose values the program draws anew for each scene.
-    """
+    """The drawn values but those without effect where a key in ``changing`` happens to be 0."""
     values = {**drawn, **overrides}
     return {
         key: value for key, value in drawn.items()
         if key in overrides or not _NEEDS.get(key, set()) & {*changing, *overrides}
-        or any(_has_effect(need, values) for need in _NEEDS[key])
+        or any(values.get(need, 0) not in (0, '0') for need in _NEEDS[key])
     }
-
-
-def _has_effect(key: str, values: Mapping[str, Any]) -> bool:
-    try:
-        return bool(BY_KEY[key].from_human(values.get(key, 0)))
-    except UsageError:
-        return True  # that is reported
 
 
 def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:

@@ -50,10 +50,7 @@ class _Buckets:
 
 
 def install() -> None:
-    """Replace Scenic's functions, and make choices record where they were made.
-
-    What cannot be drawn is refused there, and truncated normals draw their tails.
-    """
+    """Replace Scenic's functions; choices are checked where they are made, and record the place."""
     words = {
         'VerifaiRange': verifai_range, 'VerifaiDiscreteRange': verifai_discrete_range,
         'VerifaiOptions': verifai_options, 'VerifaiParameter': VerifaiParameter,
@@ -66,6 +63,9 @@ def install() -> None:
     for kind in (distributions.Range, distributions.Normal, bell, whole):
         kind.__init__ = _remembering(kind.__init__)
     bell.sampleGiven = _with_tails(bell.sampleGiven)
+    # Scenic takes a choice // 1 for the choice.
+    distributions.Distribution.__floordiv__ = lambda choice, divisor: (
+        distributions.OperatorDistribution('__floordiv__', choice, (divisor,), {}))
 
 
 def begin() -> None:
@@ -177,8 +177,7 @@ def verifai_range(
         return _marked(distributions.Range(low, high), buckets)
     weights = _checked_weights(weights)
     if distributions.Range(low, high)._dependencies:
-        raise ValueError('the ends of a VerifaiRange with weights are random; they have to be '
-                         'numbers')
+        raise ValueError('the ends of a VerifaiRange with weights are random; write numbers')
     if buckets not in (None, len(weights)):
         raise ValueError(f'VerifaiRange has {len(weights)} weights, but {buckets} buckets')
     sums = np.array([0.0, *itertools.accumulate(weights)])
@@ -270,18 +269,16 @@ def _check_numbers(choice: Any) -> None:
     for part, words in _PARTS.items():
         value = vars(choice).get(part)
         endless = part in ('low', 'high') and isinstance(choice, distributions.TruncatedNormal)
-        fits = (lambda number: not math.isnan(number)) if endless else math.isfinite
-        if isinstance(value, Real) and not fits(value):
+        if isinstance(value, Real) and not (math.isfinite(value) or (endless and value == value)):
             raise ValueError(f'{words} of a {kind} is {value}; it has to be a finite number')
     if isinstance(choice, distributions.Normal):
         spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
-            raise ValueError(f'the standard deviation of a {kind} is {said}; it has to be 0 or '
-                             'more')
+            raise ValueError(f'the standard deviation of a {kind} is {said}; it has to be 0 or more')
     if isinstance(choice, distributions.DiscreteRange):
         least, most = choice.supportInterval()
-        if None not in (least, most) and math.floor(most) < math.ceil(least):
+        if None not in (least, most) and most < least + 1 and math.floor(most) < math.ceil(least):
             raise ValueError(f'a {kind} from {least:g} to {most:g} has no whole number')
 
 

@@ -247,8 +247,7 @@ class _Parser:
             done = op.text
         if self._peek.text in ('=', '==', '!=', '≠', '^', '**') and not _is_formula(part.node):
             self._expected(_COMPARISON)
-        if self._peek.raw in _OF_FORMULAS:
-            said = _OF_FORMULAS[self._peek.raw]
+        if said := _OF_FORMULAS.get(self._peek.raw):
             self._fail(self._peek, f"expected 'and', 'or' or the end, got {self._peek}; {said}")
         return part
 

@@ -105,3 +105,9 @@ def test_the_tails_of_a_truncated_normal_are_those_of_scipy_in_run_and_falsify(
                  for index in range(80)]
         assert kstest(right.cdf(drawn), 'uniform').pvalue > 1e-3
         assert np.ptp(drawn) > 0
+
+
+def test_floor_division_by_one_gives_whole_numbers(client: Any, compiled: Any) -> None:
+    assert compiled('param rain = Range(20, 90) // 1') == {}
+    values = [client.ask(op='scene', index=0, point=[u])['values'] for u in (0.0, 0.31, 0.99)]
+    assert [scene['rain_percent'] for scene in values] == [20, 41, 89]

@@ -42,7 +42,7 @@ PROGRAMS = {
         'gaps = [Range(0, 9), Normal(500, 9)]\n'
         'spots = [Range(-9, 9) @ (300 * k) for k in range(2)]\nfar = 2 * gaps[0]\n'
         'require all(abs(spot.x) > 5 for spot in spots)\nrequire gaps[1] > 505 and far > 9\n',
-        ['gaps[0]', 'spots[0].x', 'spots[1].x', 'gaps[1]'],
+        ['far', 'spots[0].x', 'spots[1].x', 'gaps[1]'],
     ),
     'closures': (
         'def make(low):\n    gap = Range(low, 900)\n    far = Range(low, 2000) @ 3\n'
