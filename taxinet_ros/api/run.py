@@ -609,7 +609,7 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
 
 def _check_time(trace: pd.DataFrame, name: str, kinds: str, expected: str) -> None:
     kind = trace[name].dtype
-    if kind.kind not in kinds or (kind.kind == 'f' and kind.itemsize < 8):
+    if kind.kind not in kinds or (kind.kind == 'f' and getattr(kind, 'itemsize', 8) < 8):
         raise UsageError(f'trace: {name} holds {kind}; expected {expected}')
 
 

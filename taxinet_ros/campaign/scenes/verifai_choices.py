@@ -255,7 +255,7 @@ def _checking_weights(initialise: Callable[..., None]) -> Callable[..., None]:
 
 def _checked_weights(weights: Iterable[Any]) -> tuple[Any, ...]:
     given = tuple(weights)
-    numbers = all(isinstance(weight, Real) and weight >= 0 for weight in given)
+    numbers = all(isinstance(weight, Real) and float(weight) >= 0 for weight in given)
     if not numbers or not 0 < sum(given) < math.inf:
         shown = ', '.join(map(str, given))
         raise ValueError(f'the weights are [{shown:.80}]; they have to be numbers of 0 or more, '
@@ -275,7 +275,7 @@ def _check_numbers(choice: Any) -> None:
         spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
-            raise ValueError(f'the standard deviation of a {kind} is {said}; it has to be 0 or more')
+            raise ValueError(f'{_PARTS["stddev"]} of a {kind} is {said}; it has to be 0 or more')
     if isinstance(choice, distributions.DiscreteRange):
         least, most = choice.supportInterval()
         if None not in (least, most) and most < least + 1 and math.floor(most) < math.ceil(least):
