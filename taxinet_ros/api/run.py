@@ -514,9 +514,12 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
 
     Raises:
-        UsageError: a bad formula, no time, a signal without a column, or one that is not finite
-            where the formula reads it (a missing estimate has no robustness).
+        UsageError: a bad formula, no time or times of less than 64 bits, two columns of one name, a
+            signal without a column, or one that is not finite where the formula reads it (a missing
+            estimate has no robustness).
     """
+    if (twice := trace.columns[trace.columns.duplicated()]).size:
+        raise UsageError(f'trace: several columns are named {twice[0]}; leave all but one out')
     stamps_ns = _stamps_ns(trace)
     numbers = {
         str(name): trace[name].to_numpy() for name in trace.columns
@@ -539,9 +542,14 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     told = trace.attrs.get('units')
     units = dict(told) if isinstance(told, Mapping) else {}
     known = {**COLUMN_UNITS, **SIGNALS}
-    asked = spec if isinstance(spec, Spec) else parse_spec(
-        spec, signals={name: known.get(name) or str(units.get(name, '')) for name in signals}
-    )
+    names = {name: known.get(name) or str(units.get(name, '')) for name in signals}
+    try:
+        asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=names)
+    except UsageError as error:
+        if not (taken := RESERVED & numbers.keys() & set(re.split(r'\W+', str(spec)))):
+            raise
+        raise UsageError(f'{error}; column {min(taken)} is named like a word of formulas: rename '
+                         'it') from None
     _check_units(units, 't_ns' if 't_ns' in trace.columns else 't_s')
     for name in signal_names(asked.formula):
         _check_units(units, name, source_column(name, numbers))
@@ -558,9 +566,8 @@ def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any
     read = set(re.findall(r'[^\W\d]\w*', text))
     for name in trace.columns:
         if str(name) in read and str(name) not in {*signals, *RESERVED}:
-            kind = getattr(trace[name], 'dtype', 'several columns')
-            raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds {kind}, no '
-                             'numbers')
+            raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds '
+                             f'{trace[name].dtype}, no numbers')
 
 
 def _check_units(units: Mapping[object, object], name: str, source: str = '') -> None:
@@ -589,7 +596,8 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
     if 't_s' not in trace.columns:
         known = ', '.join(map(str, trace.columns)) or 'none'
         raise UsageError(f'trace: no column t_ns or t_s; it has: {known}')
-    _check_time(trace, 't_s', 'iuf', 'seconds as numbers')
+    _check_time(trace, 't_s', 'iuf', 'seconds as numbers, float64 from the start, as the '
+                'rounding of shorter ones moves samples out of windows')
     seconds = trace['t_s'].to_numpy(dtype=np.float64)
     if not np.isfinite(seconds).all():
         raise UsageError(f'trace: t_s is not finite at row {np.isfinite(seconds).argmin()}')
@@ -600,9 +608,8 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def _check_time(trace: pd.DataFrame, name: str, kinds: str, expected: str) -> None:
-    column = trace[name]
-    if getattr(column, 'ndim', 1) != 1 or column.dtype.kind not in kinds:
-        kind = getattr(column, 'dtype', 'several columns')
+    kind = trace[name].dtype
+    if kind.kind not in kinds or (kind.kind == 'f' and getattr(kind, 'itemsize', 8) < 8):
         raise UsageError(f'trace: {name} holds {kind}; expected {expected}')
 
 

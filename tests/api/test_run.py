@@ -242,6 +242,29 @@ def test_given_times_that_are_no_seconds_then_no_robustness_is_made_of_them(time
         tx.robustness('always[0:1](g >= 2)', trace)
 
 
+@pytest.mark.parametrize('kind', ['float32', 'float16', 'Float32'])
+def test_times_of_fewer_than_64_bits_are_refused_as_they_move_samples_out_of_windows(kind):
+    trace = pd.DataFrame({'t_s': np.arange(60) * 0.1, 'a': np.where(np.arange(60) == 3, -1.0, 1.0)})
+    assert tx.robustness('always[0:0.3](a >= 0)', trace) == -1.0
+    with pytest.raises(tx.UsageError, match=f't_s holds {kind}; expected seconds as .* float64'):
+        tx.robustness('always[0:0.3](a >= 0)', trace.astype({'t_s': kind}))
+
+
+@pytest.mark.parametrize('name', ['a', 'cte_m', 't_s', 'word'])
+def test_columns_of_one_name_are_named(name):
+    trace = pd.DataFrame({'t_s': [0.0, 1.0], 'a': [1.0, 2.0], 'cte_m': 0.0, 'word': 'x'})
+    with pytest.raises(tx.UsageError, match=f'trace: several columns are named {name}; leave'):
+        tx.robustness('always(a >= 0)', pd.concat([trace, trace[[name]]], axis=1))
+
+
+@pytest.mark.parametrize('name', [*'SRGFUWHO', 'once', 'max'])
+def test_a_column_that_is_named_like_a_word_of_formulas_is_said_to_be(name):
+    trace = pd.DataFrame({'t_s': [0.0, 1.0], name: [1.0, 2.0], 'a': [1.0, 2.0]})
+    with pytest.raises(tx.UsageError, match=f'; column {name} is named like a word of formulas'):
+        tx.robustness(f'always({name} >= 0)', trace)
+    assert tx.robustness('G(a >= 0)', trace) == 1.0
+
+
 def test_given_no_number_of_runs_then_a_search_is_refused_before_it_begins(tmp_path):
     for runs in (0, -1, 1.5, '2'):
         with pytest.raises(tx.UsageError, match='runs: got'):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import inspect
 import itertools
 import math
 from collections import Counter
@@ -21,6 +22,7 @@ from functools import partial
 from statistics import NormalDist
 from typing import Any
 
+from scenic.core import requirements
 from scenic.core.distributions import (
     DiscreteRange,
     Distribution,
@@ -36,6 +38,7 @@ from scenic.core.distributions import (
     needsSampling,
     supportInterval,
 )
+from scenic.core.dynamics import scenarios
 from scenic.core.object_types import Constructible
 from scenic.core.regions import PointInRegionDistribution
 from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperatorDistribution
@@ -43,6 +46,7 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenes.paper_names import key_of
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
+from taxinet_ros.campaign.scenes.search_space import tail_of
 from taxinet_ros.campaign.scenes.values import is_ground_object, plane_property, scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
     buckets_of,
@@ -86,6 +90,25 @@ class Found:
     part: int = 0
 
 
+class _Ordered(dict[Any, None]):
+    """A set that keeps the order in which its members were added."""
+
+    def add(self, member: Any) -> None:
+        self[member] = None
+
+    def update(self, members: Iterable[Any]) -> None:  # type: ignore[override]
+        super().update(dict.fromkeys(members))
+
+
+def keep_order() -> None:
+    """Make Scenic draw what requirements depend on in the order in which they name it.
+
+    The order of its sets depends on addresses: it would give other scenes in each process.
+    """
+    for module in (requirements, scenarios):
+        module.set = _Ordered
+
+
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     """The choices that have quantiles, and the names of other random values."""
     walk = _Walk(
@@ -93,6 +116,10 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
         uses=_uses(scenario.dependencies),
     )
     for path, root in _roots(scenario):
+        walk.visit(root, path)
+    for name, value in _namespace(scenario):
+        walk.labels.setdefault(id(value), name)
+    for path, root in _required(scenario):
         walk.visit(root, path)
     entries = _entries(scenario)
     feeds = {key: _below(values) for key, values in entries.items()}
@@ -164,6 +191,8 @@ class _Walk:
             return zip((f'{path}.{axis}' for axis in 'xyz'), node.coordinates, strict=True)
         if isinstance(node, MultiplexerDistribution):
             return self._branches(node, path)
+        if isinstance(node, scenarios.LocalsSnapshot):
+            return list(node._locs.items())
         if isinstance(node, TupleDistribution):
             names = self.coordinates.get(id(node), {})
             return [
@@ -216,27 +245,45 @@ def _properties(thing: Any, path: str) -> list[tuple[str, Any]]:
 
 
 def _roots(scenario: Any) -> Iterator[tuple[str, Any]]:
-    """Roots of a scene's choices, in an order that is the same in every process."""
+    """Roots of the choices that a scene shows."""
     yield from scenario_parameters(scenario.params).items()
     if scenario.egoObject is not None:
         yield 'ego', scenario.egoObject
     for number, thing in enumerate(scenario._instances):
         yield f'object{number}', thing
-    # Scenic keeps the dependencies of its requirements in an unordered set.
+
+
+def _required(scenario: Any) -> Iterator[tuple[str, Any]]:
+    """Roots of the choices that only requirements read."""
     needed = _below(scenario.dependencies)
-    for name, value in _variables(scenario).items():
+    for name, value in itertools.chain(_variables(scenario).items(), _bound(scenario)):
         if id(value) in needed:
             yield name, value
     for value in scenario.dependencies:
         yield '', value
 
 
-def _variables(scenario: Any) -> dict[str, Any]:
+def _bound(scenario: Any) -> Iterator[tuple[str, Any]]:
+    """What requirements read, by the names that it has where each is written."""
+    for requirement in scenario.userRequirements:
+        kept = inspect.getclosurevars(requirement.closure).nonlocals
+        variables, cells = kept['globalBindings'], kept['cells']
+        readers = [atom.closure for atom in kept['condition'].atomics()]
+        readers += filter(inspect.isfunction, [*variables.values(), *(value for _, value in cells)])
+        names = {id(cell): name for one in readers if one.__closure__
+                 for name, cell in zip(one.__code__.co_freevars, one.__closure__, strict=True)}
+        yield from variables.items()
+        yield from ((names.get(id(cell), ''), value) for cell, value in cells)
+
+
+def _namespace(scenario: Any) -> list[tuple[str, Any]]:
     names = scenario.dynamicScenario._dummyNamespace or {}
-    return {
-        name: value for name, value in names.items()
-        if not name.startswith('_') and isinstance(value, (Distribution, Constructible))
-    }
+    return [(name, value) for name, value in names.items() if not name.startswith('_')]
+
+
+def _variables(scenario: Any) -> dict[str, Any]:
+    return {name: value for name, value in _namespace(scenario)
+            if isinstance(value, (Distribution, Constructible))}
 
 
 def _labels(scenario: Any) -> dict[int, str]:
@@ -577,6 +624,8 @@ def _normal(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
 
 def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
     mean, stddev = given[node.mean], given[node.stddev]
+    if tail := tail_of(mean, stddev, node.low, node.high):
+        return tail(quantile)
     below, above = (_STANDARD.cdf((end - mean) / stddev) for end in (node.low, node.high))
     value = mean + stddev * _sigmas(below + quantile * (above - below))
     return min(max(value, node.low), node.high)

@@ -7,7 +7,7 @@ joint prior and gives rain from a clear sky. Here every scene is validated as a 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from taxinet_ros.core.control_step import last_step
@@ -17,6 +17,7 @@ from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
     CAMERA,
+    DRAWN_FAULTS,
     DURATION,
     FAULT_ONSET,
     FAULT_SEED,
@@ -48,6 +49,12 @@ _BOUND = (
     (*(field.key for field in FAULTS), FAULT_SEED.key),
 )
 """Groups of interdependent keys."""
+_NEEDS = {
+    WIND_DIRECTION.key: {WIND_SPEED.key}, GUST_SEED.key: {GUST.key},
+    FAULT_ONSET.key: {field.key for field in FAULTS},
+    FAULT_SEED.key: {field.key for field in DRAWN_FAULTS},
+}
+"""Values that have an effect only where one of others is not 0."""
 _ALLOWING = {
     SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
     DURATION.key: DURATION.high,
@@ -188,6 +195,18 @@ def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
         except UsageError:
             found.update(keys)
     return found
+
+
+def without_idle(
+    drawn: Mapping[str, Any], overrides: Mapping[str, str], changing: Collection[str]
+) -> dict[str, Any]:
+    """The drawn values but those without effect where a key in ``changing`` happens to be 0."""
+    values = {**drawn, **overrides}
+    return {
+        key: value for key, value in drawn.items()
+        if key in overrides or not _NEEDS.get(key, set()) & {*changing, *overrides}
+        or any(values.get(need, 0) not in (0, '0') for need in _NEEDS[key])
+    }
 
 
 def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:

@@ -156,6 +156,7 @@ class Programs:
         gc.freeze()
         gc.enable()
         verifai_choices.install()
+        choices.keep_order()
         self._words = verifai_choices
         self._constructs = constructs.watch_constructs()
         sys.path.append(shipped)  # after the program's own folder, which Scenic prepends

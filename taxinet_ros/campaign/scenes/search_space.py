@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
 from typing import Any, Self
+
+import numpy as np
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
@@ -83,24 +85,54 @@ class Law:
         if self.mean is None or self.stddev is None:
             return None
         mean, stddev = self.mean, self.stddev
-        low, high = (
-            None if end is None else (end - mean) / stddev for end in (self.low, self.high)
-        )
-        return [mean + stddev * sigmas for sigmas in standard_values(quantiles, low, high)]
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        if tail := tail_of(mean, stddev, low, high):
+            return [tail(quantile) for quantile in quantiles]
+        ends = (low - mean) / stddev, (high - mean) / stddev
+        return [mean + stddev * sigmas for sigmas in standard_values(quantiles, *ends)]
+
+
+_FAR_SIGMAS = 5.0
+"""Distance from the mean at which the distribution function has lost half of its digits."""
+
+
+def tail_of(mean: float, sigma: float, low: float, high: float) -> Callable[[float], float] | None:
+    """Value at a quantile 0 … 1 of a truncated normal, where inverting its function loses digits.
+
+    With both ends far out on one side its logarithm is inverted, as in scipy.stats.truncnorm; None
+    for other ends. With a deviation of 0 it is the value next to the mean.
+    """
+    if sigma == 0:
+        return lambda quantile: min(max(mean, low), high)
+    ends = (low - mean) / sigma, (high - mean) / sigma
+    side = 1 if min(ends) > _FAR_SIGMAS else -1 if max(ends) < -_FAR_SIGMAS else 0
+    if side == 0:
+        return None
+    from scipy.special import log_ndtr, ndtri_exp
+
+    first, last = (float(log_ndtr(-side * end)) for end in ends)
+
+    def value(quantile: float) -> float:
+        if not 0 < quantile < 1:
+            return low if quantile <= 0 else high
+        share = float(np.logaddexp(math.log1p(-quantile) + first, math.log(quantile) + last))
+        return min(max(mean - side * sigma * float(ndtri_exp(share)), low), high)
+
+    return value
 
 
 def standard_values(
-    quantiles: Sequence[float], low: float | None = None, high: float | None = None
+    quantiles: Sequence[float], low: float = -math.inf, high: float = math.inf
 ) -> list[float]:
-    """Values of the standard normal distribution between two ends; None is unbounded."""
+    """Values of the standard normal distribution between two ends."""
     unit = NormalDist()
-    below, above = 0.0 if low is None else unit.cdf(low), 1.0 if high is None else unit.cdf(high)
+    below, above = unit.cdf(low), unit.cdf(high)
     values = []
     for quantile in quantiles:
         share = below + quantile * (above - below)
-        first, last = (-math.inf if low is None else low), (math.inf if high is None else high)
-        inner = unit.inv_cdf(share) if 0 < share < 1 else first if share <= 0 else last
-        values.append(first if quantile <= 0 else last if quantile >= 1 else inner)
+        inner = unit.inv_cdf(share) if 0 < share < 1 else low if share <= 0 else high
+        values.append(low if quantile <= 0 else high if quantile >= 1 else inner)
     return values
 
 

@@ -22,6 +22,7 @@ from taxinet_ros.campaign.scenes.overrides import (
     check_overrides,
     contradicting_keys,
     impossible_keys,
+    without_idle,
 )
 from taxinet_ros.campaign.scenes.paper_names import our_values
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
@@ -223,11 +224,17 @@ class SceneSource:
             UsageError: the program failed, hung or died, or no scene can be a valid scenario.
             ValueError: the point does not belong to this space.
         """
-        values = self._drawn(index, point, attempt)
-        where = f'{self.program.name}: scene {index}'
+        return self._scenario(
+            self._drawn(index, point, attempt), f'{self.program.name}: scene {index}'
+        )
+
+    def _scenario(self, values: Mapping[str, Any], where: str) -> Scenario:
         try:
             return apply_overrides(values, self._values, where)
         except UsageError as error:
+            kept = without_idle(values, self._values, self.search_space().drawn)
+            if len(kept) < len(values):
+                return self._scenario(kept, where)
             if self._by_chance({**values, **self._values}):
                 raise Rejected(str(error), self.refused) from error
             raise

@@ -16,8 +16,11 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
+import random
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from numbers import Real
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -29,9 +32,12 @@ from scenic.syntax import veneer
 
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
+from taxinet_ros.campaign.scenes.search_space import tail_of
 from taxinet_ros.campaign.scenes.values import Place, ProgramError
 
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
+_PARTS = {'low': 'the low end', 'high': 'the high end', 'mean': 'the mean',
+          'stddev': 'the standard deviation'}
 _NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
 
 
@@ -44,7 +50,7 @@ class _Buckets:
 
 
 def install() -> None:
-    """Replace Scenic's functions, and make choices record where they were made."""
+    """Replace Scenic's functions; choices are checked where they are made, and record the place."""
     words = {
         'VerifaiRange': verifai_range, 'VerifaiDiscreteRange': verifai_discrete_range,
         'VerifaiOptions': verifai_options, 'VerifaiParameter': VerifaiParameter,
@@ -52,8 +58,14 @@ def install() -> None:
     for module in (veneer, external_params):
         for name, word in words.items():
             setattr(module, name, word)
-    for kind in (distributions.Range, distributions.Normal, distributions.DiscreteRange):
+    whole, bell = distributions.DiscreteRange, distributions.TruncatedNormal
+    whole.__init__ = _checking_weights(whole.__init__)
+    for kind in (distributions.Range, distributions.Normal, bell, whole):
         kind.__init__ = _remembering(kind.__init__)
+    bell.sampleGiven = _with_tails(bell.sampleGiven)
+    # Scenic takes a choice // 1 for the choice.
+    distributions.Distribution.__floordiv__ = lambda choice, divisor: (
+        distributions.OperatorDistribution('__floordiv__', choice, (divisor,), {}))
 
 
 def begin() -> None:
@@ -163,7 +175,9 @@ def verifai_range(
     """``VerifaiRange``: a real interval, with ``weights`` of equal parts."""
     if weights is None:
         return _marked(distributions.Range(low, high), buckets)
-    weights = tuple(weights)
+    weights = _checked_weights(weights)
+    if distributions.Range(low, high)._dependencies:
+        raise ValueError('the ends of a VerifaiRange with weights are random; write numbers')
     if buckets not in (None, len(weights)):
         raise ValueError(f'VerifaiRange has {len(weights)} weights, but {buckets} buckets')
     sums = np.array([0.0, *itertools.accumulate(weights)])
@@ -182,7 +196,7 @@ def verifai_discrete_range(
     low: int, high: int, weights: Iterable[float] | None = None
 ) -> Any:
     """``VerifaiDiscreteRange``: an inclusive integer interval."""
-    return _marked(distributions.DiscreteRange(low, high, weights and tuple(weights)), None)
+    return _marked(distributions.DiscreteRange(low, high, weights), None)
 
 
 def verifai_options(options: Mapping[Any, float] | Iterable[Any]) -> Any:
@@ -220,7 +234,7 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(initialise)
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
         initialise(self, *args, **kwargs)
-        _check_spread(self)
+        _check_numbers(self)
         frame: FrameType | None = sys._getframe(1)
         while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
             frame = frame.f_back
@@ -230,13 +244,51 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
     return init
 
 
-def _check_spread(choice: Any) -> None:
+def _checking_weights(initialise: Callable[..., None]) -> Callable[..., None]:
+    @functools.wraps(initialise)
+    def init(self: Any, low: Any, high: Any, weights: Any = None, *rest: Any, **named: Any) -> None:
+        given = None if weights is None else _checked_weights(weights)
+        initialise(self, low, high, given, *rest, **named)
+
+    return init
+
+
+def _checked_weights(weights: Iterable[Any]) -> tuple[Any, ...]:
+    given = tuple(weights)
+    numbers = all(isinstance(weight, Real) and float(weight) >= 0 for weight in given)
+    if not numbers or not 0 < sum(given) < math.inf:
+        shown = ', '.join(map(str, given))
+        raise ValueError(f'the weights are [{shown:.80}]; they have to be numbers of 0 or more, '
+                         'and one of them above 0')
+    return given
+
+
+def _check_numbers(choice: Any) -> None:
+    """Refuse a distribution from which nothing, or no number, can be drawn."""
+    kind = type(choice).__name__
+    for part, words in _PARTS.items():
+        value = vars(choice).get(part)
+        endless = part in ('low', 'high') and isinstance(choice, distributions.TruncatedNormal)
+        if isinstance(value, Real) and not (math.isfinite(value) or (endless and value == value)):
+            raise ValueError(f'{words} of a {kind} is {value}; it has to be a finite number')
     if isinstance(choice, distributions.Normal):
         spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
-            raise ValueError(f'the standard deviation of a {type(choice).__name__} is {said}; it '
-                             'has to be 0 or more')
+            raise ValueError(f'{_PARTS["stddev"]} of a {kind} is {said}; it has to be 0 or more')
+    if isinstance(choice, distributions.DiscreteRange):
+        least, most = choice.supportInterval()
+        if None not in (least, most) and most < least + 1 and math.floor(most) < math.ceil(least):
+            raise ValueError(f'a {kind} from {least:g} to {most:g} has no whole number')
+
+
+def _with_tails(sample: Callable[..., float]) -> Callable[..., float]:
+    @functools.wraps(sample)
+    def sample_given(self: Any, given: Mapping[Any, Any]) -> float:
+        tail = tail_of(given[self.mean], given[self.stddev], self.low, self.high)
+        return sample(self, given) if tail is None else tail(random.random())
+
+    return sample_given
 
 
 def _place(frame: FrameType) -> list[Any] | None:

@@ -55,7 +55,17 @@ _SAYS = {
     'xor': "write it with 'and', 'or' and 'not'",
     'iff': 'write (a implies b) and (b implies a)',
     '<->': 'write (a implies b) and (b implies a)',
+    **dict.fromkeys(('alw', 'alw_', '[]'), 'write always(...), or always[0:10](...)'),
+    **dict.fromkeys(('ev', 'ev_'), 'write eventually(...), or eventually[0:10](...)'),
+    '<>': 'write eventually(...); for another number cte < 1 or cte > 1',
+    'rise': 'write p and once[0.1:0.1](not p), with the time between two samples',
+    'fall': 'write (not p) and once[0.1:0.1](p), with the time between two samples',
 }
+_OF_FORMULAS = {
+    **dict.fromkeys(('=', '=='), f'for iff {_SAYS["iff"]}'),
+    **dict.fromkeys(('!=', '≠'), f'for xor {_SAYS["xor"]}'),
+}
+"""What to write where formulas are compared as if they were numbers."""
 _MEANS = {'cross_track_error': 'cte', 'heading': 'he', 'heading_error': 'he'}
 
 
@@ -237,6 +247,8 @@ class _Parser:
             done = op.text
         if self._peek.text in ('=', '==', '!=', '≠', '^', '**') and not _is_formula(part.node):
             self._expected(_COMPARISON)
+        if said := _OF_FORMULAS.get(self._peek.raw):
+            self._fail(self._peek, f"expected 'and', 'or' or the end, got {self._peek}; {said}")
         return part
 
     def _refuse_chain(self, op: Token, done: str, left: _Node) -> None:

@@ -16,7 +16,7 @@ from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import rejected_row
 from taxinet_ros.campaign.scenes import source as scene_source
-from taxinet_ros.campaign.scenes.overrides import apply_overrides, check_overrides
+from taxinet_ros.campaign.scenes.overrides import apply_overrides, check_overrides, without_idle
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.errors import InfraError, UsageError
@@ -310,6 +310,38 @@ def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
                 assert type(error) is Rejected, 'no other point is to be tried'
                 assert reason in str(error)
                 assert str(error).startswith(f'mine.scenic: scene {index}: ')
+
+
+def test_values_that_have_no_effect_in_some_scenes_reject_none_of_them(tmp_path: Path) -> None:
+    text = PLANE + (
+        'param wind_direction = Range(10, 350)\nparam wind_speed = Uniform(0, 5)\n'
+        'param gust = Uniform(0, 1)\nparam gust_seed = DiscreteRange(1, 99)\n'
+        'param lens_dirt = Uniform(0, 20)\nparam fault_seed = 7\nparam fault_onset = 3\n'
+    )
+    with SceneSource(write(tmp_path, text), seed=0) as source:
+        scenes = [source.scene(index) for index in range(24)]
+    for attribute, needs in (
+        ('wind_direction_rad', 'wind_speed_mps'), ('gust_seed', 'gust_mps'),
+        ('fault_seed', 'lens_dirt_fraction'), ('fault_onset_s', 'lens_dirt_fraction'),
+    ):
+        effects = {(getattr(scene, attribute) > 0, getattr(scene, needs) > 0) for scene in scenes}
+        assert effects == {(True, True), (False, False)}
+
+
+@pytest.mark.parametrize(('overrides', 'changing', 'kept'), [
+    ({}, {'wind_speed_mps'}, False),
+    ({'wind_speed_mps': '0'}, {'wind_direction_deg'}, False),
+    ({'wind_speed_mps': '5'}, {'wind_direction_deg'}, True),
+    ({}, {'wind_direction_deg'}, True),
+    ({'wind_direction_deg': '90'}, {'wind_speed_mps'}, True),
+])
+def test_a_wind_direction_that_has_no_effect_in_any_scene_or_is_typed_stays_to_be_refused(
+    overrides: dict[str, str], changing: set[str], kept: bool,
+) -> None:
+    drawn = {'wind_direction_deg': 40.0, 'wind_speed_mps': 0.0, 'rain_percent': 3.0}
+    found = without_idle(drawn, overrides, changing)
+    assert found == {key: value for key, value in drawn.items()
+                     if kept or key != 'wind_direction_deg'}
 
 
 @pytest.mark.parametrize(('text', 'message'), [

@@ -80,6 +80,42 @@ def test_given_a_file_that_is_no_model_when_checked_then_one_line_and_no_more(
     assert capfd.readouterr() == ('', '')
 
 
+def stamped(**versions: int) -> bytes:
+    network = linear()
+    network.ir_version = versions.get('ir', network.ir_version)
+    network.opset_import[0].version = versions.get('opset', network.opset_import[0].version)
+    return network.SerializeToString()
+
+
+@pytest.mark.parametrize(('data', 'said'), [
+    (stamped(ir=99), r'\(IR version 99; it knows those up to (\d+)\); export it with IR version \1 '
+                     'or older'),
+    (stamped(opset=99), r'\(opset 99; it knows those up to (\d+)\); export it with opset \1 or '
+                        'older'),
+    (model([Node('Nope', ['picture'], ['answer'])]).SerializeToString(),
+     r'\(No Op registered for Nope with domain_version of 17\); copy or export it again'),
+])
+def test_a_model_that_onnxruntime_cannot_run_is_refused_with_its_reason_in_front(
+    data: bytes, said: str, tmp_path: Path,
+) -> None:
+    answer = complaint(save(tmp_path, data))
+    assert re.fullmatch(rf'net.onnx: is not a model that onnxruntime [\d.]+ can run {said}', answer)
+
+
+def test_an_input_without_a_shape_runs_as_with_one_or_says_why_not(tmp_path: Path) -> None:
+    answers = []
+    for name, shape in (('with', ('N', 1, 4, 6)), ('without', None)):
+        (tmp_path / name).mkdir()
+        path = save(tmp_path / name, linear(shape=shape).SerializeToString())
+        network = OnnxNetwork(NetworkFiles.read(path))
+        answers.append([network.look(frame) for frame in trial_frames().values()])
+        inspect(NetworkFiles.read(path))
+    assert np.isfinite(answers).all()
+    assert answers[0] == answers[1]
+    unfit = linear(pixels=25, shape=None).SerializeToString()
+    assert 'net.onnx: fails on a grey frame (' in complaint(save(tmp_path, unfit))
+
+
 @pytest.mark.parametrize('suffix', ['.onnx', '.yaml'])
 def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

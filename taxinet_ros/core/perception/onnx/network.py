@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -104,6 +105,14 @@ MEMORY_BYTES = 2 << 30
 _DTYPES: dict[str, type[np.floating[Any]]] = {
     'tensor(float)': np.float32, 'tensor(double)': np.float64, 'tensor(float16)': np.float16,
 }
+
+_NEWER = {
+    'IR version': re.compile(r'model IR version: (\d+), max supported IR version: (\d+)'),
+    'opset': re.compile(r'Opset (\d+) .* is till opset (\d+)'),
+}
+"""Reports of onnxruntime about a newer model: what is newer, its version, and the newest known."""
+_SOURCE = re.compile(r'^/\S+:\d+ .*?\)(?: const)? (?=[A-Z])')
+"""File, line and signature with which it begins some of its messages."""
 
 
 def trial_frames() -> dict[str, NDArray[np.uint8]]:
@@ -206,7 +215,7 @@ class OnnxNetwork:
         fits = len(given.shape) == len(wanted.shape) and all(
             side in (None, asked) for side, asked in zip(given.shape, wanted.shape, strict=True)
         )
-        if not fits:
+        if given.shape and not fits:  # without a shape the trial shows whether it fits
             sides = ', '.join('?' if side is None else str(side) for side in given.shape)
             raise self._disagrees(f'layout, colour, height and width say {wanted.shape}',
                                   f"the model's input {given} is ({sides[:80]})")
@@ -352,8 +361,9 @@ def _open(path: Path, data: bytes) -> _Model:
             ) from None
         if short_of_memory(error):
             raise too_large(path) from None
+        why = _too_new(error) or f'({_reason(error)}); copy or export it again'
         raise file_error(path, f'is not a model that onnxruntime {onnxruntime.__version__} can run '
-                        f'({_reason(error)}); copy or export it again') from None
+                        f'{why}') from None
 
 
 def _read(path: Path, most: int) -> bytes:
@@ -391,6 +401,17 @@ def too_large(path: Path) -> UsageError:
     )
 
 
+def _too_new(error: Exception) -> str | None:
+    """Version of a model that onnxruntime does not know yet, and what to do."""
+    for stamp, pattern in _NEWER.items():
+        if found := pattern.search(' '.join(str(error).split())):
+            given, most = found.groups()
+            return (f'({stamp} {given}; it knows those up to {most}); export it with {stamp} '
+                    f'{most} or older')
+    return None
+
+
 def _reason(error: Exception) -> str:
-    """Message of onnxruntime in one line, without error codes."""
-    return ' '.join(str(error).split()).rpartition(' : ')[2][:160]
+    """Message of onnxruntime in one line, without error codes and places in its source."""
+    text = ' '.join(str(error).split()).rpartition(' : ')[2]
+    return _SOURCE.sub('', text).rpartition(', Error ')[2][:160]
