@@ -63,7 +63,7 @@ def learned_program(
             the reason.
     """
     try:
-        source = read_file(program, MAX_TEXT_BYTES).decode()  # keeps its line ends
+        source = read_file(program, MAX_TEXT_BYTES).decode('utf-8-sig')  # keeps its line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
     text = _Text(program=program.resolve(), source=source)

@@ -392,7 +392,7 @@ class Search:
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
         word = campaign.perception
-        facts = campaign_facts(campaign, self._source.program)
+        facts = campaign_facts(campaign, self._source.program, self._source.text)
         return {
             **facts,
             **extension_facts(facts, samplers=self.options.sampler),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from training_samples import foreign_folder
 
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import Source, digest, load_model

@@ -18,6 +18,7 @@ import contextlib
 import difflib
 import functools
 import importlib
+import itertools
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -43,7 +44,12 @@ from taxinet_ros.campaign.scenes.paper_names import (
     key_of,
     paper_name,
 )
-from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.campaign.scenes.programs import (
+    BYTE_ORDER_MARK,
+    MODEL,
+    beside,
+    is_document_file,
+)
 from taxinet_ros.campaign.scenes.values import (
     BEHAVIORS,
     KIND,
@@ -61,6 +67,7 @@ from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.track import runway_track
 from taxinet_ros.core.scenario_fields import (
+    CATALOGUES,
     CLOUDS,
     HUMAN_KEYS,
     PARAMETERS,
@@ -68,6 +75,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     SHORT_FORMS,
     TRAFFIC,
+    by_key,
     other_form,
 )
 from taxinet_ros.core.traffic.traffic import KINDS
@@ -192,6 +200,7 @@ class Constructs:
     """
 
     params: dict[str, Place] = field(default_factory=dict)
+    _path: Path = field(default_factory=Path)
     _program: str = ''
     _depths: dict[str, int] = field(default_factory=dict)
     _made: dict[int, _Made] = field(default_factory=dict)
@@ -200,6 +209,10 @@ class Constructs:
 
     def _install(self) -> None:
         _keep_lines()
+        parse = translator.parse_string
+        translator.parse_string = lambda text, *args, **kwargs: parse(
+            text.removeprefix(BYTE_ORDER_MARK), *args, **kwargs
+        )
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
             setattr(veneer, name, functools.partial(_refuse_here, statement, why))
@@ -212,7 +225,7 @@ class Constructs:
 
     def begin(self, program: Path) -> None:
         """Reset, and start monitoring a program."""
-        self._program = str(program.resolve())
+        self._path, self._program = program, str(program.resolve())
         for memory in (self.params, self._depths, self._made, self._uses, self._read):
             memory.clear()
 
@@ -231,6 +244,16 @@ class Constructs:
             'fractions are meant, write 100 times as much'
         )
         return [[*self.params.get(name, (self._program, 0)), text]]
+
+    def named_documents(self, scenario: Any) -> list[str]:
+        """Files of documents that a compiled program's parameters name, by themselves or chosen."""
+        params = by_key(scenario_parameters(scenario.params))
+        values = [params[key] for key in CATALOGUES if key in params]
+        words = itertools.chain.from_iterable(
+            value.options if isinstance(value, MultiplexerDistribution) else [value]
+            for value in values
+        )
+        return [word for word in words if isinstance(word, str) and is_document_file(word)]
 
     def check(self, scenario: Any) -> None:
         """Refuse constructs without effect in a compiled program.
@@ -381,10 +404,19 @@ class Constructs:
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
             if isinstance(plain, str) and name != 'date':  # a date may be computed, and invalid
-                _check_word(name, plain, place)
+                self._check_word(name, plain, place)
         for option in value.options if isinstance(value, MultiplexerDistribution) else ():
             if isinstance(option, str):
-                _check_word(name, option, place)
+                self._check_word(name, option, place)
+
+    def _check_word(self, name: str, word: str, place: Place | None) -> None:
+        """Refuse a word that is misspelt, hence invalid in every run."""
+        if name in CATALOGUES and is_document_file(word):
+            word = str(beside(self._path, word))
+        try:
+            check_value(name, word)
+        except UsageError as error:
+            raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
 
     def _check_paper_value(self, name: str, meant: PaperName, value: Any) -> None:
         place = self.params.get(name)
@@ -473,14 +505,6 @@ class Constructs:
                 f'with {name}: no property of {type(ego).__name__}, so it has no effect'
                 f'{_meant(name, known)}', place,
             )
-
-
-def _check_word(name: str, word: str, place: Place | None) -> None:
-    """Refuse a word that is misspelt, hence invalid in every run."""
-    try:
-        check_value(name, word)
-    except UsageError as error:
-        raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
 
 
 def _drawn(value: Any) -> list[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import secrets
@@ -25,7 +26,16 @@ from taxinet_ros.campaign.scenes.overrides import (
 )
 from taxinet_ros.campaign.scenes.paper_names import our_values
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
-from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.campaign.scenes.programs import (
+    MODEL,
+    SUFFIX,
+    beside,
+    files_of_program,
+    find_program,
+    is_document_file,
+    shipped_folder,
+    stored_text,
+)
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.control_step import last_step
@@ -33,6 +43,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     BY_PLACE,
     BY_TRACK,
+    CATALOGUES,
     DURATION,
     HUMAN_KEYS,
     PLACE,
@@ -104,6 +115,7 @@ class SceneSource:
         refused: draws rejected by the requirements before the last scene without a point.
         sampler: sampler requested by ``verifaiSamplerType``; None if there is none.
         notes: notes on likely mistakes in the program.
+        text: the program with all that it runs; see :func:`program_text`.
     """
 
     def __init__(
@@ -143,6 +155,8 @@ class SceneSource:
         self.refused = 0
         self.sampler: ProgramSampler | None = None
         self.notes: tuple[str, ...] = ()
+        self.text = ''
+        self._documents: frozenset[Path] = frozenset()
 
     def __enter__(self) -> Self:
         """Start the child, compile, and check for overrides that contradict the program.
@@ -155,8 +169,9 @@ class SceneSource:
         try:
             self._meanwhile()
             self._receive('', START_TIMEOUT_S)
-            self._ask({'op': 'compile', 'program': str(self.program)})
+            compiled = self._ask({'op': 'compile', 'program': str(self.program)})
             self._read_asked(**self._ask({'op': 'asked'}))
+            self._read_files(**compiled)
             self._probe_weather()
         except BaseException:
             self._stop()
@@ -174,6 +189,16 @@ class SceneSource:
         places = {name: _at(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
         self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    def _read_files(self, *, loaded: Sequence[str], named: Sequence[str]) -> None:
+        files = files_of_program(self.program, loaded, named)
+        self.text = stored_text(files)
+        self._documents = frozenset(path.resolve() for path in files.values())
+        for name in dict.fromkeys(named):
+            own, other = beside(self.program, name), Path(name)
+            if other.is_file() and own.read_bytes() != other.read_bytes():
+                self.notes += (f'{_shown(self.program)}: {name} is the file beside the program, '
+                               'not the other one in the current folder',)
 
     @property
     def fixed_length(self) -> Mapping[str, str]:
@@ -242,13 +267,27 @@ class SceneSource:
         if 'values' in answer:
             self.refused = answer['refused']
             try:
-                return our_values(answer['values'], self._values)
+                return our_values(self._with_own_files(answer['values']), self._values)
             except UsageError as error:
                 raise UsageError(f'{where}: {error}') from error
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)
         tries = answer['rejected']
         raise Rejected(f'{where}: no draw met the requirements in {tries} tries', tries)
+
+    def _with_own_files(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """A scene's values, with documents named as they are found beside the program."""
+        found = dict(values)
+        for key in (found.keys() & CATALOGUES.keys()) - self._values.keys():
+            if is_document_file(name := found[key]):
+                path = beside(self.program, name)
+                if path.is_file() and path.resolve() not in self._documents:
+                    raise UsageError(
+                        f'{key} {name}: this name is put together by chance, so nothing would tell '
+                        "if the file changed; write whole names: Uniform('a.yaml', 'b.yaml')"
+                    )
+                found[key] = str(path)
+        return found
 
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program draws impossible values only in some scenes."""
@@ -366,6 +405,30 @@ class SceneSource:
 
     def _error_line(self, *, file: str, line: int, message: str) -> str:
         return f'{_at(file or str(self.program), line)}: {message}'
+
+
+def program_text(program: str | Path) -> str:
+    """A program with all that it runs, as one text: part of a campaign's record.
+
+    These are its own file, the modules and files below its folder that were read while it was
+    compiled, however they were imported or opened, the world model, and the documents (places,
+    aircraft, cameras, others on the ground) that its parameters name. What only a drawn scene reads
+    is not included, nor are installed packages. Each file is headed by its name within the folder,
+    so that a checkout and an installed copy give the same text.
+
+    Raises:
+        UsageError: it does not compile, or a file cannot be read.
+    """
+    path = find_program(program)
+    if path.resolve().parent == shipped_folder().resolve():  # these run the world model alone
+        return stored_text({file.name: file for file in (path, path.parent / f'{MODEL}{SUFFIX}')})
+    with SceneSource(path, seed=0) as source:
+        return source.text
+
+
+def program_digest(program: str | Path) -> str:
+    """SHA-256 of :func:`program_text`, in hexadecimal: equal digests draw equal scenes."""
+    return hashlib.sha256(program_text(program).encode()).hexdigest()
 
 
 def accepted_scene(

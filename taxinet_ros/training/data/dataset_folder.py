@@ -27,7 +27,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest, program_text
+from taxinet_ros.campaign.scenes.programs import check_same_files, find_program
+from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
@@ -169,10 +170,11 @@ class DatasetOptions:
             UsageError: the program is unknown or cannot be read.
         """
         path, renderer = find_program(self.program), find_renderer(self.camera)
+        text = program_text(path)
         return {
             'program': path.stem,
-            'program_sha256': program_digest(path),
-            'program_text': program_text(path),
+            'program_sha256': hashlib.sha256(text.encode()).hexdigest(),
+            'program_text': text,
             'sampler': self.sampler,
             'seed': self.seed,
             'count': self.count,
@@ -256,6 +258,7 @@ def _check_request(out: Path, request: Mapping[str, Any]) -> None:
         raise UsageError(
             f'dataset: --resume: {path}: cannot be read; name another --out'
         ) from error
+    check_same_files(f'dataset: --resume: {out}', begun, request)
     for name, value in request.items():
         before = begun.get(name)
         if before != value:
