@@ -35,7 +35,7 @@ class ToySource:
     Where the second is high the program draws what is no scenario.
     """
 
-    sampler, notes = None, ()
+    sampler, notes, feedback = None, (), None
 
     def __init__(self, program: str, **others: Any) -> None:
         self.program = find_program(program)

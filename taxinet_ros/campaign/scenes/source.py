@@ -115,6 +115,7 @@ class SceneSource:
         refused: draws rejected by the requirements before the last scene without a point.
         sampler: sampler requested by ``verifaiSamplerType``; None if there is none.
         notes: notes on likely mistakes in the program.
+        feedback: robustness that a sampler is to learn for a refused point, or None.
         text: the program with all that it runs; see :func:`program_text`.
     """
 
@@ -155,6 +156,7 @@ class SceneSource:
         self.refused = 0
         self.sampler: ProgramSampler | None = None
         self.notes: tuple[str, ...] = ()
+        self.feedback: float | None = None
         self.text = ''
         self._documents: frozenset[Path] = frozenset()
 
@@ -188,6 +190,7 @@ class SceneSource:
     def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
         places = {name: _at(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
+        self.feedback = sampler['feedback']
         self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
 
     def _read_files(self, *, loaded: Sequence[str], named: Sequence[str]) -> None:

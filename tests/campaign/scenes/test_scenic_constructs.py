@@ -180,8 +180,11 @@ REFUSED = {
     'own external sampler': (
         PLANE + 'from scenic.core.external_params import ExternalSampler\n'
         'param externalSampler = ExternalSampler\n', 4, 'externalSampler: a sampler of the'),
-    'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = 3\n', 3,
-                           'externalSamplerRejectionFeedback has no effect here'),
+    'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = False\n', 3,
+                           'externalSamplerRejectionFeedback is False; it has to be a number'),
+    'rejection feedback of no number': (
+        PLANE + 'param externalSamplerRejectionFeedback = float("nan")\n', 3,
+        'externalSamplerRejectionFeedback is nan; it has to be a number'),
     'attack: switch': (PLANE + 'param shadows = Uniform("on", "maybe")\n', 3,
                        "param shadows needs on or off, got 'maybe'"),
     'attack: rare word': (PLANE + 'param clouds = Options({"clear": 999, "cloudy": 1})\n', 3,
