@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +26,7 @@ from taxinet_ros.core.perception.weights import (
 )
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.accuracy import history_csv
 from taxinet_ros.training.data.dataset import (
     Dataset,
@@ -34,12 +38,15 @@ from taxinet_ros.training.data.dataset import (
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.training.unfinished import Unfinished
 from taxinet_ros.version import __version__
 
 if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted
 
 
+IMAGES = 'training and validation images'
+"""The stage in which scenes are rendered, those added and those held out included."""
 _SPLIT = 2
 """Stream key that separates the random numbers of the split from those of the training."""
 
@@ -60,16 +67,26 @@ class TrainingData:
     validation_data: tuple[Source, ...] = ()
 
 
-def get_training_data(options: TrainOptions, progress: Progress) -> TrainingData:
+def get_training_data(
+    options: TrainOptions, progress: Progress,
+    begin: Callable[[Sequence[Source]], Journal | None] = lambda sources: None,
+) -> TrainingData:
     """Render or read the pictures requested by the options.
+
+    Args:
+        options: options of the training.
+        progress: as in :func:`train`.
+        begin: called with the origins of the pictures; returns the file to record rendered ones in.
 
     Raises:
         UsageError: a program, campaign or folder cannot be used, or has too few pictures.
         InfraError: a worker process died, or the simulator failed.
     """
     if options.program is not None:
-        return _render_scenes(options, options.program, progress)
-    return _read_folders(options, progress)
+        return _render_scenes(options, options.program, progress, begin)
+    material = _read_folders(options, progress)
+    begin((*material.training_data, *material.validation_data))
+    return material
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +97,20 @@ class _SceneGroup:
     held_back: bool
 
 
-def _render_scenes(options: TrainOptions, program: str, progress: Progress) -> TrainingData:
+def _render_scenes(
+    options: TrainOptions, program: str, progress: Progress,
+    begin: Callable[[Sequence[Source]], Journal | None],
+) -> TrainingData:
     other = options.validation_program
     sources = (program_source(program), *(portion.source() for portion in options.add))
     validation_data = () if other is None else (program_source(other),)
+    journal = begin((*sources, *validation_data))
     # The program's own groups come first, so that additions do not change their pictures.
     lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
         workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
+        stage=IMAGES, journal=journal,
     )
     held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
     return TrainingData(
@@ -161,11 +183,12 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     """Get labelled pictures, train and evaluate a network, and write weights, card and curves.
 
     All errors in the options are found before the work starts. Files are written atomically at the
-    end; equal options give equal weights on one machine.
+    end; equal options give equal weights on one machine. Until then, pictures and the last epoch
+    are in a folder (:class:`.Unfinished`) with which ``options.resume`` goes on.
 
     Args:
         options: options of the training.
-        progress: called in the stages ``scenes``, ``images``, ``held back`` (images of
+        progress: called in the stages ``scenes``, :data:`IMAGES`, ``held back`` (images of
             ``validation_data``) and ``epochs``.
 
     Returns:
@@ -174,12 +197,30 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 
     Raises:
         UsageError: options, program, data or folder cannot be used.
+        RecordError: the disk is full, or the folder was moved or deleted meanwhile.
         InfraError: a worker process died, or the simulator failed.
     """
     options.check_out()
     start = None if options.start is None else load_model(weights_path(options.start))
-    material = get_training_data(options, progress)
-    fitted = _fit(options, material, start, progress)
+    unfinished = Unfinished(options.out)
+    with contextlib.ExitStack() as opened:
+        def begin(sources: Sequence[Source]) -> Journal:
+            request = options.request(sources, '' if start is None else start.fingerprint)
+            return opened.enter_context(unfinished.open(
+                request, resume=options.resume, overwrite=options.overwrite
+            ))
+
+        material = get_training_data(options, progress, begin)
+        fitted = _fit(options, material, start, progress, unfinished.epochs)
+        card = _write(options, material, fitted, start)
+    unfinished.remove()
+    return card
+
+
+def _write(
+    options: TrainOptions, material: TrainingData, fitted: Fitted, start: Model | None
+) -> ModelCard:
+    """Write weights, card and curves."""
     data = to_bytes(fitted.weights)
     card = ModelCard(
         architecture=DEFAULT_ARCHITECTURE,
@@ -208,7 +249,8 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 
 
 def _fit(
-    options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress
+    options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress,
+    kept: Path,
 ) -> Fitted:
     from taxinet_ros.training.fit import Recipe, fit  # imports torch, after checking options
 
@@ -217,8 +259,10 @@ def _fit(
         seed=options.seed, patience=options.patience, augmented=options.augment,
     )
     architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
-    weights = None if start is None else start.weights
-    return fit(architecture, material.training, material.validation, recipe, progress, weights)
+    return fit(
+        architecture, material.training, material.validation, recipe, progress,
+        None if start is None else start.weights, kept,
+    )
 
 
 def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:

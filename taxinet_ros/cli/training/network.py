@@ -27,6 +27,7 @@ from taxinet_ros.training.evaluation import (
 )
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import train
+from taxinet_ros.training.unfinished import Unfinished
 
 
 def run_dataset(options: DatasetOptions) -> None:
@@ -59,8 +60,18 @@ def run_train(options: TrainOptions) -> None:
     for path in beside if options.out.suffix else ():
         check_output(f'train: --out {options.out}: {path}', path)
     console = Console(highlight=False)
-    with stage_bars(console) as show:
-        card = train(options, show)
+    try:
+        with stage_bars(console) as show:
+            card = train(options, show)
+    except KeyboardInterrupt:
+        unfinished = Unfinished(options.out)
+        if not unfinished.begun:
+            raise
+        Console(stderr=True).print(
+            f'interrupted; {unfinished.folder} keeps pictures and epochs, continue with '
+            f'{options.resuming_command}', soft_wrap=True, highlight=False, markup=False,
+        )
+        raise ToldInterrupt from None
     for quantity, errors in card.errors.items():
         figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
         console.print(f'{quantity}: {figures}', soft_wrap=True)
