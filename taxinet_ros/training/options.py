@@ -124,30 +124,6 @@ class TrainOptions:
     @property
     def command_line(self) -> str:
         """The command that trains these weights, with every relevant option."""
-        return shlex.join([*self._words(), '--out', self.out.name])
-
-    @property
-    def resuming_command(self) -> str:
-        """The command that goes on with this training if it is interrupted."""
-        more = ['--workers', str(self.workers), *(['--overwrite'] if self.overwrite else [])]
-        return shlex.join([*self._words(), *more, '--out', str(self.out), '--resume'])
-
-    def request(self, sources: Sequence[Source], start: str) -> dict[str, str]:
-        """All that the weights depend on, by name.
-
-        Args:
-            sources: origins of the pictures.
-            start: SHA-256 of the initial weights, or ''.
-        """
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        options = {
-            name: ' '.join(map(str, value)) if isinstance(value, tuple) else str(value)
-            for name, value in given.items() if name not in _WITHOUT_EFFECT
-        }
-        digests = {f'{source.kind} {source.name} (sha256)': source.sha256 for source in sources}
-        return {**options, **digests, 'start_sha256': start, 'package_version': __version__}
-
-    def _words(self) -> list[str]:
         words = ['taxinet', 'train', *([] if self.program is None else [self.program])]
         for folder in self.data:
             words += ['--data', str(folder)]
@@ -159,7 +135,28 @@ class TrainOptions:
         words += ['--varied'] * self.varied + ['--augment'] * self.augment
         for name in self._numbers():
             words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
-        return words
+        return shlex.join([*words, '--out', self.out.name])
+
+    @property
+    def unfinished(self) -> Path:
+        """Folder of the pictures and of the last epoch, until the training has ended."""
+        return self.out.with_suffix('.part')
+
+    def request(self, sources: Sequence[Source], start: str) -> dict[str, str]:
+        """All that the weights depend on, by name.
+
+        Args:
+            sources: origins of the pictures.
+            start: SHA-256 of the initial weights, or ''.
+        """
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        options = {
+            name: ' '.join(map(str, value)) if isinstance(value, tuple) else value
+            for name, value in given.items() if name not in _WITHOUT_EFFECT
+        }
+        digests = {f'{source.kind} {source.name} (sha256)': source.sha256 for source in sources}
+        found = {**options, **digests, 'start_sha256': start, 'package_version': __version__}
+        return {name: str(value or 'none') for name, value in found.items()}
 
     def _rendering_words(self) -> list[str]:
         words = ['--sampler', self.sampler] if self.sampler != 'random' else []
@@ -201,6 +198,11 @@ class TrainOptions:
         if out.is_dir() or (out.exists() and not self.overwrite):
             raise UsageError(
                 f'train: --out {out}: already exists; choose another file or use --overwrite'
+            )
+        if self.unfinished.exists() and not (self.resume or self.overwrite):
+            raise UsageError(
+                f'train: {self.unfinished}: an interrupted training; add --resume to go on with '
+                'it, or --overwrite to begin anew'
             )
         others = {'its card': card_path(out), 'learning curves': self.curves_path,
                   'the table of them': self.history_path}

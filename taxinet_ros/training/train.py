@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import datetime
 import itertools
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from taxinet_ros.core.perception.weights import (
     weights_path,
 )
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.accuracy import history_csv
 from taxinet_ros.training.data.dataset import (
@@ -35,10 +36,10 @@ from taxinet_ros.training.data.dataset import (
     make_dataset,
     no_progress,
 )
+from taxinet_ros.training.data.dataset_folder import begin_request, check_request
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
-from taxinet_ros.training.unfinished import Unfinished
 from taxinet_ros.version import __version__
 
 if TYPE_CHECKING:
@@ -104,9 +105,9 @@ def _render_scenes(
     other = options.validation_program
     sources = (program_source(program), *(portion.source() for portion in options.add))
     validation_data = () if other is None else (program_source(other),)
-    journal = begin((*sources, *validation_data))
     # The program's own groups come first, so that additions do not change their pictures.
     lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
+    journal = begin((*sources, *validation_data))  # only now: a bad program leaves nothing behind
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
         workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
@@ -184,7 +185,7 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 
     All errors in the options are found before the work starts. Files are written atomically at the
     end; equal options give equal weights on one machine. Until then, pictures and the last epoch
-    are in a folder (:class:`.Unfinished`) with which ``options.resume`` goes on.
+    are in the folder ``options.unfinished``, with which ``options.resume`` goes on.
 
     Args:
         options: options of the training.
@@ -202,19 +203,37 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     """
     options.check_out()
     start = None if options.start is None else load_model(weights_path(options.start))
-    unfinished = Unfinished(options.out)
     with contextlib.ExitStack() as opened:
         def begin(sources: Sequence[Source]) -> Journal:
             request = options.request(sources, '' if start is None else start.fingerprint)
-            return opened.enter_context(unfinished.open(
-                request, resume=options.resume, overwrite=options.overwrite
-            ))
+            return opened.enter_context(_pictures_so_far(options, request))
 
         material = get_training_data(options, progress, begin)
-        fitted = _fit(options, material, start, progress, unfinished.epochs)
+        fitted = _fit(options, material, start, progress)
         card = _write(options, material, fitted, start)
-    unfinished.remove()
+    shutil.rmtree(options.unfinished)
     return card
+
+
+@contextlib.contextmanager
+def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Iterator[Journal]:
+    """The open file of rendered pictures; write errors within say how to go on."""
+    folder = options.unfinished
+    if options.resume:
+        check_request('train', folder, request)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+        begin_request('train', folder, request)
+    try:
+        with contextlib.closing(Journal(folder / 'pictures.jsonl')) as pictures:
+            yield pictures
+    except BlockingIOError as error:
+        raise UsageError(f'train: {folder}: another training writes to it') from error
+    except OSError as error:
+        raise RecordError(
+            f'train: {error.filename or folder}: {disk_words(error)}; mend that, then go on with '
+            '--resume'
+        ) from error
 
 
 def _write(
@@ -249,8 +268,7 @@ def _write(
 
 
 def _fit(
-    options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress,
-    kept: Path,
+    options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress
 ) -> Fitted:
     from taxinet_ros.training.fit import Recipe, fit  # imports torch, after checking options
 
@@ -261,7 +279,7 @@ def _fit(
     architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
     return fit(
         architecture, material.training, material.validation, recipe, progress,
-        None if start is None else start.weights, kept,
+        None if start is None else start.weights, options.unfinished / 'epochs.pt',
     )
 
 

@@ -122,7 +122,7 @@ def test_changed_arguments_are_refused_by_name(tmp_path: Path) -> None:
     for changes, expected in (
         ({'seed': 8}, 'begun with seed 7, not 8'),
         ({'epochs': 5}, 'begun with epochs 4, not 5'),
-        ({'add': (parse_portion('crossing=6', 'program'),)}, 'begun with add , not crossing=6'),
+        ({'add': (parse_portion('crossing=6', 'program'),)}, 'begun with add none, not crossing=6'),
         ({'program': 'crossing'}, 'begun with program nominal, not crossing'),
     ):
         with pytest.raises(UsageError, match=expected) as caught:

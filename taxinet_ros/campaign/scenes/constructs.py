@@ -18,7 +18,6 @@ import contextlib
 import difflib
 import functools
 import importlib
-import itertools
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -44,12 +43,7 @@ from taxinet_ros.campaign.scenes.paper_names import (
     key_of,
     paper_name,
 )
-from taxinet_ros.campaign.scenes.programs import (
-    BYTE_ORDER_MARK,
-    MODEL,
-    beside,
-    is_document_file,
-)
+from taxinet_ros.campaign.scenes.programs import MODEL, beside, is_document_file
 from taxinet_ros.campaign.scenes.values import (
     BEHAVIORS,
     KIND,
@@ -75,7 +69,6 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     SHORT_FORMS,
     TRAFFIC,
-    by_key,
     other_form,
 )
 from taxinet_ros.core.traffic.traffic import KINDS
@@ -211,7 +204,7 @@ class Constructs:
         _keep_lines()
         parse = translator.parse_string
         translator.parse_string = lambda text, *args, **kwargs: parse(
-            text.removeprefix(BYTE_ORDER_MARK), *args, **kwargs
+            text.removeprefix('\ufeff'), *args, **kwargs
         )
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
@@ -247,12 +240,9 @@ class Constructs:
 
     def named_documents(self, scenario: Any) -> list[str]:
         """Files of documents that a compiled program's parameters name, by themselves or chosen."""
-        params = by_key(scenario_parameters(scenario.params))
-        values = [params[key] for key in CATALOGUES if key in params]
-        words = itertools.chain.from_iterable(
-            value.options if isinstance(value, MultiplexerDistribution) else [value]
-            for value in values
-        )
+        words: list[Any] = []
+        for value in (scenario.params[key] for key in CATALOGUES if key in scenario.params):
+            words += value.options if isinstance(value, MultiplexerDistribution) else [value]
         return [word for word in words if isinstance(word, str) and is_document_file(word)]
 
     def check(self, scenario: Any) -> None:

@@ -8,6 +8,7 @@ and the documents that its parameters name. Which these are, the process knows t
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import os
 import re
@@ -22,13 +23,11 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
+from taxinet_ros.files.reading import read_file, read_text
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
 SUFFIX = '.scenic'
-BYTE_ORDER_MARK = '\ufeff'
-"""First character of a text that some editors write; not part of a program."""
 _SHARE = Path('share', 'taxinet_ros', 'scenarios')
 _SOURCES = (SUFFIX, '.py')
 _LIBRARIES = (
@@ -125,7 +124,7 @@ def files_of_program(
     """
     files = {_name(program, path): Path(path) for path in loaded if _is_of_program(path)}
     sources = [path for path in (program, *files.values()) if path.suffix in _SOURCES]
-    quoted = (match[2] for path in sources for match in NAMED_FILE.finditer(_read(path)))
+    quoted = (match[2] for path in sources for match in NAMED_FILE.finditer(_stored(path)[1]))
     for name in sorted({*named, *quoted}):
         path = beside(program, name)
         if os.path.isfile(path):
@@ -163,52 +162,45 @@ def stored_text(files: Mapping[str, Path]) -> str:
 
 def _stored(path: Path) -> tuple[str, str]:
     """How a file is stored, '' for as it is, and its text then."""
-    if path.suffix in _SOURCES:
-        return '', _read(path)
     try:
-        data = path.read_bytes()
+        data = read_file(path)
+        if len(data) > _STORED_BYTES and path.suffix not in _SOURCES:
+            return 'sha256', hashlib.sha256(data).hexdigest()
+        if b'\0' not in data:
+            with contextlib.suppress(UnicodeDecodeError):
+                return '', read_text(path).removeprefix('\ufeff')  # a byte order mark
+        return 'base64', base64.encodebytes(data).decode()
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
-    if len(data) > _STORED_BYTES:
-        return 'sha256', hashlib.sha256(data).hexdigest()
-    try:
-        return '', _read(path)
-    except UsageError:  # no text
-        return 'base64', base64.encodebytes(data).decode()
 
 
 def stored_files(text: str) -> dict[str, bytes | None]:
     """The files in the text of a program by name, its own first; None for one that is too large."""
-    decode = {'': str.encode, 'base64': _decoded, 'sha256': lambda body: None}
-    return {name: decode[how](body) for name, how, body in _parts(text)}
+    return {
+        name: None if how == 'sha256' else base64.decodebytes(data) if how else data
+        for name, (how, data) in _parts(text).items()
+    }
 
 
-def _decoded(body: str) -> bytes:
-    return base64.decodebytes(body.encode())
-
-
-def _parts(text: str) -> Iterator[tuple[str, str, str]]:
-    """Name, encoding and stored content of each file in the text of a program."""
+def _parts(text: str) -> dict[str, tuple[str | None, bytes]]:
+    """Encoding and stored content of each file by name."""
     words = _HEAD.split(text)[1:]
-    for name, how, body in zip(words[::3], words[1::3], words[2::3], strict=True):
-        yield name, how or '', body
+    bodies = (body.encode() for body in words[2::3])
+    return dict(zip(words[::3], zip(words[1::3], bodies, strict=True), strict=True))
 
 
 def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Check that a record and what is to continue it are of one program, file by file.
+    """Check that two facts with ``program`` and ``program_text`` have the same files.
 
     Args:
-        what: the record, for the error.
-        before: facts of the record, with ``program`` and ``program_text``.
-        now: those of what is to continue it.
+        what: the record of the first, for the error.
+        before: facts of the record.
+        now: facts of what is to continue it.
 
     Raises:
-        UsageError: a file of the program differs; all of them are named.
+        UsageError: files of one program differ; all of them are named.
     """
-    one, other = (
-        {name: part for name, *part in _parts(str(facts.get('program_text', '')))}
-        for facts in (before, now)
-    )
+    one, other = (_parts(str(facts.get('program_text', ''))) for facts in (before, now))
     changed = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     if changed and one and other and before.get('program') == now.get('program'):
         raise UsageError(
@@ -231,7 +223,7 @@ def write_program(path: Path, source: str, text: str) -> None:
             nothing is written.
         OSError: a file cannot be written.
     """
-    model = _read(shipped_folder() / f'{MODEL}{SUFFIX}').rstrip()
+    model = _stored(shipped_folder() / f'{MODEL}{SUFFIX}')[1].rstrip()
     files: dict[Path, bytes] = {}
     for name, data in list(stored_files(text).items())[1:]:
         if name == f'{MODEL}{SUFFIX}' and data is not None and data.decode().rstrip() == model:
@@ -248,15 +240,6 @@ def write_program(path: Path, source: str, text: str) -> None:
         make_folder(file.parent)
         write_atomically(file, data)
     write_atomically(path, source)
-
-
-def _read(path: Path) -> str:
-    try:
-        return read_text(path, MAX_TEXT_BYTES).removeprefix(BYTE_ORDER_MARK)
-    except UnicodeDecodeError as error:
-        raise UsageError(f'{path}: not UTF-8 ({error.reason}, byte {error.start})') from error
-    except OSError as error:
-        raise UsageError(f'{path}: {error.strerror}') from error
 
 
 def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str]) -> str:

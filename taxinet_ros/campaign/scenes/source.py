@@ -197,11 +197,6 @@ class SceneSource:
         files = files_of_program(self.program, loaded, named)
         self.text = stored_text(files)
         self._documents = frozenset(path.resolve() for path in files.values())
-        for name in dict.fromkeys(named):
-            own, other = beside(self.program, name), Path(name)
-            if other.is_file() and own.read_bytes() != other.read_bytes():
-                self.notes += (f'{_shown(self.program)}: {name} is the file beside the program, '
-                               'not the other one in the current folder',)
 
     @property
     def fixed_length(self) -> Mapping[str, str]:
@@ -282,7 +277,7 @@ class SceneSource:
         """A scene's values, with documents named as they are found beside the program."""
         found = dict(values)
         for key in (found.keys() & CATALOGUES.keys()) - self._values.keys():
-            if is_document_file(name := found[key]):
+            if is_document_file(name := str(found[key])):
                 path = beside(self.program, name)
                 if path.is_file() and path.resolve() not in self._documents:
                     raise UsageError(

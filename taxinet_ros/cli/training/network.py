@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -27,7 +29,6 @@ from taxinet_ros.training.evaluation import (
 )
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import train
-from taxinet_ros.training.unfinished import Unfinished
 
 
 def run_dataset(options: DatasetOptions) -> None:
@@ -64,12 +65,13 @@ def run_train(options: TrainOptions) -> None:
         with stage_bars(console) as show:
             card = train(options, show)
     except KeyboardInterrupt:
-        unfinished = Unfinished(options.out)
-        if not unfinished.begun:
+        if not options.unfinished.exists():
             raise
+        words = [word for word in sys.argv[1:] if word != '--resume']
         Console(stderr=True).print(
-            f'interrupted; {unfinished.folder} keeps pictures and epochs, continue with '
-            f'{options.resuming_command}', soft_wrap=True, highlight=False, markup=False,
+            f'interrupted; {options.unfinished} keeps pictures and epochs, continue with '
+            f'{shlex.join(["taxinet", *words, "--resume"])}',
+            soft_wrap=True, highlight=False, markup=False,
         )
         raise ToldInterrupt from None
     for quantity, errors in card.errors.items():
