@@ -35,7 +35,7 @@ from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
 from taxinet_ros.campaign.scenes.chance import check_clocks
-from taxinet_ros.campaign.scenes.overrides import check_value
+from taxinet_ros.campaign.scenes.overrides import OVERRIDES, check_overrides, check_value
 from taxinet_ros.campaign.scenes.paper_names import (
     PAPER_NAMES,
     PaperName,
@@ -69,6 +69,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     SHORT_FORMS,
     TRAFFIC,
+    by_key,
     other_form,
 )
 from taxinet_ros.core.traffic.traffic import KINDS
@@ -190,9 +191,11 @@ class Constructs:
 
     Attributes:
         params: place where each global parameter was last set.
+        overrides: values of ``param overrides``, as text.
     """
 
     params: dict[str, Place] = field(default_factory=dict)
+    overrides: dict[str, str] = field(default_factory=dict)
     _path: Path = field(default_factory=Path)
     _program: str = ''
     _depths: dict[str, int] = field(default_factory=dict)
@@ -219,7 +222,9 @@ class Constructs:
     def begin(self, program: Path) -> None:
         """Reset, and start monitoring a program."""
         self._path, self._program = program, str(program.resolve())
-        for memory in (self.params, self._depths, self._made, self._uses, self._read):
+        for memory in (
+            self.params, self.overrides, self._depths, self._made, self._uses, self._read,
+        ):
             memory.clear()
 
     def notes(self, scenario: Any) -> list[list[Any]]:
@@ -298,10 +303,14 @@ class Constructs:
         @functools.wraps(param)
         def watched(params: Mapping[str, Any]) -> Any:
             place = _place(sys._getframe(1))
-            for name in params:
+            # Not Scenic's business: they replace what it has drawn.
+            others = {name: value for name, value in params.items() if name != OVERRIDES}
+            if OVERRIDES in params:
+                self.overrides |= _fixed_values(params[OVERRIDES], self._path, place)
+            for name in others:
                 if not (veneer.loadingModel and name in veneer._globalParameters):
                     self._note_param(name, place)
-            return param(params)
+            return param(others)
 
         return watched
 
@@ -495,6 +504,26 @@ class Constructs:
                 f'with {name}: no property of {type(ego).__name__}, so it has no effect'
                 f'{_meant(name, known)}', place,
             )
+
+
+def _fixed_values(given: Any, program: Path, place: Place) -> dict[str, str]:
+    """The values of ``param overrides``, checked, as text by key."""
+    if not isinstance(given, Mapping) or not all(
+        isinstance(value, bool | Real | str) for value in given.values()
+    ):
+        raise ProgramError(
+            f'param {OVERRIDES}: expected fixed values by key, such as '
+            "{'clouds': 'stratus', 'cross_track_m': 3}", place,
+        )
+    texts = {
+        str(key): str(beside(program, value) if is_document_file(str(value)) else value)
+        for key, value in given.items()
+    }
+    try:
+        check_overrides(texts)
+        return by_key(texts)
+    except UsageError as error:
+        raise ProgramError(f'param {OVERRIDES}: {error}', place) from error
 
 
 def _drawn(value: Any) -> list[Any]:

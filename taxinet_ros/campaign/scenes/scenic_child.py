@@ -12,7 +12,8 @@ each request has a ticket and gets one answer with the same ticket:
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{"loaded": [...], "named": [...]}``, the files
                                              that were read, and names of documents
-``{"op": "asked"}``                          ``{"sampler": {...}, "notes": [...]}``
+``{"op": "asked"}``                          ``{"sampler": {...}, "overrides": {...},
+                                             "notes": [...]}``
 ``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
 ``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
                                              ``n`` others, or ``{"rejected": n}``
@@ -209,8 +210,11 @@ class Programs:
         return self._compile(program)
 
     def asked(self) -> dict[str, Any]:
-        """The program's sampler request, and notes on likely mistakes."""
-        return {'sampler': self._sampler, 'notes': self._constructs.notes(self._scenario)}
+        """The program's sampler request and overrides, and notes on likely mistakes."""
+        return {
+            'sampler': self._sampler, 'overrides': self._constructs.overrides,
+            'notes': self._constructs.notes(self._scenario),
+        }
 
     def space(self) -> dict[str, Any]:
         """The random choices of the program that can be set to a quantile."""

@@ -41,6 +41,7 @@ from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
     BY_PLACE,
     BY_TRACK,
     CATALOGUES,
@@ -129,8 +130,9 @@ class SceneSource:
         Args:
             program: name of a shipped program, or path of a ``.scenic`` file.
             seed: seed of the campaign, 0..2^63-1.
-            overrides: human keys, or their short forms, and values that replace drawn ones; choices
-                that they make ineffective are not dimensions.
+            overrides: human keys, or their short forms, and values that replace drawn ones, also
+                those of the program's own ``param overrides``; choices that they make ineffective
+                are not dimensions.
             laid_over: like overrides, but without effect on the dimensions: a point gives the same
                 scene as without them, with these values changed.
             timeout_s: wall-clock limit for compiling, and for each scene [s].
@@ -187,7 +189,14 @@ class SceneSource:
         """Stop the child."""
         self._stop()
 
-    def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
+    def _read_asked(
+        self, *, sampler: Mapping[str, Any], overrides: Mapping[str, str],
+        notes: Sequence[Sequence[Any]],
+    ) -> None:
+        own = {key: BY_KEY[key].settled(text) for key, text in overrides.items()}
+        self._overrides = {**own, **self._overrides}
+        self._values = {**own, **self._values}
+        check_overrides(self._values)
         places = {name: _at(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
         self.feedback = sampler['feedback']
