@@ -55,8 +55,8 @@ def learned_program(
         origin: origin of the probabilities, for the header: one or more sentences.
 
     Returns:
-        The text, and one line for each choice left unchanged with the reason. The text compiles if
-        the program's imports are found.
+        The text, and one line for each choice left unchanged with the reason. The text compiles
+        beside all that the program runs (:func:`.write_program`).
 
     Raises:
         UsageError: no choice can be rewritten, or the probabilities do not match; one line with
