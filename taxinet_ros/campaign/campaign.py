@@ -76,7 +76,7 @@ class Campaign:
                 first_scene(self._source), lambda: self._source.search_space().drawn
             )
             self.notes = self._source.drawn_notes
-            facts = campaign_facts(self.options, self._source.program)
+            facts = campaign_facts(self.options, self._source.program, self._source.text)
             opened.enter_context(self.book)
             self.book.begin({**facts, 'warnings': list(self.check.warnings)})
             self._opened = opened.pop_all()

@@ -55,15 +55,15 @@ def learned_program(
         origin: origin of the probabilities, for the header: one or more sentences.
 
     Returns:
-        The text, and one line for each choice left unchanged with the reason. The text compiles if
-        the program's imports are found.
+        The text, and one line for each choice left unchanged with the reason. The text compiles
+        beside all that the program runs (:func:`.write_program`).
 
     Raises:
         UsageError: no choice can be rewritten, or the probabilities do not match; one line with
             the reason.
     """
     try:
-        source = read_file(program, MAX_TEXT_BYTES).decode()  # keeps its line ends
+        source = read_file(program, MAX_TEXT_BYTES).decode('utf-8-sig')  # keeps its line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
     text = _Text(program=program.resolve(), source=source)

@@ -19,8 +19,9 @@ from taxinet_ros.core.motion.controller import STEERING, controller_options
 from taxinet_ros.core.mtl import signal_names
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES
+from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.judging import Judging, StopOn
-from taxinet_ros.core.world import world_options
+from taxinet_ros.core.world import find_world, world_options
 from taxinet_ros.registry import KMWH
 
 
@@ -68,6 +69,12 @@ class RunSettings:
             judging=Judging.from_facts(facts), timing=parse_timing(str(facts.get('timing', ''))),
         )
 
+    @property
+    def graph_only(self) -> bool:
+        """Whether only the graph of nodes can make such runs, or they cannot be had again."""
+        return self.timing.free or bool(find_world(self.world).again_words) or any(
+            map(is_node_elsewhere, (self.perception, self.controller)))
+
     def judged_by(self, spec: str) -> Self:
         """The settings with one of the requirements, and the assumptions that it reads."""
         judging = self.judging
@@ -78,25 +85,55 @@ class RunSettings:
             one, bounds=_about(read, judging.bounds), rates=_about(read, judging.rates),
         ))
 
-    def command(self, program: str, *words: str, folder: Path = Path()) -> str:
+    def command(
+        self, program: str, *words: str, folder: Path = Path(), verb: str = 'run'
+    ) -> str:
         """Shell command that runs scenes of a program with these settings.
 
         Args:
             program: word or path of the Scenic program.
             words: further options, which follow the program.
             folder: folder of the files of :meth:`documents`.
+            verb: the command, ``run`` or ``falsify``.
+
+        Raises:
+            UsageError: a document is known by its digest only.
+        """
+        return shlex.join([
+            'taxinet', verb, program, *words, '--perception', self.perception,
+            *self.options(folder),
+        ])
+
+    def compare_command(self, other: str, program: str, *words: str) -> str:
+        """Shell command that compares the perception with another, on scenes of a program.
+
+        Args:
+            other: word or file of the other.
+            program: word or path of the Scenic program.
+            words: further options, which follow the program.
+        """
+        # Only when a run ends depends on it, not its verdict.
+        judged = replace(self, judging=replace(self.judging, stop_on=StopOn.NEVER))
+        return shlex.join([
+            'taxinet', 'compare', self.perception, other, program, *words, *judged.options(),
+        ])
+
+    def options(self, folder: Path = Path()) -> list[str]:
+        """All settings but the perception, as options.
+
+        Args:
+            folder: folder of the files of :meth:`documents`.
 
         Raises:
             UsageError: a document is known by its digest only.
         """
         settings = [f'{key}={text}' for key, text in self.texts(folder).items()]
-        return shlex.join([
-            'taxinet', 'run', program, *words, '--perception', self.perception,
+        return [
             *controller_options(self.controller), *world_options(self.world),
             *_judging_options(self.judging),
             *(word for setting in settings for word in ('--set', setting)),
             *self.timing.options,
-        ])
+        ]
 
     def texts(self, folder: Path = Path()) -> dict[str, str]:
         """Values and gains as text by key, as for ``--set``.

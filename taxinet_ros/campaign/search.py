@@ -47,6 +47,7 @@ from taxinet_ros.campaign.scenes.source import (
     accepted_scene,
     first_scene,
 )
+from taxinet_ros.campaign.scenes.values import REJECTION_FEEDBACK
 from taxinet_ros.campaign.search_options import (
     COVERAGE,
     FAILURES,
@@ -261,7 +262,7 @@ class Search:
         if row is None:
             return False
         for _ in range(row.refused):
-            self._points[index] = self._sampler.again()
+            self._points[index] = self._sampler.again(self._source.feedback)
         self._refused[index] = row.refused
         if row.point != self.space.named(self._points[index]):
             raise UsageError(
@@ -274,7 +275,7 @@ class Search:
     def _draw(self, index: int) -> RunRequest | None:
         """The run at the first of the sampler's points that meets the program's requirements."""
         def again() -> Point:
-            self._points[index] = self._sampler.again()
+            self._points[index] = self._sampler.again(self._source.feedback)
             return self._points[index]
 
         try:
@@ -319,6 +320,8 @@ class Search:
         if row.outcome is not Outcome.INTERRUPTED:
             unknown = row.index in self._earlier.unknown_to_sampler
             known = None if unknown else row.robustness_for_sampler(self._headline)
+            if row.outcome is Outcome.REJECTED and self._sampler.hears_refusals:
+                known = self._source.feedback
             self._sampler.tell(row.index, known)
 
     # Beginning ---------------------------------------------------------------------------------
@@ -331,6 +334,9 @@ class Search:
         if options.shard is not None:
             check_can_be_sharded(options.sampler)
         self._sampler = self._make_sampler(space)
+        if self._source.feedback is not None and not self._sampler.hears_refusals:
+            self.notes += (f'{REJECTION_FEEDBACK} has no effect on {options.sampler}, which does '
+                           'not learn from refused points',)
         if options.in_flight is None:
             self._sampler.ignore_results()
         else:
@@ -391,7 +397,7 @@ class Search:
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
         word = campaign.perception
-        facts = campaign_facts(campaign, self._source.program)
+        facts = campaign_facts(campaign, self._source.program, self._source.text)
         return {
             **facts,
             **extension_facts(facts, samplers=self.options.sampler),

@@ -49,10 +49,17 @@ def refuse_given(context: typer.Context, names: Collection[str], why: str) -> No
     Raises:
         UsageError: one of them is given on the command line.
     """
+    if given := given_among(context, names):
+        raise UsageError(f'{given[0]}: {why}')
+
+
+def given_among(context: typer.Context, names: Collection[str]) -> list[str]:
+    """Those of some parameters that are given on the command line, as options."""
     given = given_options(context)
-    for parameter in context.command.params:
-        if parameter.name in names and parameter.name in given:
-            raise UsageError(f'{max(parameter.opts, key=len)}: {why}')
+    return [
+        max(parameter.opts, key=len) for parameter in context.command.params
+        if parameter.name in names and parameter.name in given
+    ]
 
 
 _APT_DAT = (

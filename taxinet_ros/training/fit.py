@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +17,7 @@ from torch.nn.functional import smooth_l1_loss
 from taxinet_ros.core.perception.network import Architecture, normalise, scaled, unscaled
 from taxinet_ros.core.perception.weights import Weights
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.training.accuracy import Epoch
 from taxinet_ros.training.data.augmentation import augment
 from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
@@ -78,6 +82,7 @@ def fit(
     recipe: Recipe,
     progress: Progress = no_progress,
     start: Weights | None = None,
+    kept: Path | None = None,
 ) -> Fitted:
     """Train a network with AdamW and a one-cycle learning rate schedule.
 
@@ -91,9 +96,12 @@ def fit(
         recipe: hyperparameters.
         progress: called after every epoch.
         start: initial weights; None for random ones.
+        kept: file of the state after the last epoch, from which the training goes on if it exists;
+            written after every epoch. The result is the same to the bit.
 
     Raises:
         UsageError: the loss is not finite; a lower learning rate helps.
+        OSError: ``kept`` cannot be read or written.
     """
     torch.set_num_threads(1)
     with torch.random.fork_rng(devices=[]):
@@ -101,14 +109,25 @@ def fit(
         trainer = _Trainer(architecture, training, validation, recipe, start)
         history: list[Epoch] = []
         best = 0
-        for number in range(1, recipe.epochs + 1):
+        if kept is not None and kept.exists():
+            before = torch.load(kept, weights_only=True)  # plain values and tensors, no code
+            history = [Epoch(**epoch) for epoch in before['history']]
+            best, weights = before['best'], {k: v.numpy() for k, v in before['weights'].items()}
+            trainer.restore(before['state'])
+        while len(history) < recipe.epochs and not 0 < recipe.patience <= len(history) - best:
+            number = len(history) + 1
             history.append(trainer.epoch(number))
             if number == 1 or history[-1].validation_loss < history[best - 1].validation_loss:
                 best = number
                 weights = trainer.weights()
+            if kept is not None:
+                data = io.BytesIO()
+                torch.save({
+                    'state': trainer.state(), 'history': [asdict(epoch) for epoch in history],
+                    'best': best, 'weights': {k: torch.from_numpy(v) for k, v in weights.items()},
+                }, data)
+                write_atomically(kept, data.getvalue())
             progress('epochs', number, recipe.epochs)
-            if 0 < recipe.patience <= number - best:
-                break
     return Fitted(weights=weights, history=tuple(history), best_epoch=best)
 
 
@@ -160,6 +179,22 @@ class _Trainer:
             cte_mae_m=cte_mae_m,
             he_mae_deg=math.degrees(he_mae_rad),
         )
+
+    def state(self) -> dict[str, Any]:
+        """All that changes from epoch to epoch, as plain values and tensors."""
+        return {
+            'network': self._network.state_dict(), 'optimiser': self._optimiser.state_dict(),
+            'schedule': self._schedule.state_dict(), 'order': self._order.bit_generator.state,
+            'chance': self._chance.bit_generator.state,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a :meth:`state` of a trainer with the same arguments."""
+        self._network.load_state_dict(state['network'])
+        self._optimiser.load_state_dict(state['optimiser'])
+        self._schedule.load_state_dict(state['schedule'])
+        self._order.bit_generator.state = state['order']
+        self._chance.bit_generator.state = state['chance']
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
         """The current weights, for the plain architecture."""

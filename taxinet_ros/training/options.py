@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import os
 import shlex
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from taxinet_ros.core.perception.weights import SUFFIX, card_path
+from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
 from taxinet_ros.training.data.portions import Portion
+from taxinet_ros.version import __version__
 
 _LIMITS: dict[str, tuple[float, float]] = {
     'images': (1, 1_000_000),
@@ -23,6 +25,8 @@ _LIMITS: dict[str, tuple[float, float]] = {
     'seed': (0, 2**63 - 1),
     'workers': (1, 256),
 }
+_WITHOUT_EFFECT = ('out', 'workers', 'overwrite', 'resume')
+"""Options on which the weights do not depend."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,7 +56,8 @@ class TrainOptions:
         patience: epochs without a better validation loss after which to stop; 0 means never.
         seed: seed of everything random.
         workers: number of rendering processes or reading threads; results do not depend on it.
-        overwrite: whether existing files may be replaced.
+        overwrite: whether the files of an earlier training may be replaced.
+        resume: whether to go on with an interrupted training.
 
     Raises:
         UsageError: a number is out of range, or options are incompatible.
@@ -77,6 +82,7 @@ class TrainOptions:
     seed: int = 1
     workers: int = 2
     overwrite: bool = False
+    resume: bool = False
 
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
@@ -131,6 +137,27 @@ class TrainOptions:
             words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
         return shlex.join([*words, '--out', self.out.name])
 
+    @property
+    def unfinished(self) -> Path:
+        """Folder of the pictures and of the last epoch, until the training has ended."""
+        return self.out.with_suffix('.part')
+
+    def request(self, sources: Sequence[Source], start: str) -> dict[str, str]:
+        """All that the weights depend on, by name.
+
+        Args:
+            sources: origins of the pictures.
+            start: SHA-256 of the initial weights, or ''.
+        """
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        options = {
+            name: ' '.join(map(str, value)) if isinstance(value, tuple) else value
+            for name, value in given.items() if name not in _WITHOUT_EFFECT
+        }
+        digests = {f'{source.kind} {source.name} (sha256)': source.sha256 for source in sources}
+        found = {**options, **digests, 'start_sha256': start, 'package_version': __version__}
+        return {name: str(value or 'none') for name, value in found.items()}
+
     def _rendering_words(self) -> list[str]:
         words = ['--sampler', self.sampler] if self.sampler != 'random' else []
         if self.validation_program is not None:
@@ -168,8 +195,20 @@ class TrainOptions:
             raise UsageError(f'train: --out {out}: {out.parent} is not a folder; make it first')
         if not os.access(out.parent, os.W_OK | os.X_OK):
             raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
-        for path in (out, card_path(out), self.curves_path, self.history_path):
-            if path.is_dir() or (path.exists() and not self.overwrite):
+        if out.is_dir() or (out.exists() and not self.overwrite):
+            raise UsageError(
+                f'train: --out {out}: already exists; choose another file or use --overwrite'
+            )
+        if self.unfinished.exists() and not (self.resume or self.overwrite):
+            raise UsageError(
+                f'train: {self.unfinished}: an interrupted training; add --resume to go on with '
+                'it, or --overwrite to begin anew'
+            )
+        others = {'its card': card_path(out), 'learning curves': self.curves_path,
+                  'the table of them': self.history_path}
+        for what, path in others.items():
+            if path.is_dir() or (path.exists() and not out.exists()):  # of no earlier training
                 raise UsageError(
-                    f'train: --out {path}: already exists; choose another file or use --overwrite'
+                    f'train: --out {out}: would also write {path} ({what}), which exists; choose '
+                    'another name, or move that away'
                 )

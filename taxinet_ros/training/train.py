@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +25,9 @@ from taxinet_ros.core.perception.weights import (
     weights_path,
 )
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.accuracy import history_csv
 from taxinet_ros.training.data.dataset import (
     Dataset,
@@ -31,6 +36,7 @@ from taxinet_ros.training.data.dataset import (
     make_dataset,
     no_progress,
 )
+from taxinet_ros.training.data.dataset_folder import begin_request, check_request
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
@@ -40,6 +46,8 @@ if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted
 
 
+IMAGES = 'training and validation images'
+"""The stage in which scenes are rendered, those added and those held out included."""
 _SPLIT = 2
 """Stream key that separates the random numbers of the split from those of the training."""
 
@@ -60,16 +68,26 @@ class TrainingData:
     validation_data: tuple[Source, ...] = ()
 
 
-def get_training_data(options: TrainOptions, progress: Progress) -> TrainingData:
+def get_training_data(
+    options: TrainOptions, progress: Progress,
+    begin: Callable[[Sequence[Source]], Journal | None] = lambda sources: None,
+) -> TrainingData:
     """Render or read the pictures requested by the options.
+
+    Args:
+        options: options of the training.
+        progress: as in :func:`train`.
+        begin: called with the origins of the pictures; returns the file to record rendered ones in.
 
     Raises:
         UsageError: a program, campaign or folder cannot be used, or has too few pictures.
         InfraError: a worker process died, or the simulator failed.
     """
     if options.program is not None:
-        return _render_scenes(options, options.program, progress)
-    return _read_folders(options, progress)
+        return _render_scenes(options, options.program, progress, begin)
+    material = _read_folders(options, progress)
+    begin((*material.training_data, *material.validation_data))
+    return material
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +98,20 @@ class _SceneGroup:
     held_back: bool
 
 
-def _render_scenes(options: TrainOptions, program: str, progress: Progress) -> TrainingData:
+def _render_scenes(
+    options: TrainOptions, program: str, progress: Progress,
+    begin: Callable[[Sequence[Source]], Journal | None],
+) -> TrainingData:
     other = options.validation_program
     sources = (program_source(program), *(portion.source() for portion in options.add))
     validation_data = () if other is None else (program_source(other),)
     # The program's own groups come first, so that additions do not change their pictures.
     lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
+    journal = begin((*sources, *validation_data))  # only now: a bad program leaves nothing behind
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
         workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
+        stage=IMAGES, journal=journal,
     )
     held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
     return TrainingData(
@@ -161,11 +184,12 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     """Get labelled pictures, train and evaluate a network, and write weights, card and curves.
 
     All errors in the options are found before the work starts. Files are written atomically at the
-    end; equal options give equal weights on one machine.
+    end; equal options give equal weights on one machine. Until then, pictures and the last epoch
+    are in the folder ``options.unfinished``, with which ``options.resume`` goes on.
 
     Args:
         options: options of the training.
-        progress: called in the stages ``scenes``, ``images``, ``held back`` (images of
+        progress: called in the stages ``scenes``, :data:`IMAGES`, ``held back`` (images of
             ``validation_data``) and ``epochs``.
 
     Returns:
@@ -174,12 +198,48 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 
     Raises:
         UsageError: options, program, data or folder cannot be used.
+        RecordError: the disk is full, or the folder was moved or deleted meanwhile.
         InfraError: a worker process died, or the simulator failed.
     """
     options.check_out()
     start = None if options.start is None else load_model(weights_path(options.start))
-    material = get_training_data(options, progress)
-    fitted = _fit(options, material, start, progress)
+    with contextlib.ExitStack() as opened:
+        def begin(sources: Sequence[Source]) -> Journal:
+            request = options.request(sources, '' if start is None else start.fingerprint)
+            return opened.enter_context(_pictures_so_far(options, request))
+
+        material = get_training_data(options, progress, begin)
+        fitted = _fit(options, material, start, progress)
+        card = _write(options, material, fitted, start)
+    shutil.rmtree(options.unfinished)
+    return card
+
+
+@contextlib.contextmanager
+def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Iterator[Journal]:
+    """The open file of rendered pictures; write errors within say how to go on."""
+    folder = options.unfinished
+    if options.resume:
+        check_request('train', folder, request)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+        begin_request('train', folder, request)
+    try:
+        with contextlib.closing(Journal(folder / 'pictures.jsonl')) as pictures:
+            yield pictures
+    except BlockingIOError as error:
+        raise UsageError(f'train: {folder}: another training writes to it') from error
+    except OSError as error:
+        raise RecordError(
+            f'train: {error.filename or folder}: {disk_words(error)}; mend that, then go on with '
+            '--resume'
+        ) from error
+
+
+def _write(
+    options: TrainOptions, material: TrainingData, fitted: Fitted, start: Model | None
+) -> ModelCard:
+    """Write weights, card and curves."""
     data = to_bytes(fitted.weights)
     card = ModelCard(
         architecture=DEFAULT_ARCHITECTURE,
@@ -217,8 +277,10 @@ def _fit(
         seed=options.seed, patience=options.patience, augmented=options.augment,
     )
     architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
-    weights = None if start is None else start.weights
-    return fit(architecture, material.training, material.validation, recipe, progress, weights)
+    return fit(
+        architecture, material.training, material.validation, recipe, progress,
+        None if start is None else start.weights, options.unfinished / 'epochs.pt',
+    )
 
 
 def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:

@@ -15,7 +15,7 @@ from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
-from taxinet_ros.campaign.scenes.source import Refused, Rejected
+from taxinet_ros.campaign.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.mtl import exact_intervals
@@ -35,7 +35,7 @@ class ToySource:
     Where the second is high the program draws what is no scenario.
     """
 
-    sampler, notes = None, ()
+    sampler, notes, feedback = None, (), None
 
     def __init__(self, program: str, **others: Any) -> None:
         self.program = find_program(program)
@@ -51,6 +51,10 @@ class ToySource:
 
     def space(self) -> Space:
         return SPACE.dimensions
+
+    @property
+    def text(self) -> str:
+        return program_text(self.program)
 
     @property
     def fixed_length(self) -> dict[str, str]:

@@ -27,7 +27,7 @@ from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.campaign.scenes.source import SceneSource, program_text
 from taxinet_ros.cli.run import search as command
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
@@ -72,7 +72,8 @@ def test_r11_given_controllers_then_each_arm_has_its_own_and_it_is_on_record(tmp
     assert [arm.controller for arm in one.arms] == [f'{file}:steer', 'steering']
     searches = arm_searches(one, tmp_path / 'out', workers=1, resume=False)
     program = find_program(one.program)
-    recorded = [campaign_facts(search.campaign, program) for search in searches.values()]
+    text = program_text(program)
+    recorded = [campaign_facts(search.campaign, program, text) for search in searches.values()]
     assert [facts['controller'] for facts in recorded] == [f'{file}:steer', 'steering']
     assert [len(facts['controller_sha256']) for facts in recorded] == [64, 0]
 

@@ -381,8 +381,8 @@ def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused
     monkeypatch.setattr(search_module, 'check_perception', lambda word, **others: 'abc')
     with pytest.raises(UsageError, match='begun with perception_sha256 "", not "abc"'):
         toy.finish(toy.options(whole, resume=True))
-    monkeypatch.setattr('taxinet_ros.campaign.record.facts.program_digest', lambda path: 'def')
-    with pytest.raises(UsageError, match='begun with program_sha256 "'):
+    monkeypatch.setattr(toy.ToySource, 'text', '# --- nominal.scenic ---\nother\n')
+    with pytest.raises(UsageError, match=r'begun with another text of nominal\.scenic'):
         toy.finish(toy.options(whole, resume=True))
 
 

@@ -15,7 +15,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bench.report import load_report
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.learned_program import learned_program
-from taxinet_ros.campaign.scenes.programs import program_text
+from taxinet_ros.campaign.scenes.programs import stored_text
 from taxinet_ros.core.assurance.monitor import read_calibration
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.onnx.network import NetworkFiles
@@ -46,7 +46,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     'net.onnx': NetworkFiles.read,
     'place.json': lambda path: PLACES.typed(str(path)),
     'place.yaml': lambda path: PLACES.typed(str(path)),
-    'program.scenic': program_text,
+    'program.scenic': lambda path: stored_text({path.name: path}),
     'learned.scenic': lambda path: learned_program(path, SimpleNamespace(choices=()), {}, ''),
     'report.json': load_report,
     'requirements.yaml': read_yaml,

@@ -33,6 +33,7 @@ from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.resumption import read_earlier_runs
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
@@ -115,7 +116,8 @@ def _ledger_text(folder: Path) -> bytes:
 
 def _search_facts(folder: Path) -> dict[str, Any]:
     options = falsify_samples.options(folder).campaign
-    return {**campaign_facts(options, find_program('nominal')), 'sampler': 'ce'}
+    facts = campaign_facts(options, find_program('nominal'), program_text('nominal'))
+    return {**facts, 'sampler': 'ce'}
 
 
 def _resume(folder: Path) -> Use:

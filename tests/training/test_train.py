@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from training_samples import foreign_folder
 
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import Source, digest, load_model
@@ -18,7 +19,7 @@ from taxinet_ros.training.data.dataset_folder import DatasetOptions, write_datas
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import parse_portion
 from taxinet_ros.training.options import TrainOptions
-from taxinet_ros.training.train import get_training_data, train
+from taxinet_ros.training.train import IMAGES, get_training_data, train
 from taxinet_ros.version import __version__
 
 
@@ -42,7 +43,7 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
     again = tmp_path / 'again.safetensors'
     train(options(again))
     assert again.read_bytes() == first.read_bytes()
-    assert stages == ['scenes'] * 16 + ['images'] * 16 + ['epochs'] * 2
+    assert stages == ['scenes'] * 16 + [IMAGES] * 16 + ['epochs'] * 2
     assert load_model(first).card == card
     assert make_perception(str(first)).fingerprint == card.weights_sha256
     assert card.weights_sha256 == digest(first.read_bytes())

@@ -13,8 +13,9 @@ from taxinet_ros.analysis.campaign.findings import BaselineComparison, Findings,
 from taxinet_ros.analysis.causes.causes import Cause, FoundRate
 from taxinet_ros.analysis.causes.program import (
     cause_program,
-    program_documents,
     program_name,
+    why_no_program,
+    write_scenes_program,
 )
 from taxinet_ros.analysis.causes.region import Region
 from taxinet_ros.analysis.report.parts import Report, Table
@@ -158,12 +159,9 @@ def write_analysis(
     _begin(out)
     others = _files(out)
     _write_runs(findings, out)
-    for cause in findings.causes.found:
-        if (program := cause_program(findings.runs, cause)) is not None:
-            write_atomically(out / program_name(cause), program)
-    if findings.causes.found:
-        for name, text in program_documents(findings.runs).items():
-            write_atomically(out / name, text)
+    runs = findings.runs
+    for cause in () if why_no_program(runs) else findings.causes.found:
+        write_scenes_program(runs, cause_program(runs, cause), out / program_name(cause))
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))

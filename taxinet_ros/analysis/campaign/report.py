@@ -67,7 +67,9 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
     """Failure rate, and number of runs without a verdict."""
     rate, off = runs.rate(), runs.off_runway()
     unit = 'run' if rate.runs == 1 else 'runs'
-    count = f'{rate.runs:,} {unit} of {runs.program} with {runs.label}'
+    scenes = runs.scenes_words
+    comma = ',' if scenes != runs.program else ''
+    count = f'{rate.runs:,} {unit} of {scenes}{comma} with {runs.label}'
     known = off is not None and not math.isnan(off.low)
     left = f'; the aircraft leaves the runway in {off.words()}' if off and known else ''
     match runs.weighting:
@@ -359,7 +361,7 @@ def _robustness(findings: Findings) -> Section:
 def _facts(findings: Findings) -> Mapping[str, str]:
     runs, facts = findings.runs, findings.runs.facts
     found = {
-        'program': runs.program, 'network': runs.perception,
+        'program': runs.scenes_words, 'network': runs.perception,
         'network, SHA-256': str(facts.get('perception_sha256') or '')[:16],
         'timing': str(facts.get('timing') or ''),
         'sampler': runs.sampler or 'none, drawn from the program',

@@ -7,9 +7,8 @@ the region, whatever sampler chose the analysed runs.
 
 from __future__ import annotations
 
-import contextlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,15 @@ from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
 from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.campaign.scenes.overrides import overrides_statement
 from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
 from taxinet_ros.campaign.scenes.programs import (
-    NAMED_FILE,
     SUFFIX,
     find_program,
     known_programs,
+    stored_files,
+    stored_text,
+    write_program,
 )
 from taxinet_ros.core import scenario_fields
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
@@ -35,8 +37,7 @@ from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_F
 from taxinet_ros.errors import UsageError
 
 RUNS = 100
-_ANOTHER_SEED = 1_000_003
-_FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
+ANOTHER_SEED = 1_000_003
 _VALUES = {
     field.key: f'ego.{field.key}' if field.plane else f'scene_{field.key}'
     for field in SCENARIO_FIELDS
@@ -59,31 +60,60 @@ def why_no_program(runs: CampaignRuns) -> str:
         return f'there is no {FACTS_NAME} beside the table, so the settings of its runs are unknown'
     if not runs.perception:
         return 'the graph of its runs was started before the campaign'
-    if recorded_program(runs) is None:
-        return 'the text of their program is not recorded, or has several files'
     try:
+        files = stored_files(_program_text(runs))
+        if not files:
+            return 'the text of their program is not recorded'
+        if lost := [name for name, data in files.items() if data is None]:
+            return f'{lost[0]} is too large to be recorded with their program'
+        scenes_program(runs)
         fresh_settings(runs)
     except UsageError as error:
         return str(error)
     return ''
 
 
-def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
-    """Text of a cause's program; None if there is none, see :func:`why_no_program`.
+def scenes_program(runs: CampaignRuns, requirements: Sequence[str] = ()) -> str:
+    """Source of a program that draws scenes as those of the runs.
+
+    It has the runs' overrides as its own, so the command that runs it needs no option for them.
+
+    Args:
+        runs: runs with a program, see :func:`why_no_program`.
+        requirements: statements to add.
+
+    Raises:
+        UsageError: a document is known by its digest only.
+    """
+    overrides = overrides_statement(_recorded_settings(runs).values)
+    said = (f'# Of every scene, as --set said it of the runs of {runs.label}.', overrides)
+    return '\n'.join([
+        _source(runs).rstrip(), '', *requirements, *(said if overrides else ()),
+    ])
+
+
+def cause_program(runs: CampaignRuns, cause: Cause) -> str:
+    """Source of a program that draws the scenes of a cause alone; else :func:`scenes_program`.
 
     Args:
         runs: runs in which it was found.
         cause: the cause.
     """
-    source = recorded_program(runs)
-    if source is None or why_no_program(runs):
-        return None
     required = [f'require {_condition(part)}' for part in cause.region.parts]
-    required = _adapted(required, source, fresh_settings(runs).values)
-    return '\n'.join([
-        _whole(source, runs).rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
-        f'{cause.region.words()}.', *required, '',
+    return scenes_program(runs, [
+        f'# Only scenes of cause {cause.rank} of {runs.label}: {cause.region.words()}.',
+        *_adapted(required, _source(runs), _recorded_settings(runs).values), '',
     ])
+
+
+def write_scenes_program(runs: CampaignRuns, source: str, path: Path) -> None:
+    """Write a program made of that of the runs, with all that it runs beside it.
+
+    Raises:
+        UsageError: another file of such a name lies there; nothing is written.
+        OSError: a file cannot be written.
+    """
+    write_program(path, source, _program_text(runs))
 
 
 def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str | None:
@@ -96,19 +126,26 @@ def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()
     """
     if why_no_program(runs):
         return None
-    seed = int(runs.facts.get('seed') or 0) + _ANOTHER_SEED
-    words = ('--runs', str(RUNS), '--seed', str(seed))
-    program = str(folder / program_name(cause))
-    return f'{fresh_settings(runs).command(program, *words, folder=folder)} --images none'
+    words = ('--runs', str(RUNS), '--seed', str(fresh_seed(runs)))
+    command = fresh_settings(runs).command(str(folder / program_name(cause)), *words)
+    return f'{command} --images none'
 
 
-def program_documents(runs: CampaignRuns) -> dict[str, str]:
-    """Text by file name of the documents that confirmation commands read beside the programs."""
-    return {} if why_no_program(runs) else fresh_settings(runs).documents()
+def fresh_seed(runs: CampaignRuns) -> int:
+    """A seed that gives other scenes than the runs had."""
+    return int(runs.facts.get('seed') or 0) + ANOTHER_SEED
 
 
 def fresh_settings(runs: CampaignRuns) -> RunSettings:
-    """Settings of fresh runs like the analysed ones, with the analysed requirement alone."""
+    """Settings of fresh runs like the analysed ones, with the analysed requirement alone.
+
+    The values of the scenes are not among them: :func:`scenes_program` has them.
+    """
+    settings = _recorded_settings(runs).judged_by(runs.spec)
+    return replace(settings, perception=runs.perception, values={})
+
+
+def _recorded_settings(runs: CampaignRuns) -> RunSettings:
     facts = dict(runs.facts)
     settings = RunSettings.from_facts(facts)
     told = runs.spec in facts.get('specs', {}) and _documents_known(settings)
@@ -117,28 +154,10 @@ def fresh_settings(runs: CampaignRuns) -> RunSettings:
         added = open_campaign(runs.folder).content.added
         facts['specs'] = {**added, **facts.get('specs', {})}
         settings = RunSettings.from_facts(facts)
-    values = {
+    return replace(settings, values={
         key: CATALOGUES[key].typed(str(value)).text if key in CATALOGUES else value
         for key, value in settings.values.items()
-    }
-    return replace(settings.judged_by(runs.spec), perception=runs.perception, values=values)
-
-
-def _whole(source: str, runs: CampaignRuns) -> str:
-    """The program with files of documents replaced by those that the runs had."""
-    if not (NAMED_FILE.search(source) and (runs.folder / LEDGER_NAME).is_file()):
-        return source
-    recorded = open_campaign(runs.folder).content.documents
-
-    def document(found: re.Match[str]) -> str:
-        for key, catalogue in CATALOGUES.items():
-            with contextlib.suppress(UsageError):
-                named = catalogue.typed(found[2])
-                if (key, named.reference) in recorded:
-                    return repr(named.text)
-        return found[0]
-
-    return NAMED_FILE.sub(document, source)
+    })
 
 
 def _documents_known(settings: RunSettings) -> bool:
@@ -149,16 +168,19 @@ def _documents_known(settings: RunSettings) -> bool:
     return True
 
 
-def recorded_program(runs: CampaignRuns) -> str | None:
-    """Text of the program, from the campaign's record or as shipped; None if it is unknown."""
-    record = str(runs.facts.get('program_text', ''))
-    files = _FILE.split(record)[1:]
-    texts = dict(zip(files[::2], files[1::2], strict=True))
-    if texts:
-        own = {name: text for name, text in texts.items() if name != f'runway_world{SUFFIX}'}
-        return next(iter(own.values())).lstrip('\n') if len(own) == 1 else None
-    word = runs.program.removesuffix(SUFFIX)
-    return find_program(word).read_text(encoding='utf-8') if word in known_programs() else None
+def _program_text(runs: CampaignRuns) -> str:
+    """The program with all that it runs, as recorded or as shipped; '' if it is unknown."""
+    recorded, word = str(runs.facts.get('program_text', '')), runs.program.removesuffix(SUFFIX)
+    if recorded or word not in known_programs():
+        return recorded
+    path = find_program(word)
+    return stored_text({path.name: path})
+
+
+def _source(runs: CampaignRuns) -> str:
+    """Source of the program itself."""
+    data = next(iter(stored_files(_program_text(runs)).values()))
+    return (data or b'').decode()
 
 
 def _parameters(source: str) -> list[str]:

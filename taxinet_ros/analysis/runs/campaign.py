@@ -34,6 +34,7 @@ from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, recorded_s
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
+from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
@@ -209,6 +210,12 @@ class CampaignRuns:
     anytime: bool = False
     blind: int = 0
     unrecorded: str = ''
+
+    @property
+    def scenes_words(self) -> str:
+        """Display text of the scenes that rates are of: the program, with what was set of them."""
+        overrides = {**self.facts.get('overrides', {}), **self.facts.get('laid_over', {})}
+        return scenes_words(self.program, overrides)
 
     @property
     def warnings(self) -> tuple[str, ...]:

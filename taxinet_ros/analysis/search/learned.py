@@ -11,7 +11,8 @@ from taxinet_ros.campaign.learned_program import learned_program
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, Evidence, LearnedResult
 from taxinet_ros.campaign.samplers.registry import check_sampler
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.overrides import overrides_statement
+from taxinet_ros.campaign.scenes.programs import find_program, write_program
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -47,7 +48,11 @@ def write_learned(search: Search) -> list[str]:
             find_program(search.options.campaign.program), search.space, probabilities,
             _title(search) + '.',
         )
-        write_atomically(out / PROGRAM_NAME, text)
+        given = {**search.options.campaign.overrides, **search.options.campaign.laid_over}
+        write_program(
+            out / PROGRAM_NAME, '\n'.join([text, overrides_statement(given)]).rstrip() + '\n',
+            str(search.book.facts['program_text']),
+        )
         names.append(PROGRAM_NAME)
         notes = [f'in {PROGRAM_NAME} as the program has it: {why}' for why in left]
     except UsageError as error:

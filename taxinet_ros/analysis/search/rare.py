@@ -14,6 +14,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.campaign.rates import CONFIDENCE
 from taxinet_ros.campaign.samplers.splitting import WIDE, RareEstimate, Splitting, State
+from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
@@ -69,7 +70,9 @@ def write_estimate(found: RareEstimate, search: Search) -> tuple[Path, Path | No
     write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if not found.curve:
         return out / JSON_NAME, None
-    title = f'{search.options.campaign.program}, {search.perception}: tail of the robustness'
+    campaign = search.options.campaign
+    scenes = scenes_words(campaign.program, {**campaign.overrides, **campaign.laid_over})
+    title = f'{scenes}, {search.perception}: tail of the robustness'
     picture = tail_picture(found, title, search.options.campaign.judging.headline)
     written = write_png(picture, out, LIGHT)
     add_page(out, written, 'Tail of the robustness')

@@ -32,6 +32,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of
+from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
@@ -215,7 +216,9 @@ def _of_run(path: Path) -> SceneSet:
     )
 
 
-def scenes_of_program(program: str, *, runs: int, seed: int, judging: Judging) -> SceneSet:
+def scenes_of_program(
+    program: str, *, runs: int, seed: int, judging: Judging, overrides: Mapping[str, str] = {},
+) -> SceneSet:
     """Fresh scenes, drawn by the program itself.
 
     Args:
@@ -223,13 +226,14 @@ def scenes_of_program(program: str, *, runs: int, seed: int, judging: Judging) -
         runs: number of scenes.
         seed: seed of the scenes.
         judging: the requirement.
+        overrides: values that replace drawn ones, see :class:`SceneSource`.
 
     Raises:
         UsageError: the program is invalid, or rejects most of its scenes.
     """
     scenes: list[Scene] = []
     rejected, name = 0, Path(program).stem
-    with SceneSource(program, seed=seed) as source:
+    with SceneSource(program, seed=seed, overrides=overrides) as source:
         while len(scenes) < runs:
             index = len(scenes) + rejected
             try:
@@ -240,7 +244,8 @@ def scenes_of_program(program: str, *, runs: int, seed: int, judging: Judging) -
                     raise UsageError(f'{error}; most scenes are rejected') from None
                 continue
             row = RunRow(
-                run_id=f'{name}-s{seed}-{index:05d}', index=index, program=name, seed=seed,
+                run_id=f'{name}-s{seed}-{index:05d}', index=index,
+                program=scenes_words(name, overrides), seed=seed,
                 perception='', outcome=Outcome.INTERRUPTED, sampler='random',
                 **scenario.to_human(),
             )

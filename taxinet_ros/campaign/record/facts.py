@@ -7,12 +7,13 @@ the tables and the end of the ledger.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.scenes.programs import SUFFIX, program_digest, program_text
+from taxinet_ros.campaign.scenes.programs import SUFFIX
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.core.renderer import OURS
@@ -56,17 +57,18 @@ STACKS = 'stacks'
 """The fact that describes every machine on which runs were made, with libraries and code."""
 
 
-def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
+def campaign_facts(options: CampaignOptions, program: Path, text: str) -> dict[str, Any]:
     """Everything that a campaign's runs depend on, as plain values.
 
     Args:
         options: options of the campaign.
         program: the Scenic program's file.
+        text: the program with all that it runs (:func:`.program_text`).
     """
     return facts_of_runs(options, {
         'program': program.name,
-        'program_sha256': program_digest(program),
-        'program_text': program_text(program),
+        'program_sha256': hashlib.sha256(text.encode()).hexdigest(),
+        'program_text': text,
     })
 
 

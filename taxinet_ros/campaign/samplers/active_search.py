@@ -105,9 +105,14 @@ class ActiveSearch:
     def again(self) -> Point:
         """Another point for the same run, away from rejected ones; finally a prior draw."""
         self._attempt += 1
-        self._misses.append(self._pending.pop())
+        if (number := self._pending.pop()) not in self._results:
+            self._misses.append(number)
         self._asked[-1] = len(self._quantiles)
         return self._next()
+
+    def refuse(self, rho: float) -> None:
+        """See :class:`.HearsRefusals`."""
+        self._learn(self._pending[-1], rho)
 
     def tell(self, index: int, rho: float | None) -> None:
         """Record a result."""

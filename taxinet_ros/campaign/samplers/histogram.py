@@ -191,6 +191,10 @@ class HistogramSampler(ABC):
         self._refused.add(len(self._bins) - 1)
         return self._drawn()
 
+    def refuse(self, rho: float) -> None:
+        """See :class:`.HearsRefusals`."""
+        self._learn(len(self._bins) - 1, rho)
+
     def _drawn(self) -> Point:
         chance = run_generator(self._seed, len(self._bins) - 1, self._attempt)
         *uniform, mixing = chance.random(len(self._space) + 1)
@@ -368,6 +372,11 @@ class Bandit(HistogramSampler):
         point = super().again()
         self._count(1)
         return point
+
+    def refuse(self, rho: float) -> None:
+        """As the result of a pull, which counts as one."""
+        super().refuse(rho)
+        self._count(1)  # again() takes it off
 
     def _count(self, amount: int) -> None:
         for pulls, number in zip(self._pulls, self._bins[-1], strict=True):

@@ -65,9 +65,15 @@ class StudySampler:
         return self._suggested()
 
     def again(self) -> Point:
-        """Another trial; the rejected one is reported as failed."""
-        self.tell(len(self._trials) - 1, None)
+        """Another trial; the rejected one is reported as failed, unless it was as a result."""
+        if self._trials[-1] >= 0:
+            self.tell(len(self._trials) - 1, None)
         return self._suggested()
+
+    def refuse(self, rho: float) -> None:
+        """See :class:`.HearsRefusals`."""
+        self.tell(len(self._trials) - 1, rho)
+        self._trials[-1] = -1
 
     def _suggested(self) -> Point:
         with quiet():
@@ -238,6 +244,13 @@ class Bayes:
         """Another point for the same run, away from rejected ones; finally a prior draw."""
         self._refused.append(self._points[-1])
         return self._next()
+
+    def refuse(self, rho: float) -> None:
+        """See :class:`.HearsRefusals`; the run goes on under another number."""
+        number, self._asked[-1] = self._asked[-1], len(self._points)
+        self._pending.discard(number)
+        self._results[number] = rho
+        self._points.append(self._points[number])
 
     def _next(self) -> Point:
         index, attempt = len(self._points) - 1, len(self._refused)

@@ -164,6 +164,14 @@ class Batched(Protocol):
         """Number of results, counted from run 0, that the next run depends on at least."""
 
 
+@runtime_checkable
+class HearsRefusals(Protocol):
+    """A sampler that can learn from points that the program's requirements refuse."""
+
+    def refuse(self, rho: float) -> None:
+        """Learn the last point of the last run as if it had this robustness; ``again`` follows."""
+
+
 class Lagged:
     """A sampler for several workers: issues tickets in order, takes results in any order."""
 
@@ -217,8 +225,18 @@ class Lagged:
         self._asked += 1
         return self._asked - 1, point
 
-    def again(self) -> Point:
+    @property
+    def hears_refusals(self) -> bool:
+        """Whether the wrapped sampler learns from refused points, if they are told."""
+        inner = self._sampler.sampler if isinstance(self._sampler, WithDrawn) else self._sampler
+        return isinstance(inner, HearsRefusals)
+
+    def again(self, feedback: float | None = None) -> Point:
         """Another point for the last run of :meth:`next`, whose point was rejected.
+
+        Args:
+            feedback: the robustness that a sampler is to learn for the rejected point; None to
+                tell it nothing, as to one that learns from results alone.
 
         Raises:
             RuntimeError: no run was issued, or it has its result.
@@ -226,6 +244,9 @@ class Lagged:
         index = self._asked - 1
         if index < self._told or index in self._waiting:
             raise RuntimeError(f'run {index} is not waiting for another point')
+        if feedback is not None and self.hears_refusals:
+            assert isinstance(self._sampler, HearsRefusals)
+            self._sampler.refuse(feedback)
         return self._sampler.again()
 
     def tell(self, index: int, rho: float | None) -> None:
@@ -358,6 +379,19 @@ class WithDrawn:
         self._attempt += 1
         point = self._points[-1] = self._draw(len(self._points) - 1)
         return point
+
+    @property
+    def sampler(self) -> Proposer:
+        """The sampler that chooses the other runs."""
+        return self._sampler
+
+    def refuse(self, rho: float) -> None:
+        """Pass on that the last point was refused, also one that was drawn."""
+        point = self._points[-1]
+        if point is None and isinstance(self._sampler, HearsRefusals):
+            self._sampler.refuse(rho)
+        elif point is not None and isinstance(self._sampler, Listener):
+            self._sampler.add(point, rho)
 
     def _draw(self, index: int) -> Point:
         chance = run_generator(self._seed, index, self._attempt, stream=_STREAM)

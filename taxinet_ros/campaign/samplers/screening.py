@@ -149,6 +149,16 @@ class Screening:
             ))
         return self._runs[-1].point
 
+    def refuse(self, rho: float) -> None:
+        """See :class:`.HearsRefusals`."""
+        run = self._runs[-1]
+        if run.way is Way.RESULTS:
+            self._searches[Way.RESULTS].refuse(rho)
+        else:
+            self._searches[Way.RESULTS].add(run.point, rho)
+        if run.way is Way.LOOKS:
+            self._searches[Way.LOOKS].revise(run.number, rho)
+
     def tell(self, index: int, rho: float | None) -> None:
         """Record a result."""
         run = self._runs[index]

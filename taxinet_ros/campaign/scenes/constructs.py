@@ -35,7 +35,7 @@ from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
 from taxinet_ros.campaign.scenes.chance import check_clocks
-from taxinet_ros.campaign.scenes.overrides import check_value
+from taxinet_ros.campaign.scenes.overrides import OVERRIDES, check_overrides, check_value
 from taxinet_ros.campaign.scenes.paper_names import (
     PAPER_NAMES,
     PaperName,
@@ -43,7 +43,7 @@ from taxinet_ros.campaign.scenes.paper_names import (
     key_of,
     paper_name,
 )
-from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.campaign.scenes.programs import MODEL, beside, is_document_file
 from taxinet_ros.campaign.scenes.values import (
     BEHAVIORS,
     KIND,
@@ -61,6 +61,7 @@ from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.track import runway_track
 from taxinet_ros.core.scenario_fields import (
+    CATALOGUES,
     CLOUDS,
     HUMAN_KEYS,
     PARAMETERS,
@@ -68,6 +69,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     SHORT_FORMS,
     TRAFFIC,
+    by_key,
     other_form,
 )
 from taxinet_ros.core.traffic.traffic import KINDS
@@ -189,9 +191,12 @@ class Constructs:
 
     Attributes:
         params: place where each global parameter was last set.
+        overrides: values of ``param overrides``, as text.
     """
 
     params: dict[str, Place] = field(default_factory=dict)
+    overrides: dict[str, str] = field(default_factory=dict)
+    _path: Path = field(default_factory=Path)
     _program: str = ''
     _depths: dict[str, int] = field(default_factory=dict)
     _made: dict[int, _Made] = field(default_factory=dict)
@@ -200,6 +205,10 @@ class Constructs:
 
     def _install(self) -> None:
         _keep_lines()
+        parse = translator.parse_string
+        translator.parse_string = lambda text, *args, **kwargs: parse(
+            text.removeprefix('\ufeff'), *args, **kwargs
+        )
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
             setattr(veneer, name, functools.partial(_refuse_here, statement, why))
@@ -212,8 +221,10 @@ class Constructs:
 
     def begin(self, program: Path) -> None:
         """Reset, and start monitoring a program."""
-        self._program = str(program.resolve())
-        for memory in (self.params, self._depths, self._made, self._uses, self._read):
+        self._path, self._program = program, str(program.resolve())
+        for memory in (
+            self.params, self.overrides, self._depths, self._made, self._uses, self._read,
+        ):
             memory.clear()
 
     def notes(self, scenario: Any) -> list[list[Any]]:
@@ -231,6 +242,13 @@ class Constructs:
             'fractions are meant, write 100 times as much'
         )
         return [[*self.params.get(name, (self._program, 0)), text]]
+
+    def named_documents(self, scenario: Any) -> list[str]:
+        """Files of documents that a compiled program's parameters name, by themselves or chosen."""
+        words: list[Any] = []
+        for value in (scenario.params[key] for key in CATALOGUES if key in scenario.params):
+            words += value.options if isinstance(value, MultiplexerDistribution) else [value]
+        return [word for word in words if isinstance(word, str) and is_document_file(word)]
 
     def check(self, scenario: Any) -> None:
         """Refuse constructs without effect in a compiled program.
@@ -285,10 +303,14 @@ class Constructs:
         @functools.wraps(param)
         def watched(params: Mapping[str, Any]) -> Any:
             place = _place(sys._getframe(1))
-            for name in params:
+            # Not Scenic's business: they replace what it has drawn.
+            others = {name: value for name, value in params.items() if name != OVERRIDES}
+            if OVERRIDES in params:
+                self.overrides |= _fixed_values(params[OVERRIDES], self._path, place)
+            for name in others:
                 if not (veneer.loadingModel and name in veneer._globalParameters):
                     self._note_param(name, place)
-            return param(params)
+            return param(others)
 
         return watched
 
@@ -381,10 +403,19 @@ class Constructs:
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
             if isinstance(plain, str) and name != 'date':  # a date may be computed, and invalid
-                _check_word(name, plain, place)
+                self._check_word(name, plain, place)
         for option in value.options if isinstance(value, MultiplexerDistribution) else ():
             if isinstance(option, str):
-                _check_word(name, option, place)
+                self._check_word(name, option, place)
+
+    def _check_word(self, name: str, word: str, place: Place | None) -> None:
+        """Refuse a word that is misspelt, hence invalid in every run."""
+        if name in CATALOGUES and is_document_file(word):
+            word = str(beside(self._path, word))
+        try:
+            check_value(name, word)
+        except UsageError as error:
+            raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
 
     def _check_paper_value(self, name: str, meant: PaperName, value: Any) -> None:
         place = self.params.get(name)
@@ -475,12 +506,24 @@ class Constructs:
             )
 
 
-def _check_word(name: str, word: str, place: Place | None) -> None:
-    """Refuse a word that is misspelt, hence invalid in every run."""
+def _fixed_values(given: Any, program: Path, place: Place) -> dict[str, str]:
+    """The values of ``param overrides``, checked, as text by key."""
+    if not isinstance(given, Mapping) or not all(
+        isinstance(value, bool | Real | str) for value in given.values()
+    ):
+        raise ProgramError(
+            f'param {OVERRIDES}: expected fixed values by key, such as '
+            "{'clouds': 'stratus', 'cross_track_m': 3}", place,
+        )
+    texts = {
+        str(key): str(beside(program, value) if is_document_file(str(value)) else value)
+        for key, value in given.items()
+    }
     try:
-        check_value(name, word)
+        check_overrides(texts)
+        return by_key(texts)
     except UsageError as error:
-        raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
+        raise ProgramError(f'param {OVERRIDES}: {error}', place) from error
 
 
 def _drawn(value: Any) -> list[Any]:

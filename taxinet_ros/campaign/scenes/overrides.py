@@ -1,7 +1,9 @@
-"""Command-line overrides of the values that a program draws.
+"""Overrides of the values that a program draws: ``--set``, and a program's ``param overrides``.
 
 They are applied after the draw instead of in Scenic, where an overridden parameter escapes the
-joint prior and gives rain from a clear sky. Here every scene is validated as a scenario.
+joint prior and gives rain from a clear sky. Here every scene is validated as a scenario. Both have
+the same effect, so a program that is written for the runs of a campaign has the campaign's as its
+own.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
     CAMERA,
+    CATALOGUES,
     DRAWN_FAULTS,
     DURATION,
     FAULT_ONSET,
@@ -38,6 +41,9 @@ from taxinet_ros.core.scenario_fields import (
     by_key,
 )
 from taxinet_ros.errors import UsageError
+
+OVERRIDES = 'overrides'
+"""The parameter of a program that overrides its values; said again, it adds to the earlier."""
 
 WEATHER = (SKY.key, RAIN.key)
 """The two interdependent weather keys: rain falls from rain clouds only."""
@@ -90,6 +96,38 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     if all(key in overrides for key in WEATHER):
         given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
         _build(overrides, f'override {given}')
+
+
+def overrides_statement(overrides: Mapping[str, Any]) -> str:
+    """The statement by which a program has overrides of its own; '' for none.
+
+    Args:
+        overrides: by key, documents as names, references or in full.
+
+    Raises:
+        UsageError: a document is known by its digest only.
+    """
+    values = {
+        key: CATALOGUES[key].typed(str(value)).text if key in CATALOGUES else value
+        for key, value in by_key(overrides).items()
+    }
+    lines = [f'    {key!r}: {value!r},' for key, value in values.items()]
+    return '\n'.join([f'param {OVERRIDES} = {{', *lines, '}', '']) if values else ''
+
+
+def scenes_words(program: str, overrides: Mapping[str, Any]) -> str:
+    """Display text of the scenes of a program, with what ``--set`` said of them."""
+    said = ', '.join(f'{key}={_short(key, value)}' for key, value in overrides.items())
+    return f'{program} with {said}' if said else program
+
+
+def _short(key: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return 'on' if value else 'off'
+    catalogue = CATALOGUES.get(key)
+    if catalogue is None or catalogue.is_reference(str(value)):
+        return str(value)
+    return str(catalogue.typed(str(value)).reference)
 
 
 def doubtful_values(overrides: Mapping[str, str]) -> list[str]:

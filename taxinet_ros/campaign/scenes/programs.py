@@ -1,12 +1,20 @@
-"""Find Scenic programs, read their text with all imports, and write a scenario as a program."""
+"""Find Scenic programs, keep them with all that they run, and write them.
+
+A program is its file, the modules that it imports, the files that they read while it is compiled,
+and the documents that its parameters name. Which these are, the process knows that compiles it
+(:mod:`.source`); here they become one text with a digest, and files again.
+"""
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping
+import sysconfig
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +22,22 @@ import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
+from taxinet_ros.files.atomic import make_folder, write_atomically
+from taxinet_ros.files.reading import read_file, read_text
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
 SUFFIX = '.scenic'
 _SHARE = Path('share', 'taxinet_ros', 'scenarios')
-_IMPORT = re.compile(
-    r'^[ \t]*(?:(?:model|from)[ \t]+([\w.]+)|import[ \t]+([\w., \t]+))', re.MULTILINE
+_SOURCES = (SUFFIX, '.py')
+_LIBRARIES = (
+    *(sysconfig.get_path(kind) + os.sep for kind in ('stdlib', 'platstdlib', 'purelib', 'platlib')),
+    os.path.dirname(os.path.abspath(taxinet_ros.__file__)) + os.sep,
 )
-_DATA = ('.yaml', '.yml', '.json')
+"""Folders of libraries and of this package, which are no part of a program that lies above."""
+_STORED_BYTES = 1 << 20
+"""Largest file that is stored whole, as every run's bag has the text; of others, the digest is."""
+_HEAD = re.compile(r'^# --- (.+?)(?: \((base64|sha256)\))? ---\n', re.MULTILINE)
 NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
 """A file of a document as a program names it, in quotes; its path is the second group."""
 
@@ -83,73 +97,149 @@ def find_program(word_or_path: str | Path) -> Path:
     )
 
 
-def program_text(path: Path) -> str:
-    """Source of a program, of its modules, and of the YAML files it names.
+def is_document_file(text: str) -> bool:
+    """Whether a parameter's text names a file of a place, camera, aircraft or others."""
+    return text.lower().endswith(('.yaml', '.yml', '.json')) and not text.startswith('{')
 
-    Modules are those that it imports from its own or the shipped folder; YAML files hold places,
-    aircraft, cameras, others on the ground. Stored in the campaign record. Each file is headed by
-    its name, not its path, so that a checkout and an installed copy give the same text. Imports
-    made at run time are not included.
+
+def beside(program: Path, name: str) -> Path:
+    """The file that a program names: beside the program, else in the current folder."""
+    own = program.parent / name
+    return own if os.path.isfile(own) else Path(name)
+
+
+def files_of_program(
+    program: Path, loaded: Iterable[str], named: Iterable[str]
+) -> dict[str, Path]:
+    """Every file of a program by name: first its own, then the others in order of their names.
+
+    Args:
+        program: the program's file.
+        loaded: paths of the modules and files that were read while it was compiled.
+        named: names of documents, as its parameters have them.
+
+    Returns:
+        Names are relative to the program's or the shipped folder, so that they are the same
+        wherever the program lies; a document from elsewhere has the name that the program gives.
+    """
+    files = {_name(program, path): Path(path) for path in loaded if _is_of_program(path)}
+    sources = [path for path in (program, *files.values()) if path.suffix in _SOURCES]
+    quoted = (match[2] for path in sources for match in NAMED_FILE.finditer(_stored(path)[1]))
+    for name in sorted({*named, *quoted}):
+        path = beside(program, name)
+        if os.path.isfile(path):
+            files.setdefault(_name(program, path) or name, path)
+    others = {name: path for name, path in sorted(files.items()) if name}
+    return {program.name: program, **others}
+
+
+def _is_of_program(path: str) -> bool:
+    """Whether a file that was read is no library's, bytecode or gone."""
+    return os.path.isfile(path) and not path.startswith(_LIBRARIES) and '__pycache__' not in path
+
+
+def _name(program: Path, path: str | Path) -> str:
+    """Path within the shipped folder or the program's own; '' if it is in neither."""
+    for folder in (shipped_folder(), program.parent):
+        for real in (os.path.abspath, os.path.realpath):
+            if Path(real(path)).is_relative_to(real(folder)):
+                return os.path.relpath(real(path), real(folder))
+    return ''
+
+
+def stored_text(files: Mapping[str, Path]) -> str:
+    """One text of a program's files, each headed by its name; see :func:`stored_files`.
 
     Raises:
         UsageError: a file cannot be read.
     """
-    sources = _with_imports(path)
-    return ''.join(f'# --- {name} ---\n{text.rstrip()}\n' for name, text in sources.items())
+    parts = []
+    for name, path in files.items():
+        encoding, text = _stored(path)
+        parts.append(f'# --- {name}{encoding and f" ({encoding})"} ---\n{text.rstrip()}\n')
+    return ''.join(parts)
 
 
-def program_digest(path: Path) -> str:
-    """SHA-256 of :func:`program_text`, in hexadecimal: equal digests draw equal scenes."""
-    return hashlib.sha256(program_text(path).encode()).hexdigest()
-
-
-def _with_imports(path: Path) -> dict[str, str]:
-    folders = (path.resolve().parent, shipped_folder())
-    sources: dict[str, str] = {}
-    waiting = [(path.name, path)]
-    while waiting:
-        name, file = waiting.pop(0)
-        if name in sources:
-            continue
-        sources[name] = _read(file)
-        if file.suffix.lower() not in _DATA:
-            waiting += _imports(sources[name], folders)
-            waiting += _documents(sources[name])
-    return sources
-
-
-def _documents(text: str) -> Iterator[tuple[str, Path]]:
-    """The YAML files that a program names, from the current folder as in its parameters."""
-    for match in NAMED_FILE.finditer(text):
-        path = Path(match[2]).expanduser()
-        if path.is_file():
-            yield match[2], path
-
-
-def _imports(text: str, folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:
-    for match in _IMPORT.finditer(text):
-        names = (match[1] or match[2]).split(',')
-        yield from _modules([name.split()[0] for name in names if name.strip()], folders)
-
-
-def _modules(names: list[str], folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:
-    for name in names:
-        stem = name.replace('.', '/')
-        for folder in folders:
-            files = (f'{stem}{SUFFIX}', f'{stem}.py')
-            found = [file for file in files if (folder / file).is_file()]
-            if found:
-                yield found[0], folder / found[0]
-                break
-
-
-def _read(path: Path) -> str:
+def _stored(path: Path) -> tuple[str, str]:
+    """How a file is stored, '' for as it is, and its text then."""
     try:
-        return read_text(path, MAX_TEXT_BYTES)
-    except UnicodeDecodeError as error:
-        raise UsageError(f'{path}: not UTF-8 ({error.reason}, byte {error.start})') from error
+        data = read_file(path)
+        if len(data) > _STORED_BYTES and path.suffix not in _SOURCES:
+            return 'sha256', hashlib.sha256(data).hexdigest()
+        if b'\0' not in data:
+            with contextlib.suppress(UnicodeDecodeError):
+                return '', read_text(path).removeprefix('\ufeff')  # a byte order mark
+        return 'base64', base64.encodebytes(data).decode()
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def stored_files(text: str) -> dict[str, bytes | None]:
+    """The files in the text of a program by name, its own first; None for one that is too large."""
+    return {
+        name: None if how == 'sha256' else base64.decodebytes(data) if how else data
+        for name, (how, data) in _parts(text).items()
+    }
+
+
+def _parts(text: str) -> dict[str, tuple[str | None, bytes]]:
+    """Encoding and stored content of each file by name."""
+    words = _HEAD.split(text)[1:]
+    bodies = (body.encode() for body in words[2::3])
+    return dict(zip(words[::3], zip(words[1::3], bodies, strict=True), strict=True))
+
+
+def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Check that two facts with ``program`` and ``program_text`` have the same files.
+
+    Args:
+        what: the record of the first, for the error.
+        before: facts of the record.
+        now: facts of what is to continue it.
+
+    Raises:
+        UsageError: files of one program differ; all of them are named.
+    """
+    one, other = (_parts(str(facts.get('program_text', ''))) for facts in (before, now))
+    changed = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    if changed and one and other and before.get('program') == now.get('program'):
+        raise UsageError(
+            f'{what} was begun with another text of {", ".join(changed)}; put that back, or choose '
+            'another --out'
+        )
+
+
+def write_program(path: Path, source: str, text: str) -> None:
+    """Write a program that was made of a stored one, with all that it runs beside it.
+
+    Args:
+        path: file of the program, in an existing folder.
+        source: its source; files from outside the stored program's folder, which are written
+            beside it as well, are renamed in it.
+        text: text of the stored program (:func:`stored_text`).
+
+    Raises:
+        UsageError: a file is too large to be stored, or another one of its name exists there;
+            nothing is written.
+        OSError: a file cannot be written.
+    """
+    model = _stored(shipped_folder() / f'{MODEL}{SUFFIX}')[1].rstrip()
+    files: dict[Path, bytes] = {}
+    for name, data in list(stored_files(text).items())[1:]:
+        if name == f'{MODEL}{SUFFIX}' and data is not None and data.decode().rstrip() == model:
+            continue
+        within = not (os.path.isabs(name) or name.startswith(os.pardir))
+        file = path.parent / (name if within else Path(name).name)
+        source = source if within else source.replace(name, file.name)
+        if data is None:
+            raise UsageError(f'{path}: cannot be written: {name} is too large to be stored with it')
+        if file.exists() and file.read_bytes() != data:
+            raise UsageError(f'{path}: cannot be written: beside it, {file.name} is another file')
+        files[file] = data
+    for file, data in files.items():
+        make_folder(file.parent)
+        write_atomically(file, data)
+    write_atomically(path, source)
 
 
 def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str]) -> str:

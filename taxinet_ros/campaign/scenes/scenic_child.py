@@ -10,8 +10,10 @@ print anything (it appears on stderr). The first output line reports that Scenic
 each request has a ticket and gets one answer with the same ticket:
 
 ==========================================  ============================================
-``{"op": "compile", "program": ...}``        ``{}``
-``{"op": "asked"}``                          ``{"sampler": {...}, "notes": [...]}``
+``{"op": "compile", "program": ...}``        ``{"loaded": [...], "named": [...]}``, the files
+                                             that were read, and names of documents
+``{"op": "asked"}``                          ``{"sampler": {...}, "overrides": {...},
+                                             "notes": [...]}``
 ``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
 ``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
                                              ``n`` others, or ``{"rejected": n}``
@@ -32,6 +34,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
+import importlib.util
 import json
 import math
 import os
@@ -167,12 +170,20 @@ class Programs:
         self._scenario: Any = None
         self._sampler: dict[str, Any] = {}
         self._choices: Any = None
+        self._loaded: set[str] = set()
+        self._loading = False
+        sys.addaudithook(self._note_loaded)
 
     def compile(self, program: str) -> dict[str, Any]:
         """Compile ``program`` and refuse constructs without effect; no scene is drawn."""
         self._reseed(0)  # a program may draw while it is compiled
         self._choices = self._scenario = None
-        scenario = self._watched(lambda: self._begin(program))
+        self._loaded.clear()
+        self._loading = True
+        try:
+            scenario = self._watched(lambda: self._begin(program))
+        finally:
+            self._loading = False
         self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
         self._constructs.check(scenario)
         if scenario.externalSampler is not None:
@@ -181,7 +192,18 @@ class Programs:
                 'VerifaiRange or VerifaiOptions instead'
             )
         self._scenario = scenario
-        return {}
+        named = self._constructs.named_documents(scenario)
+        return {'loaded': sorted(self._loaded), 'named': named}
+
+    def _note_loaded(self, event: str, args: tuple[Any, ...]) -> None:
+        """Remember the files that are read while a program is compiled, as an audit hook."""
+        if not self._loading or event != 'open' or isinstance(args[0], int):
+            return
+        if args[2] & os.O_ACCMODE != os.O_WRONLY:
+            path = os.path.abspath(os.fsdecode(args[0]))
+            with contextlib.suppress(ValueError):  # no bytecode, which stands for its source
+                path = importlib.util.source_from_cache(path)
+            self._loaded.add(path)
 
     def _begin(self, program: str) -> Any:
         self._constructs.begin(Path(program))
@@ -189,8 +211,11 @@ class Programs:
         return self._compile(program)
 
     def asked(self) -> dict[str, Any]:
-        """The program's sampler request, and notes on likely mistakes."""
-        return {'sampler': self._sampler, 'notes': self._constructs.notes(self._scenario)}
+        """The program's sampler request and overrides, and notes on likely mistakes."""
+        return {
+            'sampler': self._sampler, 'overrides': self._constructs.overrides,
+            'notes': self._constructs.notes(self._scenario),
+        }
 
     def space(self) -> dict[str, Any]:
         """The random choices of the program that can be set to a quantile."""

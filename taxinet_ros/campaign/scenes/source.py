@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import secrets
@@ -26,14 +27,25 @@ from taxinet_ros.campaign.scenes.overrides import (
 )
 from taxinet_ros.campaign.scenes.paper_names import our_values
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
-from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.campaign.scenes.programs import (
+    MODEL,
+    SUFFIX,
+    beside,
+    files_of_program,
+    find_program,
+    is_document_file,
+    shipped_folder,
+    stored_text,
+)
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
     BY_PLACE,
     BY_TRACK,
+    CATALOGUES,
     DURATION,
     HUMAN_KEYS,
     PLACE,
@@ -105,6 +117,8 @@ class SceneSource:
         refused: draws rejected by the requirements before the last scene without a point.
         sampler: sampler requested by ``verifaiSamplerType``; None if there is none.
         notes: notes on likely mistakes in the program.
+        feedback: robustness that a sampler is to learn for a refused point, or None.
+        text: the program with all that it runs; see :func:`program_text`.
     """
 
     def __init__(
@@ -117,8 +131,9 @@ class SceneSource:
         Args:
             program: name of a shipped program, or path of a ``.scenic`` file.
             seed: seed of the campaign, 0..2^63-1.
-            overrides: human keys, or their short forms, and values that replace drawn ones; choices
-                that they make ineffective are not dimensions.
+            overrides: human keys, or their short forms, and values that replace drawn ones, also
+                those of the program's own ``param overrides``; choices that they make ineffective
+                are not dimensions.
             laid_over: like overrides, but without effect on the dimensions: a point gives the same
                 scene as without them, with these values changed.
             timeout_s: wall-clock limit for compiling, and for each scene [s].
@@ -144,6 +159,9 @@ class SceneSource:
         self.refused = 0
         self.sampler: ProgramSampler | None = None
         self.notes: tuple[str, ...] = ()
+        self.feedback: float | None = None
+        self.text = ''
+        self._documents: frozenset[Path] = frozenset()
 
     def __enter__(self) -> Self:
         """Start the child, compile, and check for overrides that contradict the program.
@@ -156,8 +174,9 @@ class SceneSource:
         try:
             self._meanwhile()
             self._receive('', START_TIMEOUT_S)
-            self._ask({'op': 'compile', 'program': str(self.program)})
+            compiled = self._ask({'op': 'compile', 'program': str(self.program)})
             self._read_asked(**self._ask({'op': 'asked'}))
+            self._read_files(**compiled)
             self._probe_weather()
         except BaseException:
             self._stop()
@@ -171,10 +190,23 @@ class SceneSource:
         """Stop the child."""
         self._stop()
 
-    def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
+    def _read_asked(
+        self, *, sampler: Mapping[str, Any], overrides: Mapping[str, str],
+        notes: Sequence[Sequence[Any]],
+    ) -> None:
+        own = {key: BY_KEY[key].settled(text) for key, text in overrides.items()}
+        self._overrides = {**own, **self._overrides}
+        self._values = {**own, **self._values}
+        check_overrides(self._values)
         places = {name: _at(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
+        self.feedback = sampler['feedback']
         self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    def _read_files(self, *, loaded: Sequence[str], named: Sequence[str]) -> None:
+        files = files_of_program(self.program, loaded, named)
+        self.text = stored_text(files)
+        self._documents = frozenset(path.resolve() for path in files.values())
 
     @property
     def fixed_length(self) -> Mapping[str, str]:
@@ -249,13 +281,27 @@ class SceneSource:
         if 'values' in answer:
             self.refused = answer['refused']
             try:
-                return our_values(answer['values'], self._values)
+                return our_values(self._with_own_files(answer['values']), self._values)
             except UsageError as error:
                 raise UsageError(f'{where}: {error}') from error
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)
         tries = answer['rejected']
         raise Rejected(f'{where}: no draw met the requirements in {tries} tries', tries)
+
+    def _with_own_files(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """A scene's values, with documents named as they are found beside the program."""
+        found = dict(values)
+        for key in (found.keys() & CATALOGUES.keys()) - self._values.keys():
+            if is_document_file(name := str(found[key])):
+                path = beside(self.program, name)
+                if path.is_file() and path.resolve() not in self._documents:
+                    raise UsageError(
+                        f'{key} {name}: this name is put together by chance, so nothing would tell '
+                        "if the file changed; write whole names: Uniform('a.yaml', 'b.yaml')"
+                    )
+                found[key] = str(path)
+        return found
 
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program draws impossible values only in some scenes."""
@@ -373,6 +419,30 @@ class SceneSource:
 
     def _error_line(self, *, file: str, line: int, message: str) -> str:
         return f'{_at(file or str(self.program), line)}: {message}'
+
+
+def program_text(program: str | Path) -> str:
+    """A program with all that it runs, as one text: part of a campaign's record.
+
+    These are its own file, the modules and files below its folder that were read while it was
+    compiled, however they were imported or opened, the world model, and the documents (places,
+    aircraft, cameras, others on the ground) that its parameters name. What only a drawn scene reads
+    is not included, nor are installed packages. Each file is headed by its name within the folder,
+    so that a checkout and an installed copy give the same text.
+
+    Raises:
+        UsageError: it does not compile, or a file cannot be read.
+    """
+    path = find_program(program)
+    if path.resolve().parent == shipped_folder().resolve():  # these run the world model alone
+        return stored_text({file.name: file for file in (path, path.parent / f'{MODEL}{SUFFIX}')})
+    with SceneSource(path, seed=0) as source:
+        return source.text
+
+
+def program_digest(program: str | Path) -> str:
+    """SHA-256 of :func:`program_text`, in hexadecimal: equal digests draw equal scenes."""
+    return hashlib.sha256(program_text(program).encode()).hexdigest()
 
 
 def accepted_scene(

@@ -14,9 +14,10 @@ from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key, other_form
 from taxinet_ros.core.traffic.traffic import KINDS
 
+REJECTION_FEEDBACK = 'externalSamplerRejectionFeedback'
+"""Scenic's global parameter: what a sampler is told of a scene that the requirements reject."""
 SAMPLER_PARAMETERS = (
-    'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler',
-    'externalSamplerRejectionFeedback',
+    'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler', REJECTION_FEEDBACK,
 )
 """Global parameters that configure samplers, not the scenario."""
 

@@ -33,7 +33,7 @@ from scenic.syntax import veneer
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
 from taxinet_ros.campaign.scenes.search_space import tail_of
-from taxinet_ros.campaign.scenes.values import Place, ProgramError
+from taxinet_ros.campaign.scenes.values import REJECTION_FEEDBACK, Place, ProgramError
 
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
 _PARTS = {'low': 'the low end', 'high': 'the high end', 'mean': 'the mean',
@@ -91,10 +91,14 @@ def sampler_request(
             "externalSampler: a sampler of the program's own cannot be used; name one by "
             f'"param {TYPE} = …" or by --sampler', places.get('externalSampler'),
         )
-    if 'externalSamplerRejectionFeedback' in params:
+    feedback = params.get(REJECTION_FEEDBACK)
+    if REJECTION_FEEDBACK in params and (
+        feedback is False or not isinstance(feedback, (int, float)) or not math.isfinite(feedback)
+    ):
         raise ProgramError(
-            'externalSamplerRejectionFeedback has no effect here: samplers are never told of '
-            'rejected scenes; leave it out', places.get('externalSamplerRejectionFeedback'),
+            f'{REJECTION_FEEDBACK} is {feedback!r:.60}; it has to be a number, the robustness that '
+            'samplers learn for a rejected scene (True is 1), or left out',
+            places.get(REJECTION_FEEDBACK),
         )
     kind, given = params.get(TYPE), params.get(PARAMS) or {}
     if not isinstance(kind, (str, type(None))):
@@ -108,6 +112,7 @@ def sampler_request(
         _cut_ranges(plain, places.get(PARAMS))
     return {
         'kind': kind, 'params': plain,
+        'feedback': None if feedback is None else float(feedback),
         'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
     }
 

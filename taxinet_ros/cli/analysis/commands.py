@@ -11,11 +11,19 @@ from taxinet_ros.cli.completion import complete_gain, complete_setting, complete
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
     BoundOption,
+    CameraOption,
     CampaignArgument,
+    ControllerOption,
     JsonOption,
+    LatencyOption,
     ProcessesCountOption,
     RateOption,
     RunOption,
+    SetOption,
+    WorldOption,
+    given_among,
+    renderer_of,
+    scene_settings,
 )
 
 
@@ -109,6 +117,7 @@ def localize(
 
 
 def compare(
+    context: typer.Context,
     before: Annotated[
         str, typer.Argument(metavar='A', help='campaign or table, or a network: word or file')
     ],
@@ -132,6 +141,13 @@ def compare(
         typer.Option('--spec', metavar='FORMULA', help='requirement for the scenes of a program '
         '(default phi_eventually)'),
     ] = None,
+    settings: SetOption = None,
+    controller: ControllerOption = 'steering',
+    world: WorldOption = 'kmwh',
+    camera: CameraOption = None,
+    latency: LatencyOption = None,
+    bound: BoundOption = None,
+    rate: RateOption = None,
     workers: ProcessesCountOption = 2,
     out: Annotated[
         Path | None,
@@ -142,15 +158,23 @@ def compare(
     """Compare two networks on the same scenes: what got better, what got worse, and why.
 
     Takes two campaigns or tables of the same scenes, or two networks and the scenes, which both
-    then drive in the closed loop without ROS. Gives the paired difference with its interval and
-    McNemar's exact test, the scenes that changed, and what they have in common. After an interrupt,
-    the same command continues.
+    then drive in the closed loop without ROS; those of a program with the settings that run takes.
+    Gives the paired difference with its interval and McNemar's exact test, the scenes that changed,
+    and what they have in common. After an interrupt, the same command continues.
     """
     from taxinet_ros.cli.analysis.compare import CompareOptions, run_compare
+    from taxinet_ros.core.world import world_word
 
     raise typer.Exit(run_compare(CompareOptions(
-        before=before, after=after, scenes=scenes, runs=runs, seed=seed, specs=spec or (),
-        workers=workers, out=out, as_json=as_json,
+        before=before, after=after, scenes=scenes, runs=runs, seed=seed, settings={
+            'settings': scene_settings(settings, None, None, None, None, camera),
+            'specs': spec or (), 'bounds': bound or (), 'rates': rate or (),
+            'controller': controller, 'latency': latency or (),
+            'world': world_word(world, renderer_of(camera)),
+        },
+        of_program=next(iter(given_among(context, (
+            'seed', 'spec', 'settings', 'controller', 'world', 'camera', 'latency', 'bound', 'rate',
+        ))), ''), workers=workers, out=out, as_json=as_json,
     )))
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -29,7 +30,7 @@ from taxinet_ros.analysis.runs.campaign import (
     read_runs,
     runs_of,
 )
-from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, make_out, read_specs
+from taxinet_ros.campaign.options import DEFAULT_ROOT, LOOP, make_options, make_out
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.shared_scenes import (
     SceneSet,
@@ -40,7 +41,7 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_table import write_table
@@ -61,7 +62,9 @@ class CompareOptions:
         scenes: of two networks: program, campaign, table or run with the scenes; else None.
         runs: number of scenes; None: 100 of a program, else all.
         seed: seed of a program's scenes.
-        specs: requirements of a program's scenes; the first counts.
+        settings: of the runs of a program's scenes, as :func:`.make_options` takes them; the first
+            of ``specs`` counts.
+        of_program: an option given that only scenes of a program have; ''.
         workers: processes.
         out: folder; None: one below ``bags/``.
         as_json: print ``compare.json``.
@@ -72,7 +75,8 @@ class CompareOptions:
     scenes: str | None
     runs: int | None
     seed: int | None
-    specs: Sequence[str]
+    settings: Mapping[str, Any]
+    of_program: str
     workers: int
     out: Path | None
     as_json: bool
@@ -90,11 +94,8 @@ def run_compare(options: CompareOptions) -> int:
     console = Console(highlight=False, stderr=options.as_json)
     named = [_is_campaign(word) for word in (options.before, options.after)]
     if all(named) and options.scenes is None:
-        for option, given in (('--runs', options.runs is not None),
-                              ('--seed', options.seed is not None),
-                              ('--spec', bool(options.specs))):
-            if given:
-                raise UsageError(f'{option}: the scenes are those of the campaigns; leave it out')
+        if given := '--runs' if options.runs is not None else options.of_program:
+            raise UsageError(f'{given}: the scenes are those of the campaigns; leave it out')
         out = _folder(options, options.before, options.after)
         first = read_runs(Path(options.before))
         runs = first, read_runs(Path(options.after), first.spec)
@@ -114,7 +115,7 @@ def run_compare(options: CompareOptions) -> int:
         for network in (options.before, options.after):
             check_perception(network)
         out = _folder(options, options.before, options.after)
-        scenes = _scenes(options, options.scenes)
+        scenes = _scenes(options, options.scenes, out)
         done = _driven(scenes, (options.before, options.after), out, options.workers, console)
         if done is None:
             console.print('interrupted; the same command goes on', soft_wrap=True)
@@ -145,18 +146,23 @@ def _folder(options: CompareOptions, *words: str) -> Path:
     return out
 
 
-def _scenes(options: CompareOptions, word: str) -> SceneSet:
+def _scenes(options: CompareOptions, word: str, out: Path) -> SceneSet:
     """The scenes of a campaign, table or run, or else of a program."""
     path = Path(word)
     if path.is_dir() or word.endswith('.parquet'):
-        if options.specs or options.seed is not None:
-            which = '--spec' if options.specs else '--seed'
-            raise UsageError(f'{which}: the scenes are those of {word}; leave it out')
+        if options.of_program:
+            raise UsageError(f'{options.of_program}: the scenes are those of {word}; leave it out')
         return scenes_of(path, options.runs)
-    judging = Judging(specs=read_specs(options.specs)) if options.specs else DEFAULT_JUDGING
-    return scenes_of_program(
-        word, runs=100 if options.runs is None else options.runs, seed=options.seed or 0,
-        judging=judging,
+    asked = make_options(
+        program=word, runs=100 if options.runs is None else options.runs, seed=options.seed or 0,
+        perception=options.before, out=out, processes=False, resume=True, engine=LOOP,
+        **options.settings,
+    )
+    scenes = scenes_of_program(
+        word, runs=asked.runs, seed=asked.seed, judging=asked.judging, overrides=asked.overrides)
+    return replace(
+        scenes, gains=asked.gains, controller=asked.controller, timing=asked.timing.words,
+        world=asked.world, world_sha256=find_world(asked.world).fingerprint,
     )
 
 

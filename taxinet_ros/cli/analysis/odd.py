@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -19,11 +20,18 @@ from taxinet_ros.analysis.odd.coverage import (
 )
 from taxinet_ros.analysis.odd.picture import coverage_picture
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
-from taxinet_ros.analysis.runs.campaign import GroupRate, distinct_labels, read_runs
-from taxinet_ros.campaign.odd.odd_file import find_odd, read_odd
+from taxinet_ros.analysis.runs.campaign import (
+    CampaignRuns,
+    GroupRate,
+    distinct_labels,
+    read_runs,
+)
+from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.odd.openodd import binding_path, openodd_texts
 from taxinet_ros.campaign.record.facts import add_page_beside
-from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.campaign.scenes.programs import SUFFIX, known_programs
+from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 
@@ -140,7 +148,7 @@ def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
     if options.as_json:
         print(json.dumps(coverage_json(found), indent=2, allow_nan=False))
     else:
-        _print(_console(), found, options)
+        _print(_console(), found, options, runs)
     if plot is not None:
         write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
         for campaign in campaigns:
@@ -150,7 +158,9 @@ def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
     return ExitCode.OK
 
 
-def _print(console: Console, found: OddCoverage, options: CoverageOptions) -> None:
+def _print(
+    console: Console, found: OddCoverage, options: CoverageOptions, runs: Sequence[CampaignRuns]
+) -> None:
     odd = found.odd
     outside = found.judged - found.inside
     console.print(
@@ -185,10 +195,30 @@ def _print(console: Console, found: OddCoverage, options: CoverageOptions) -> No
             console.print(f'{heading}: {labels}', soft_wrap=True)
     open_pairs = next((one for one in found.strengths if one.covered < one.feasible), None)
     if open_pairs is not None:
-        console.print(
-            f'fill them: taxinet falsify PROGRAM --sampler coverage --odd {options.odd} '
-            f'--sampler-option strength={open_pairs.t}', soft_wrap=True,
+        words = (
+            '--sampler', 'coverage', '--odd', options.odd, '--sampler-option',
+            f'strength={open_pairs.t}',
         )
+        command = _falsify_words(odd, runs, words)
+        console.print(f'fill them: {command}', soft_wrap=True, markup=False)
+
+
+def _falsify_words(odd: Odd, runs: Sequence[CampaignRuns], words: Sequence[str]) -> str:
+    """The command that searches further as one campaign of a shipped program did; else in words."""
+    one, program = runs[0], runs[0].program.removesuffix(SUFFIX)
+    if len(runs) == 1 and one.facts and one.perception and program in known_programs():
+        settings = RunSettings.from_facts(one.facts)
+        # What was set of the ODD's own parameters is what leaves gaps.
+        values = {
+            key: value for key, value in settings.values.items()
+            if key not in [parameter.key for parameter in odd.parameters]
+        }
+        settings = replace(settings, perception=one.perception, values=values)
+        if not settings.timing.free and all(
+            str(values[key]) in CATALOGUES[key].shipped for key in set(CATALOGUES) & set(values)
+        ):
+            return settings.command(program, *words, verb='falsify')
+    return f'taxinet falsify PROGRAM {shlex.join(words)}, with the other options of these runs'
 
 
 def _cell_table(found: OddCoverage) -> Table:

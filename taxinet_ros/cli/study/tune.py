@@ -18,6 +18,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, make_out, read_specs
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of_program
 from taxinet_ros.campaign.rates import rate
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import GAIN_RANGES, SteeringGains, typed_gain
 from taxinet_ros.core.verdict.judging import Judging
@@ -205,8 +206,9 @@ def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
     }[tuned.verdict])
     if tuned.verdict == 'better':
         lines.append(
-            f'next: taxinet falsify {options.learning.source} --perception {options.perception} '
-            f'{gain_words(found)}'
+            'next: ' + RunSettings(
+                perception=options.perception, gains=found.gains, judging=options.learning.judging,
+            ).command(options.learning.source, verb='falsify')
         )
     return lines
 

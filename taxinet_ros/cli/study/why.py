@@ -159,16 +159,15 @@ def _print(
 
 
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
-    campaign, program, kept = None, '', False
+    campaign, kept = None, False
     folder = path if kind == 'campaign' else path.parent
     if kind != 'table' and (folder / LEDGER_NAME).is_file():
         campaign = Path(_near(folder))
         recorded = open_campaign(folder)
-        program = str(recorded.facts.get('program', '')).removesuffix('.scenic')
         kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)
     shown = _with_near_paths(evidence)
     return tuple(actions(
-        shown, verdict.fault, campaign=campaign, program=program, kept_bags=kept,
+        shown, verdict.fault, campaign=campaign, kept_bags=kept,
     ))
 
 
@@ -180,7 +179,11 @@ def _with_near_paths(evidence: Evidence) -> Evidence:
             bag=cause.bag and Path(_near(cause.bag)),
         ) for cause in evidence.causes
     )
-    return replace(evidence, causes=causes, subject=_near(Path(evidence.subject)))
+    return replace(
+        evidence, causes=causes, subject=_near(Path(evidence.subject)),
+        scenes=evidence.scenes and Path(_near(evidence.scenes)),
+        base=evidence.base and Path(_near(evidence.base)),
+    )
 
 
 def _worst(work: Investigation, evidence: Evidence) -> dict[int, WorstRun]:

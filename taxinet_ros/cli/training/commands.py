@@ -43,7 +43,11 @@ def train(
         typer.Option(help='folder of labelled images instead of a program; repeatable'),
     ] = None,
     images: Annotated[int, typer.Option(help='images to render, one per scene')] = 12_000,
-    validation: Annotated[int, typer.Option(help='additional validation images')] = 1_500,
+    validation: Annotated[
+        int, typer.Option(
+            help='additional validation images; what is added brings more, in proportion'
+        )
+    ] = 1_500,
     validation_data: Annotated[
         Path | None, typer.Option(help='folder of validation images, instead')
     ] = None,
@@ -89,10 +93,13 @@ def train(
     workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     overwrite: Annotated[bool, typer.Option('--overwrite', help='overwrite existing '
     'output')] = False,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue an interrupted command')
+    ] = False,
 ) -> None:
     """Train TaxiNet on rendered scenes or labelled images.
 
-    Writes weights, model card and learning curves.
+    Writes weights, model card and learning curves; until then NAME.part, for --resume.
     """
     from taxinet_ros.cli.training.network import run_train
     from taxinet_ros.training.data.portions import parse_portion
@@ -113,7 +120,7 @@ def train(
         ),
         images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
         batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
-        overwrite=overwrite,
+        overwrite=overwrite, resume=resume,
     ))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -59,8 +61,19 @@ def run_train(options: TrainOptions) -> None:
     for path in beside if options.out.suffix else ():
         check_output(f'train: --out {options.out}: {path}', path)
     console = Console(highlight=False)
-    with stage_bars(console) as show:
-        card = train(options, show)
+    try:
+        with stage_bars(console) as show:
+            card = train(options, show)
+    except KeyboardInterrupt:
+        if not options.unfinished.exists():
+            raise
+        words = [word for word in sys.argv[1:] if word != '--resume']
+        Console(stderr=True).print(
+            f'interrupted; {options.unfinished} keeps pictures and epochs, continue with '
+            f'{shlex.join(["taxinet", *words, "--resume"])}',
+            soft_wrap=True, highlight=False, markup=False,
+        )
+        raise ToldInterrupt from None
     for quantity, errors in card.errors.items():
         figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
         console.print(f'{quantity}: {figures}', soft_wrap=True)

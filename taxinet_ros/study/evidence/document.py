@@ -17,6 +17,7 @@ from typing import Any
 
 from taxinet_ros.analysis.odd.coverage import coverage_json
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
+from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.mtl.specs import SIGNALS, parse_spec
 from taxinet_ros.core.perception.weights import Source
@@ -533,7 +534,8 @@ def _system_argument(
             contexts.append((f'{words}{python}, stack {key}', f'{campaign}/versions/{key}'))
     return SystemArgument(
         text=f'{seen[:1].upper()}{seen[1:]} with controller {values["controller"]["name"]} '
-        f'satisfies {system.spec} in the scenes of {program["name"]}',
+        f'satisfies {system.spec} in the scenes of '
+        f'{scenes_words(program["name"], program["overrides"])}',
         contexts=tuple(contexts), parts=tuple(_parts(sources, system, values)),
     )
 

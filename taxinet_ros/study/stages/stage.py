@@ -17,7 +17,7 @@ from typing import Any
 from taxinet_ros.campaign.experiment import find_experiment, read_experiment
 from taxinet_ros.campaign.options import GRAPH, check_engine
 from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.files.pages import page_sha256
@@ -126,14 +126,12 @@ class Stage:
                 if (name in self.inputs and name != self.needs) or (out / name).is_file()
             },
             'programs': {
-                word: program_digest(out / word if word in self.inputs else find_program(word))
-                for word in self.programs if word != self.needs or (out / word).is_file()
+                word: program_digest(word) for word in self.programs if word not in self.inputs
             },
         }
         if self.experiment:
             path = find_experiment(self.experiment)
-            program = find_program(read_experiment(path).program)
-            found['experiment'] = [file_sha256(path), program_digest(program)]
+            found['experiment'] = [file_sha256(path), program_digest(read_experiment(path).program)]
         if self.perception:
             found['perception'] = check_perception(self.perception)
         return found

@@ -12,10 +12,12 @@ from typing import Any
 import pandas as pd
 
 from taxinet_ros.analysis.causes.program import (
+    ANOTHER_SEED,
+    fresh_seed,
     fresh_settings,
-    program_documents,
-    recorded_program,
+    scenes_program,
     why_no_program,
+    write_scenes_program,
 )
 from taxinet_ros.analysis.causes.region import Region, part_of
 from taxinet_ros.analysis.fault_localisation import Blame
@@ -34,6 +36,8 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, o
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.campaign.scenes.overrides import overrides_statement
+from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.shrink.algorithm import End
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.loop import run_closed_loop
@@ -45,7 +49,7 @@ from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, CAMERA
 from taxinet_ros.core.verdict.judge import describe_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -78,11 +82,18 @@ from taxinet_ros.study.why.plan import (
     shrink_stage,
     why_no_experiment,
 )
-from taxinet_ros.study.why.verdict import Blames, CauseEvidence, Evidence, Paired, adjusted
+from taxinet_ros.study.why.verdict import (
+    TRAINED,
+    Blames,
+    CauseEvidence,
+    Evidence,
+    Paired,
+    adjusted,
+)
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
-_ANOTHER_SEED = 1_000_003
-_PROGRAM = 'scenes.scenic'
+_RIG = (AIRCRAFT_MODEL, CAMERA)
+_PROGRAM, _BASE = 'scenes.scenic', 'training.scenic'
 _ONLY_TABLE = (
     'a table has neither bags nor settings of its runs, so no run can be driven again; name the '
     "campaign's folder"
@@ -139,7 +150,7 @@ class Investigation:
 
     def _table(self) -> Evidence:
         runs = read_runs(self.path)
-        found = _of_runs(runs, subject=str(self.path))
+        found = self._with_scenes(_of_runs(runs, subject=str(self.path)), runs)
         if not found.failed:
             return found
         self._stages([analyze_stage(self.path, self.out)])
@@ -168,6 +179,7 @@ class Investigation:
             _of_runs(runs, subject=str(self.path)), others=_outcomes(campaign), network=network,
             formula=str(facts.get('specs', {}).get(runs.spec, '')),
         )
+        found = replace(self._with_scenes(found, runs), base=self._base(runs.scenes))
         if not campaign.counterexamples:
             return found
         stages = [analyze_stage(self.path, self.out)]
@@ -191,11 +203,37 @@ class Investigation:
             troubles[EXPLAIN] = troubles[CONFIRM] = troubles[LOCALIZE]
         else:
             causes = self._looked_into(campaign, causes, network, blames, troubles)
-            causes = self._tested(runs, causes, network, troubles)
+            causes = self._tested(found, why_no_program(runs), causes, troubles)
         return replace(
             found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
             unsatisfiable=unsatisfiable(*_scene_and_judging(campaign), dict(campaign.gains)),
         )
+
+    def _with_scenes(self, found: Evidence, runs: CampaignRuns) -> Evidence:
+        """The evidence with a program of scenes like those of the runs, if it can be written."""
+        if why_no_program(runs):
+            return found
+        path = self.out / _PROGRAM
+        write_scenes_program(runs, scenes_program(runs), path)
+        return replace(
+            found, scenes=path, seed=fresh_seed(runs),
+            settings=replace(fresh_settings(runs), perception=found.network),
+        )
+
+    def _base(self, scenes: pd.DataFrame) -> Path | None:
+        """Write a program of the whole world as the runs' rig sees it; None for the usual one."""
+        usual = Scenario().to_human()
+        given = {field.key: set(scenes[field.key]) for field in _RIG}
+        rig = {
+            key: values.pop() for key, values in given.items()
+            if len(values) == 1 and values != {usual[key]}
+        }
+        if not rig:
+            return None
+        path = self.out / _BASE
+        source = find_program(TRAINED).read_text(encoding='utf-8')
+        write_atomically(path, f'{source}\n{overrides_statement(rig)}')
+        return path
 
     def _causes(self, campaign: RecordedCampaign | None) -> tuple[CauseEvidence, ...]:
         """The causes that the analysis found; all failures as one if it found none."""
@@ -261,8 +299,9 @@ class Investigation:
             troubles[EXPLAIN] = f'no bag of a failed run is left in {campaign.folder}'
         else:
             stages += [
-                explain_stage(cause.bag, self.out, cause.rank, network) for cause in first
-                if cause.bag is not None
+                explain_stage(
+                    cause.bag, self.out, cause.rank, network, recorded_world(campaign.facts)[0])
+                for cause in first if cause.bag is not None
             ]
         if first[0].run_id:
             # What the truth cannot master is shrunk with the truth.
@@ -302,25 +341,18 @@ class Investigation:
         return region_change(Region(parts=tuple(map(part_of, parts))))
 
     def _tested(
-        self, runs: CampaignRuns, causes: Sequence[CauseEvidence], network: str,
+        self, found: Evidence, why_not: str, causes: Sequence[CauseEvidence],
         troubles: dict[str, str],
     ) -> tuple[CauseEvidence, ...]:
         """Test the first causes on fresh scenes."""
-        if why := why_no_program(runs):
+        if found.settings is None or found.scenes is None:
+            troubles[CONFIRM] = why_not
+            return tuple(causes)
+        causes = [replace(cause, program=cause.program or found.scenes) for cause in causes]
+        if why := why_no_experiment(found.settings, KMWH):
             troubles[CONFIRM] = why
             return tuple(causes)
-        settings = replace(fresh_settings(runs), perception=network)
-        if why := why_no_experiment(settings, KMWH):
-            troubles[CONFIRM] = why
-            return tuple(causes)
-        for name, text in program_documents(runs).items():
-            write_atomically(self.out / ANALYZE / name, text)
-        plain = self.out / _PROGRAM
-        write_atomically(plain, recorded_program(runs) or '')
-        return self._experiments(
-            [replace(cause, program=cause.program or plain) for cause in causes], settings,
-            seed=int(runs.facts.get('seed') or 0) + _ANOTHER_SEED, troubles=troubles,
-        )
+        return self._experiments(causes, found.settings, seed=found.seed, troubles=troubles)
 
     def _experiments(
         self, causes: Sequence[CauseEvidence], settings: RunSettings, *, seed: int,
@@ -340,8 +372,8 @@ class Investigation:
                 continue
             file = self.out / f'{confirm_name(cause.rank)}.yaml'
             write_atomically(file, experiment_text(
-                settings, program=cause.program, folder=self.out / ANALYZE, seed=seed,
-                change=changes[cause.rank], runs=scenes,
+                settings, program=cause.program, seed=seed, change=changes[cause.rank],
+                runs=scenes,
             ))
             stages.append(confirm_stage(
                 file, self.out, cause.rank, scenes=scenes, workers=self.workers,
@@ -408,7 +440,7 @@ class Investigation:
             elif bag is None:
                 troubles[EXPLAIN] = f'its bag is not in {self.path}'
             else:
-                stages.append(explain_stage(bag, self.out, 0, network))
+                stages.append(explain_stage(bag, self.out, 0, network, run.world))
             alone = not blames.network and blames.counted
             stages.append(shrink_stage(
                 self.path, self.out, runs=self.budget.shrunk, workers=self.workers,
@@ -422,13 +454,16 @@ class Investigation:
                 perception=network, controller=run.controller, gains=run.gains, world=run.world,
                 judging=judging, timing=run.timing,
             )
+            cause = replace(cause, program=program)
+            found = replace(
+                found, scenes=program, settings=settings, seed=run.seed + ANOTHER_SEED,
+                base=self._base(pd.DataFrame([run.scenario.to_human()])),
+            )
             if why := why_no_experiment(settings, KMWH):
                 troubles[CONFIRM] = why
             else:
                 cause, = self._experiments(
-                    [replace(cause, program=program)], settings, seed=run.seed + _ANOTHER_SEED,
-                    troubles=troubles,
-                )
+                    [cause], settings, seed=found.seed, troubles=troubles)
         return replace(
             found, blames=blames, causes=(cause,), troubles=troubles, shrunk=self._shrunk(),
             unsatisfiable=unsatisfiable(run.scenario, judging, dict(run.gains)),
@@ -576,7 +611,7 @@ def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:
         subject=subject, network=runs.perception, controller=controller, spec=runs.spec,
         judged=len(runs.frame), failed=int(runs.failed.sum()),
         others={**runs.others},
-        rate=f'{found.words()} of the scenes of {runs.program} fail' if rated else (
+        rate=f'{found.words()} of the scenes of {runs.scenes_words} fail' if rated else (
             'there is no failure rate of the program, as none of these runs was drawn by it alone'),
         searched='' if rated and runs.weight.all() else runs.sampler,
     )

@@ -22,8 +22,10 @@ from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED
+from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
+from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.stage import Kind, Resume, Stage, workers_option
 
@@ -102,12 +104,13 @@ def localize_stage(
     )
 
 
-def explain_stage(bag: Path, out: Path, rank: int, perception: str) -> Stage:
+def explain_stage(bag: Path, out: Path, rank: int, perception: str, world: str) -> Stage:
     """Stage that explains the errors of the network in one run."""
-    name = explain_name(rank)
+    name, camera = explain_name(rank), world_and_camera(world)[1]
+    seen = () if camera == OURS else ('--camera', camera)
     return Stage(
         name=name,
-        words=('explain', str(bag), '--perception', perception, '--out', str(out / name)),
+        words=('explain', str(bag), '--perception', perception, *seen, '--out', str(out / name)),
         inputs=tuple(str(path) for path in storage_files(bag)),
         outputs=(f'{name}/explain.json', f'{name}/explain.html'), kind=Kind.REPORT, amount=0.5,
         optional=True,
@@ -211,8 +214,7 @@ def _possible(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def experiment_text(
-    settings: RunSettings, *, program: Path, folder: Path, seed: int, change: Change | None,
-    runs: int,
+    settings: RunSettings, *, program: Path, seed: int, change: Change | None, runs: int,
 ) -> str:
     """Text of an experiment's file: as recorded, with the change, and with perfect estimates.
 
@@ -220,7 +222,6 @@ def experiment_text(
         settings: settings of the runs; only those that an experiment can have, see
             :func:`why_no_experiment`.
         program: Scenic program of the scenes.
-        folder: folder of the documents that the settings name.
         seed: seed of the scenes.
         change: what is suspected; None for the perfect estimates only.
         runs: number of scenes.
@@ -233,7 +234,7 @@ def experiment_text(
     return yaml.safe_dump({
         'program': str(program), 'runs': runs, 'seed': seed, 'perception': settings.perception,
         'controller': settings.controller, 'specs': list(settings.judging.specs),
-        'set': settings.texts(folder), 'arms': arms, 'compare_to': RECORDED,
+        'set': settings.texts(), 'arms': arms, 'compare_to': RECORDED,
     }, sort_keys=False, allow_unicode=True)
 
 

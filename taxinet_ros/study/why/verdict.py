@@ -15,6 +15,10 @@ from pathlib import Path
 
 from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.campaign.rates import Rate, rate
+from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.core.renderer import OURS
+from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.registry import KMWH
 
 _SIGNIFICANT = 0.05
 
@@ -173,6 +177,13 @@ class Evidence:
         unsatisfiable: why no run can satisfy the formula; ''.
         shrunk: what of the worst run matters, one sentence each.
         troubles: why a stage was not done, by its name.
+        scenes: program of scenes like those of the runs, with everything of the scenes that
+            decided them; None if there is none.
+        base: program of the whole world as the runs' aircraft and camera see it; None for the
+            shipped one, which has the usual ones.
+        settings: everything else that decided the runs, with the requirement examined; None if it
+            is not known.
+        seed: one that gives scenes which the runs did not have.
         single: whether the subject is one run.
     """
 
@@ -191,6 +202,10 @@ class Evidence:
     unsatisfiable: str = ''
     shrunk: tuple[str, ...] = ()
     troubles: Mapping[str, str] = field(default_factory=dict)
+    scenes: Path | None = None
+    base: Path | None = None
+    settings: RunSettings | None = None
+    seed: int = 0
     single: bool = False
 
 
@@ -373,8 +388,7 @@ TRAINED, ADDED, FURTHER = 'training_full', 2400, 4000
 
 
 def actions(
-    evidence: Evidence, fault: Fault, *, campaign: Path | None, program: str, kept_bags: bool,
-    scale: int = 1,
+    evidence: Evidence, fault: Fault, *, campaign: Path | None, kept_bags: bool, scale: int = 1,
 ) -> Iterator[Action]:
     """What to do about it, the most useful first.
 
@@ -382,7 +396,6 @@ def actions(
         evidence: what was found out.
         fault: what is at fault.
         campaign: folder of the campaign; None for a single run or a table.
-        program: word or file of the program of its scenes; '' if unknown.
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
         scale: divisor of the suggested numbers of pictures.
     """
@@ -395,11 +408,13 @@ def actions(
                 commands=(_line('doctor', where),),
             )
         case Fault.NOTHING:
-            if program:
+            if evidence.settings is not None and not evidence.settings.graph_only:
                 yield Action(
                     words='Search harder, by a sampler that seeks failures:',
-                    commands=(_line('falsify', program, '--perception', evidence.network, '--runs',
-                                    '1000', '--workers', '2', '--engine', 'loop'),),
+                    commands=(evidence.settings.command(
+                        str(evidence.scenes), '--runs', '1000', '--workers', '2', '--engine',
+                        'loop', verb='falsify',
+                    ),),
                 )
         case Fault.REQUIREMENT:
             yield _requirement(evidence)
@@ -421,17 +436,29 @@ def _training(
     name = Path(evidence.network).stem if trainable(evidence.network) else 'mended'
     mended = f'{name}-mended.safetensors'
     programs = [cause.program for cause in evidence.causes if cause.program is not None]
-    if not trainable(evidence.network):
+    if not programs and evidence.scenes is not None:
+        programs = [evidence.scenes]
+    world, camera = world_and_camera(evidence.settings.world if evidence.settings else KMWH)
+    if world != KMWH:
         yield Action(
-            words=f'{evidence.network} is not trained by taxinet train. Render labelled pictures '
-            'of the scenes in which it fails, train it on them with your own tools, and compare:',
+            words=f'taxinet train renders pictures of our own world, not of world {world}: take '
+            'labelled pictures there, and train with them (taxinet train --data).'
+        )
+        return
+    if camera != OURS or not trainable(evidence.network):
+        seen = [] if camera == OURS else ['--camera', camera]
+        why = f'taxinet train renders its own pictures, not those of camera {camera}' if seen else (
+            f'{evidence.network} is not trained by taxinet train')
+        yield Action(
+            words=f'{why}. Render labelled pictures of the scenes in which it fails, train it on '
+            'them with your own tools, and compare:',
             commands=tuple(
-                _line('dataset', str(path), '--count', str(ADDED // scale), '--out',
+                _line('dataset', str(path), '--count', str(ADDED // scale), *seen, '--out',
                       f'pictures-{path.stem}') for path in programs
             ),
         )
         return
-    words = ['train', TRAINED, '--start', evidence.network]
+    words = ['train', str(evidence.base or TRAINED), '--start', evidence.network]
     for path in programs:
         words += ['--add', f'{path}={max(ADDED // scale, 1)}']
     if campaign is not None and kept_bags:
@@ -445,12 +472,11 @@ def _training(
         words='Train the network further on the scenes in which it fails, mixed with the whole '
         f'world so that nothing is unlearned.{kept}', commands=(_line(*words),),
     )
-    if programs:
+    if programs and evidence.settings is not None:
         yield Action(
             words='Then see on fresh scenes what got better and what got worse:',
-            commands=tuple(
-                _line('compare', evidence.network, mended, str(path)) for path in programs[:1]
-            ),
+            commands=(evidence.settings.compare_command(
+                mended, str(programs[0]), '--seed', str(evidence.seed)),),
         )
 
 

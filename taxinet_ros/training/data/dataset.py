@@ -5,10 +5,14 @@ A picture is stored as the network's input, 12 KiB instead of 211.
 
 from __future__ import annotations
 
+import base64
+import itertools
 import sys
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +24,7 @@ from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.data.photographs import photographs
 
 Progress = Callable[[str, int, int], None]
@@ -120,6 +125,8 @@ def make_dataset(
     varied: bool = False,
     seed: int = 0,
     progress: Progress = no_progress,
+    stage: str = 'images',
+    journal: Journal | None = None,
 ) -> Dataset:
     """Render scenes. The result does not depend on the number of worker processes.
 
@@ -129,18 +136,32 @@ def make_dataset(
         varied: whether the look of the world varies.
         seed: seed of these variations.
         progress: called after every picture.
+        stage: name of the stage for ``progress``.
+        journal: open file to record the pictures in; those in it are not rendered again.
 
     Raises:
         InfraError: a worker process died, or the simulator failed.
+        OSError: a picture cannot be recorded.
     """
+    known = [] if journal is None else journal.events
+    missing = itertools.islice(enumerate(scenes), len(known), None)
     pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
     truth = np.empty((len(scenes), 2))
-    taken = photographs(enumerate(scenes), _shrunk, varied=varied, seed=seed, workers=workers)
-    for row, (picture, cte_m, he_rad) in enumerate(taken):
+    taken = photographs(missing, _shrunk, varied=varied, seed=seed, workers=workers)
+    rows = itertools.chain((_unpacked(event) for event in known), taken)
+    for row, (picture, cte_m, he_rad) in enumerate(rows):
+        if journal is not None and row >= len(known):
+            packed = base64.b64encode(zlib.compress(picture.tobytes(), 1)).decode()
+            journal.append({'picture': packed, 'cte_m': cte_m, 'he_rad': he_rad})
         pictures[row] = picture
         truth[row] = cte_m, he_rad
-        progress('images', row + 1, len(scenes))
+        progress(stage, row + 1, len(scenes))
     return Dataset(pictures=pictures, cte_m=truth[:, 0], he_rad=truth[:, 1])
+
+
+def _unpacked(event: Mapping[str, Any]) -> _Labelled:
+    data = zlib.decompress(base64.b64decode(event['picture']))
+    return np.frombuffer(data, np.uint8).reshape(INPUT_SHAPE), event['cte_m'], event['he_rad']
 
 
 def _shrunk(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Labelled:

@@ -27,7 +27,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest, program_text
+from taxinet_ros.campaign.scenes.programs import check_same_files, find_program
+from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
@@ -169,10 +170,11 @@ class DatasetOptions:
             UsageError: the program is unknown or cannot be read.
         """
         path, renderer = find_program(self.program), find_renderer(self.camera)
+        text = program_text(path)
         return {
             'program': path.stem,
-            'program_sha256': program_digest(path),
-            'program_text': program_text(path),
+            'program_sha256': hashlib.sha256(text.encode()).hexdigest(),
+            'program_text': text,
             'sampler': self.sampler,
             'seed': self.seed,
             'count': self.count,
@@ -204,7 +206,8 @@ def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> 
     if not options.resume:
         _check_new(options.out)
     else:
-        _check_request(options.out, request)
+        check_request('dataset', options.out, request)
+        (options.out / IMAGES).mkdir(exist_ok=True)
         if (options.out / FACTS).exists():
             return 0
     scenes = draw_scenes(
@@ -212,7 +215,8 @@ def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> 
         progress=progress,
     )
     if not options.resume:  # only now: an invalid program leaves no folder behind
-        _begin(options.out, request)
+        begin_request('dataset', options.out, request)
+        (options.out / IMAGES).mkdir()
     with FinishedImages(options.out / FINISHED) as finished:
         rendered = _render(options, scenes, finished, progress)
         _complete(options.out, request, scenes, finished)
@@ -230,38 +234,47 @@ def _check_new(out: Path) -> None:
         raise _unwritable_error(out, error) from error
 
 
-def _begin(out: Path, request: Mapping[str, Any]) -> None:
-    """Create the folder and write the request into it."""
+def begin_request(command: str, out: Path, request: Mapping[str, Any]) -> None:
+    """Create the folder of a command that can be resumed, and write its request into it.
+
+    Raises:
+        UsageError: the folder cannot be made or written to.
+        RecordError: the disk is full.
+    """
     try:
         make_folder(out)
         _write_once(out / REQUEST, sealed_text(request).encode())
-        (out / IMAGES).mkdir()
     except OSError as error:
         raise (_record_error if error.errno in FULL_DISK else _unwritable_error)(
-            out, error
+            out, error, command
         ) from error
 
 
-def _check_request(out: Path, request: Mapping[str, Any]) -> None:
+def check_request(command: str, out: Path, request: Mapping[str, Any]) -> None:
+    """Check that a folder was begun with the same request.
+
+    Raises:
+        UsageError: it was not, by the name of the option; or there is none.
+    """
     path = out / REQUEST
     try:
         begun = read_sealed(path).values
-        (out / IMAGES).mkdir(exist_ok=True)
     except FileNotFoundError as error:
         raise UsageError(
-            f'dataset: --resume: {path}: no such file, so there is nothing to resume; leave '
+            f'{command}: --resume: {path}: no such file, so there is nothing to resume; leave '
             '--resume out'
         ) from error
     except OSError as error:
         raise UsageError(
-            f'dataset: --resume: {path}: cannot be read; name another --out'
+            f'{command}: --resume: {path}: cannot be read; name another --out'
         ) from error
+    check_same_files(f'{command}: --resume: {out}', begun, request)
     for name, value in request.items():
         before = begun.get(name)
         if before != value:
             raise UsageError(
-                f'dataset: --resume: {out} was begun with {name} {before}, not {value}; repeat its '
-                'options, or choose another --out'
+                f'{command}: --resume: {out} was begun with {name} {before}, not {value}; repeat '
+                'its options, or choose another --out'
             )
 
 
@@ -365,11 +378,11 @@ def _differs_error(path: Path) -> UsageError:
     )
 
 
-def _unwritable_error(out: Path, error: OSError) -> UsageError:
-    return UsageError(f'dataset: {out}: cannot be written ({error.strerror}); name another --out')
+def _unwritable_error(out: Path, error: OSError, command: str = 'dataset') -> UsageError:
+    return UsageError(f'{command}: {out}: cannot be written ({error.strerror}); name another --out')
 
 
-def _record_error(out: Path, error: OSError) -> RecordError:
+def _record_error(out: Path, error: OSError, command: str = 'dataset') -> RecordError:
     return RecordError(
-        f'dataset: {out}: cannot be written ({error.strerror}); fix that and use --resume'
+        f'{command}: {out}: cannot be written ({error.strerror}); fix that and use --resume'
     )

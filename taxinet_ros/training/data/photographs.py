@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
+from taxinet_ros.core.datarefs import refuse_datarefs
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
@@ -63,6 +64,7 @@ def photograph(
     if renderer is not None:
         with contextlib.closing(renderer.make(scene)) as theirs:
             return theirs.render(state, 0), truth
+    refuse_datarefs(scene.datarefs, f'camera {OURS}')
     block = index // GROUND_BLOCK
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth

@@ -25,7 +25,8 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.weights import Source
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario

@@ -21,9 +21,9 @@ from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes, ro
 from taxinet_ros.analysis.causes.program import (
     cause_program,
     confirmation_command,
-    program_documents,
     program_name,
     why_no_program,
+    write_scenes_program,
 )
 from taxinet_ros.analysis.causes.region import (
     Either,
@@ -43,7 +43,6 @@ from taxinet_ros.analysis.causes.scan import (
 )
 from taxinet_ros.analysis.runs.campaign import runs_of
 from taxinet_ros.bench.causes import Landscape, measure, searched
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
@@ -490,29 +489,36 @@ def test_given_any_setting_then_the_command_of_a_cause_has_it(tmp_path):
         ('--spec', 'phi=always((abs(cte) <= 8))'), ('--stop-on', 'decided'),
         # Of the speed no bound: without the requirement that reads it, it would be refused.
         ('--bound', 'cte=-25:25'), ('--rate', 'cte=3'),
-        ('--set', 'clouds=clear'), ('--set', 'shadows=off'),
         ('--set', 'steering.cte_gain_rad_per_m=0.25'), ('--set', 'steering.heading_gain=1.25'),
         ('--latency', 'perception=0.2'),
     ])
 
 
-def test_given_a_document_of_ones_own_then_the_command_of_a_cause_names_a_file_of_it(tmp_path):
+def test_given_any_override_then_the_program_of_a_cause_has_it(tmp_path):
     mine = tmp_path / 'mine.yaml'
     mine.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())
     place = catalogue.typed_place(str(mine))
     table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
     runs = planted_runs(table, tmp_path)
-    runs.facts.update(FACTS, overrides={'place': place.reference})
-    words = shlex.split(confirmation_command(runs, cause_of(PARTS[1]), Path('analysis')))
-    name = f'place-{place.reference}.json'
-    assert f'place=analysis/{name}' in words
-    assert program_documents(runs) == {name: place.document}
+    runs.facts.update(FACTS, overrides={'place': place.reference, 'cross_track_m': '-3'},
+                      laid_over={'shadows': False})
+    cause = cause_of(PARTS[1])
+    assert '--set' not in confirmation_command(runs, cause)
+    program = tmp_path / 'analysis' / program_name(cause)
+    program.parent.mkdir()
+    write_scenes_program(runs, cause_program(runs, cause), program)
+    mine.unlink()
+    for scene in sample_scenarios(program, 5, 3):
+        assert (scene.to_human()['place'], scene.cross_track_m, scene.shadows) == (
+            place.reference, -3, False)
+        assert scene.clouds in PARTS[1].kinds
 
 
 @pytest.mark.parametrize(('facts', 'perception', 'why'), [
     ({}, 'taxinet', 'there is no campaign.json beside the table'),
     (FACTS, '', 'was started before the campaign'),
-    ({**FACTS, 'program_text': '# --- a.scenic ---\n# --- b.scenic ---\n'}, 'taxinet', 'program'),
+    ({**FACTS, 'program_text': '# --- a.scenic ---\n\n# --- b.bin (sha256) ---\n12ab\n'},
+     'taxinet', 'b.bin is too large'),
     ({**FACTS, 'overrides': {'place': 'mine@0123456789ab'}}, 'taxinet', 'mine@0123456789ab'),
 ])
 def test_given_settings_that_are_not_known_then_there_is_no_command(
@@ -525,7 +531,6 @@ def test_given_settings_that_are_not_known_then_there_is_no_command(
     runs.facts.update(facts)
     assert why in why_no_program(runs)
     assert confirmation_command(runs, cause_of(PARTS[1])) is None
-    assert cause_program(runs, cause_of(PARTS[1])) is None
 
 
 PAPERS = """model runway_world
@@ -556,7 +561,7 @@ def test_given_a_program_in_the_papers_names_then_a_causes_program_speaks_them(t
     )
     program = tmp_path / program_name(cause)
     program.write_text(cause_program(runs, cause))
-    with SceneSource(str(program), seed=5, overrides=overrides) as source:
+    with SceneSource(str(program), seed=5) as source:
         for index in range(6):
             values = source.scene(index).to_human()
             assert values['clouds'] in ('overcast', 'stratus')
@@ -580,26 +585,22 @@ def test_given_a_place_of_ones_own_then_a_causes_program_knows_it(tmp_path):
         assert scene.to_human()['place'] == reference
 
 
-def test_given_a_file_of_ones_own_that_goes_then_a_causes_program_has_the_whole_of_it(tmp_path):
+def test_given_files_of_ones_own_that_go_then_a_causes_program_has_them_beside_it(tmp_path):
     runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
     shipped = (Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text()
-    mine, unused = tmp_path / 'mine.yaml', tmp_path / 'unused.yaml'
-    mine.write_text(shipped)
-    unused.write_text(shipped.replace('name: bikf_10', 'name: other'))
-    place = catalogue.typed_place(str(mine))
-    text = f'model runway_world\nparam place = ("{mine}", "{unused}", "gone.yaml")[0]\n'
-    text = f'# --- mine.scenic ---\n{text}ego = new Plane at (0, 400)\n'
-    runs.facts.update(FACTS, program_text=text)
-    with Ledger(tmp_path / 'ledger.jsonl') as ledger:
-        ledger.campaign({'runs': 40})
-        ledger.document('place', place.document)
-    cause = cause_of(Kinds(feature='place', kinds=(place.reference,)))
+    gone = tmp_path / 'gone' / 'mine.yaml'
+    runs.facts.update(FACTS, program_text=(
+        '# --- mine.scenic ---\nmodel runway_world\nfrom lib.where import ALONG\n'
+        f'param place = "{gone}"\nego = new Plane at (0, ALONG)\n'
+        '# --- lib/where.py ---\nALONG = 420\n'
+        f'# --- {gone} ---\n{shipped.replace("name: bikf_10", "name: other")}'
+    ))
+    cause = cause_of(Interval(feature='distance_m', low=400.0, high=None))
     program = tmp_path / program_name(cause)
-    program.write_text(cause_program(runs, cause))
-    mine.unlink()
+    write_scenes_program(runs, cause_program(runs, cause), program)
     (scene,) = sample_scenarios(program, 5, 1)
-    assert scene.to_human()['place'] == place.reference
-    assert f'"{unused}", "gone.yaml"' in program.read_text(), 'no run had these'
+    assert scene.to_human()['place'].startswith('other@')
+    assert scene.distance_m == 420
 
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():

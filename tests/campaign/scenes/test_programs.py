@@ -14,11 +14,9 @@ import taxinet_ros
 from taxinet_ros.campaign.scenes.programs import (
     find_program,
     known_programs,
-    program_digest,
-    program_text,
     shipped_folder,
 )
-from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
+from taxinet_ros.campaign.scenes.source import SceneSource, program_digest, sample_scenarios
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
@@ -165,32 +163,6 @@ def test_given_a_file_of_another_kind_when_sought_then_it_is_refused(tmp_path: P
     (tmp_path / 'x.py').write_text('')
     with pytest.raises(UsageError, match=r'not a \.scenic file'):
         find_program(tmp_path / 'x.py')
-
-
-def test_given_a_program_when_its_text_is_taken_then_all_it_imports_is_in_it(
-    tmp_path: Path,
-) -> None:
-    program = tmp_path / 'mine.scenic'
-    program.write_text('import helper, os\nmodel runway_world\n')
-    (tmp_path / 'helper.py').write_text('KNOTS = 1.94\n')
-    text, digest = program_text(program), program_digest(program)
-    assert text.count('# --- ') == 3
-    assert 'class Plane(Object)' in text
-    (tmp_path / 'helper.py').write_text('KNOTS = 1.95\n')
-    assert program_digest(program) != digest
-
-
-def test_given_a_program_that_names_a_file_then_its_digest_changes_with_that(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / 'own.scenic'
-    path.write_text("model runway_world\nparam camera = 'mine.yaml'\nego = new Plane at (0, 400)\n")
-    (tmp_path / 'mine.yaml').write_text('name: mine\npitch_deg: 5\n')
-    before = program_digest(path)
-    assert '# --- mine.yaml ---\nname: mine\npitch_deg: 5\n' in program_text(path)
-    (tmp_path / 'mine.yaml').write_text('name: mine\npitch_deg: 7\n')
-    assert program_digest(path) != before
 
 
 def test_given_the_shipped_folder_when_listed_then_every_program_is_known() -> None:

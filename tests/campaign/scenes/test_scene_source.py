@@ -16,7 +16,12 @@ from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import rejected_row
 from taxinet_ros.campaign.scenes import source as scene_source
-from taxinet_ros.campaign.scenes.overrides import apply_overrides, check_overrides, without_idle
+from taxinet_ros.campaign.scenes.overrides import (
+    apply_overrides,
+    check_overrides,
+    overrides_statement,
+    without_idle,
+)
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.errors import InfraError, UsageError
@@ -213,6 +218,32 @@ def test_given_overrides_that_need_others_when_all_are_there_then_the_scenes_hav
     for alone in ('wind_direction', 'gust_seed'):
         with pytest.raises(UsageError, match=rf'scene 0: {alone}.* has no effect without'):
             sample_scenarios('nominal', 1, 1, {alone: wind[alone]})
+
+
+def test_a_programs_own_overrides_have_exactly_the_effect_of_set(tmp_path: Path) -> None:
+    (tmp_path / 'others.yaml').write_text('objects:\n  - {kind: cone, x_m: 690, y_m: 2}\n')
+    overrides = {
+        'clouds': 'stratus', 'rain': '40', 'cross_track': '3',
+        'traffic': str(tmp_path / 'others.yaml'),
+    }
+    text = (
+        'model runway_world\nparam zulu_time = Range(50000, 60000)\n'
+        "param clouds = Uniform('clear', 'cirrus')\nspot = Range(300, 400)\n"
+        'ego = new Plane at (Range(-5, 0), spot), facing Range(-9, 9) deg\n'
+        'new Cone at (2, spot + 40)\nrequire ego.cross_track_m > 2\n'
+    )
+    plain, own = write(tmp_path, text), tmp_path / 'own.scenic'
+    own.write_text(f"{text}{overrides_statement(overrides)}param overrides = {{'rain': 60}}\n")
+    with (
+        SceneSource(plain, seed=3, overrides={**overrides, 'rain': '60'}) as one,
+        SceneSource(own, seed=3) as other,
+        SceneSource(own, seed=3, overrides={'rain': '5'}) as more,
+    ):
+        assert one.space() == other.space()
+        assert one.search_space().fixed == other.search_space().fixed != frozenset()
+        assert [one.scene(index) for index in range(4)] == [
+            other.scene(index) for index in range(4)]
+        assert {source.scene(0).rain_fraction for source in (other, more)} == {0.6, 0.05}
 
 
 def test_given_overrides_when_drawn_then_only_they_differ() -> None:

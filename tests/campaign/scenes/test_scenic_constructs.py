@@ -105,6 +105,16 @@ REFUSED = {
     'terminate': (PLANE + 'terminate\n', 3, 'Cannot use "Terminate"'),
     'try interrupt': (PLANE + 'try:\n    wait\ninterrupt when True:\n    wait\n', 3,
                       'Cannot use'),
+    'overrides that are none': (PLANE + 'param overrides = 3\n', 3, 'param overrides: expected'),
+    'overrides by chance': (
+        PLANE + "param overrides = {'clouds': Uniform('clear', 'stratus')}\n", 3,
+        'param overrides: expected fixed values by key'),
+    'override of no key': (PLANE + "param overrides = {'cloud': 'clear'}\n", 3,
+                           "param overrides: override cloud=clear: unknown key 'cloud'"),
+    'override by no value': (PLANE + "param overrides = {'clouds': 'blue'}\n", 3,
+                             "param overrides: override clouds=blue: clouds is 'blue'"),
+    'override twice': (PLANE + "param overrides = {'rain': 3, 'rain_percent': 4}\n", 3,
+                       'param overrides: scenario: rain and rain_percent are the same'),
     'second plane': (PLANE + '\nsecond = new Plane at (0, 600)\n', 4, 'a further Plane: it is no'),
     'truck ahead': (
         PLANE + 'class Truck:\n    width: 3\nnew Truck ahead of ego by Range(5, 50)\n', 5,
@@ -180,8 +190,11 @@ REFUSED = {
     'own external sampler': (
         PLANE + 'from scenic.core.external_params import ExternalSampler\n'
         'param externalSampler = ExternalSampler\n', 4, 'externalSampler: a sampler of the'),
-    'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = 3\n', 3,
-                           'externalSamplerRejectionFeedback has no effect here'),
+    'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = False\n', 3,
+                           'externalSamplerRejectionFeedback is False; it has to be a number'),
+    'rejection feedback of no number': (
+        PLANE + 'param externalSamplerRejectionFeedback = float("nan")\n', 3,
+        'externalSamplerRejectionFeedback is nan; it has to be a number'),
     'attack: switch': (PLANE + 'param shadows = Uniform("on", "maybe")\n', 3,
                        "param shadows needs on or off, got 'maybe'"),
     'attack: rare word': (PLANE + 'param clouds = Options({"clear": 999, "cloudy": 1})\n', 3,
@@ -479,10 +492,10 @@ def test_s5_what_has_an_effect_is_not_refused(case: str, ask: Ask) -> None:
 @pytest.mark.parametrize('program', known_programs())
 def test_s5_every_shipped_program_is_accepted(program: str, client: Any) -> None:
     path = shipped_folder() / f'{program}.scenic'
-    assert client.ask(op='compile', program=str(path)) == {}
-    assert client.ask(op='asked') == {'notes': [], 'sampler': {
-        'kind': None, 'params': {}, 'places': {}
-    }}
+    assert client.ask(op='compile', program=str(path))['named'] == []
+    said = client.ask(op='asked')
+    assert (said['notes'], said['overrides']) == ([], {})
+    assert (said['sampler']['kind'], said['sampler']['params']) == (None, {})
 
 
 def test_s5_a_workspace_holds_the_plane(ask: Ask) -> None:

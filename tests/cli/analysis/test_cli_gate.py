@@ -19,7 +19,8 @@ from taxinet_ros.campaign.record.book import finished_row, run_request
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, campaign_facts, write_facts
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.table import write_tables
-from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.cli.analysis import check
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
@@ -35,7 +36,9 @@ def campaign(folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7,
         program='nominal', runs=runs, seed=seed, perception='truth', settings=settings,
         specs=('phi_always',), out=folder, processes=False, images='none',
     )
-    facts = campaign_facts(options, SceneSource(options.program, seed=seed).program)
+    facts = campaign_facts(
+        options, find_program(options.program), program_text(options.program)
+    )
     rows = [
         finished_row(options, run_request(options, index, scenario_from_human({
             'cross_track_m': index / 10, 'distance_m': 10.0 * index, **options.overrides,

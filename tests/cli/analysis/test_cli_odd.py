@@ -88,3 +88,19 @@ def test_given_an_odd_when_exported_then_both_files_are_there_and_none_is_overwr
     assert binding['openodd'] == ['out.yaml']
     code, _, complaint = taxinet('odd', 'export', 's_falsif', '--out', 'out.yaml')
     assert (code, 'already exists' in complaint) == (2, True)
+
+
+def test_gaps_are_filled_with_everything_that_decided_the_runs_but_the_odds_own_parameters(
+    taxinet,
+):
+    taxinet(
+        'run', 'nominal', '--perception', 'truth', '--runs', '2', '--set', 'duration=0.2', '--set',
+        'clouds=stratus', '--set', 'steering.heading_gain=0.5', '--spec', 'on_runway', '--camera',
+        'nose', '--engine', 'loop', '--audit', '0', '--out', 'found',
+    )
+    said = taxinet('odd', 'coverage', 'found', '--odd', 's_falsif')[1]
+    assert said.partition('fill them: ')[2].splitlines()[0] == (
+        'taxinet falsify nominal --sampler coverage --odd s_falsif --sampler-option strength=1 '
+        "--perception truth --spec 'on_runway=always(abs(cte) <= 15.24)' --set duration_s=0.2 "
+        '--set camera=nose --set steering.heading_gain=0.5'
+    )

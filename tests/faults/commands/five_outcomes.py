@@ -13,7 +13,8 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME, campaign_facts, write
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
-from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
@@ -41,7 +42,9 @@ def five_outcomes(out: Path) -> tuple[CampaignOptions, list[RunRow]]:
         specs=('phi_always',), out=out, processes=False, images='none',
     )
     rows = list(_rows(options))
-    facts = campaign_facts(options, SceneSource(options.program, seed=7).program)
+    facts = campaign_facts(
+        options, find_program(options.program), program_text(options.program)
+    )
     out.mkdir()
     write_facts(out, facts)
     with Ledger(out / LEDGER_NAME) as ledger:

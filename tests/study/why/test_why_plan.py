@@ -68,7 +68,7 @@ def test_the_experiments_file_is_one_that_taxinet_experiment_reads(tmp_path):
     settings = RunSettings(
         perception='original', gains={'heading_gain': 1.2}, values={'clouds': 'clear'})
     path.write_text(experiment_text(
-        settings, program='s_falsif', folder=tmp_path, seed=7, change=change, runs=12))
+        settings, program='s_falsif', seed=7, change=change, runs=12))
     read = read_experiment(path)
     assert (read.runs, read.seed, read.compare_to) == (12, 7, 'recorded')
     recorded, changed, truth = read.arms

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import typer
 
+from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.cli.main import app
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.study.why.verdict import (
     Blames,
     CauseEvidence,
@@ -30,6 +32,8 @@ WET = CauseEvidence(
     bag=Path('found/r1'), blamed='dry', removed=0.69, without=HELPS,
     program=Path('why/cause-1.scenic'),
 )
+SETTINGS = RunSettings(
+    perception='original', gains={'heading_gain': 1.1}, judging=Judging(specs=('phi_always',)))
 
 
 def test_an_experiment_confirms_only_what_survives_holm_over_all_that_was_tested():
@@ -50,6 +54,7 @@ def evidence(**values) -> Evidence:
     usual = {
         'subject': 'found', 'network': 'original', 'controller': 'steering',
         'spec': 'phi', 'formula': 'always(abs(cte) <= 1.5)', 'judged': 60, 'failed': 28,
+        'scenes': Path('why/scenes.scenic'), 'settings': SETTINGS, 'seed': 1_000_003,
     }
     return Evidence(**{**usual, **values})
 
@@ -120,7 +125,7 @@ def test_given_one_run_then_there_is_no_interval():
 
 
 def todo(found: Evidence, **options):
-    usual = {'campaign': Path('found'), 'program': 's_falsif', 'kept_bags': True}
+    usual = {'campaign': Path('found'), 'kept_bags': True}
     return tuple(actions(found, fault_of(found), **{**usual, **options}))
 
 
@@ -151,7 +156,23 @@ def test_given_the_networks_fault_then_it_is_trained_along_the_failed_runs():
         'taxinet train training_full --start original --add why/cause-1.scenic=2400 --add-runs '
         'found=4000 --epochs 8 --learning-rate 0.001 --out original-mended.safetensors'
     )
-    assert compare == 'taxinet compare original original-mended.safetensors why/cause-1.scenic'
+    assert compare == (
+        'taxinet compare original original-mended.safetensors why/cause-1.scenic --seed 1000003 '
+        '--spec phi_always --set steering.heading_gain=1.1'
+    )
+
+
+@pytest.mark.parametrize(('world', 'words', 'command'), [
+    ('salt_lake', 'not of world salt_lake', None),
+    ('kmwh+sunny', 'not those of camera sunny', 'taxinet dataset why/cause-1.scenic --count 2400 '
+     '--camera sunny --out pictures-cause-1'),
+])
+def test_given_pictures_that_train_cannot_render_then_that_is_said(world, words, command):
+    found = evidence(
+        blames=Blames(network=4), causes=(WET,), settings=replace(SETTINGS, world=world))
+    (action,) = todo(found)
+    assert words in action.words
+    assert action.commands == (() if command is None else (command,))
 
 
 def test_given_no_bag_of_a_failed_run_then_no_picture_along_its_path_is_suggested():

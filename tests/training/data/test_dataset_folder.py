@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from training_samples import SCENES
 
 from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.types import TrackingError

@@ -1,0 +1,159 @@
+"""An interrupted training: what it keeps, and that it ends with the same weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from training_samples import foreign_folder
+
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.journal import Journal
+from taxinet_ros.training import fit as fitting
+from taxinet_ros.training import train as training
+from taxinet_ros.training.data import dataset as datasets
+from taxinet_ros.training.data.portions import parse_portion
+from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.training.train import IMAGES, train
+
+
+def options(out: Path, **changes: object) -> TrainOptions:
+    tiny = TrainOptions(
+        program='nominal', out=out, images=12, validation=4, epochs=4, batch=4, workers=1, seed=7,
+        augment=True,
+    )
+    return dataclasses.replace(tiny, **changes)
+
+
+def at(stage: str, number: int) -> Callable[[str, int, int], None]:
+    """A progress callback that is interrupted there."""
+    def interrupt(now: str, done: int, total: int) -> None:
+        if (now, done) == (stage, number):
+            raise KeyboardInterrupt
+    return interrupt
+
+
+@pytest.fixture(scope='module')
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp('whole') / 'net.safetensors'
+    train(options(out))
+    return out
+
+
+@pytest.mark.parametrize(
+    'moments', [[(IMAGES, 5)], [('epochs', 2)], [('epochs', 4)], [(IMAGES, 16), ('epochs', 1)]]
+)
+def test_an_interrupted_training_ends_with_the_same_weights_to_the_bit(
+    moments: list[tuple[str, int]], undisturbed: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / 'net.safetensors'
+    for number, moment in enumerate(moments):
+        with pytest.raises(KeyboardInterrupt):
+            train(options(out, resume=number > 0), at(*moment))
+        assert [path.name for path in tmp_path.iterdir()] == ['net.part']
+    rendered, epochs = [], []
+    take, epoch = datasets._shrunk, fitting._Trainer.epoch
+    monkeypatch.setattr(datasets, '_shrunk', lambda *one: (rendered.append(1), take(*one))[1])
+    monkeypatch.setattr(fitting._Trainer, 'epoch', lambda self, number: (
+        epochs.append(number), epoch(self, number))[1])
+    train(options(out, resume=True))
+    for suffix in ('.safetensors', '.json', '.csv', '.png'):
+        assert out.with_suffix(suffix).read_bytes() == undisturbed.with_suffix(suffix).read_bytes()
+    assert not (tmp_path / 'net.part').exists()
+    stage, done = moments[-1]
+    assert len(rendered) == (16 - done if stage == IMAGES else 0)
+    assert epochs == list(range(1 if stage == IMAGES else done + 1, 5))
+
+
+def test_a_training_that_patience_has_ended_does_not_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = options(tmp_path / 'net.safetensors', patience=1, epochs=50, learning_rate=0.9)
+    stopped = train(dataclasses.replace(asked, out=tmp_path / 'whole.safetensors'))
+    assert stopped.best_epoch < 49
+    monkeypatch.setattr(training, 'save_model', lambda *written: (_ for _ in ()).throw(OSError(
+        errno.ENOSPC, 'No space left on device', 'net.safetensors')))
+    with pytest.raises(RecordError, match=r'net.safetensors: .*No space.*go on with --resume'):
+        train(asked)
+    monkeypatch.undo()
+    monkeypatch.setattr(fitting._Trainer, 'epoch', None)
+    assert train(dataclasses.replace(asked, resume=True)).weights_sha256 == stopped.weights_sha256
+
+
+def test_a_torn_picture_is_rendered_again(undisturbed: Path, tmp_path: Path) -> None:
+    out = tmp_path / 'net.safetensors'
+    with pytest.raises(KeyboardInterrupt):
+        train(options(out), at(IMAGES, 5))
+    pictures = tmp_path / 'net.part' / 'pictures.jsonl'
+    os.truncate(pictures, pictures.stat().st_size - 100)
+    train(options(out, resume=True))
+    assert out.read_bytes() == undisturbed.read_bytes()
+
+
+def test_a_full_disk_loses_no_picture(
+    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, append = tmp_path / 'net.safetensors', Journal.append
+
+    def full(self: Journal, event: dict[str, object]) -> None:
+        if (tmp_path / 'net.part' / 'pictures.jsonl').stat().st_size > 20_000:
+            raise OSError(errno.ENOSPC, 'No space left on device', 'pictures.jsonl')
+        append(self, event)
+
+    monkeypatch.setattr(Journal, 'append', full)
+    with pytest.raises(RecordError, match=r'No space left.*mend that, then go on with --resume'):
+        train(options(out))
+    monkeypatch.undo()
+    train(options(out, resume=True))
+    assert out.read_bytes() == undisturbed.read_bytes()
+
+
+def test_changed_arguments_are_refused_by_name(tmp_path: Path) -> None:
+    out = tmp_path / 'net.safetensors'
+    with pytest.raises(UsageError, match='so there is nothing to resume'):
+        train(options(out, resume=True))
+    with pytest.raises(KeyboardInterrupt):
+        train(options(out), at(IMAGES, 1))
+    for changes, expected in (
+        ({'seed': 8}, 'begun with seed 7, not 8'),
+        ({'epochs': 5}, 'begun with epochs 4, not 5'),
+        ({'add': (parse_portion('crossing=6', 'program'),)}, 'begun with add none, not crossing=6'),
+        ({'program': 'crossing'}, 'begun with program nominal, not crossing'),
+    ):
+        with pytest.raises(UsageError, match=expected) as caught:
+            train(options(out, resume=True, **changes))
+        assert '\n' not in str(caught.value)
+    with pytest.raises(UsageError, match='an interrupted training; add --resume to go on'):
+        train(options(out))
+    assert (tmp_path / 'net.part' / 'pictures.jsonl').stat().st_size > 0
+
+
+def test_a_changed_folder_of_pictures_is_refused(tmp_path: Path) -> None:
+    out, folder = tmp_path / 'net.safetensors', foreign_folder(tmp_path / 'photos', images=8)
+    asked = options(out, program=None, data=(folder,), validation=2)
+    with pytest.raises(KeyboardInterrupt):
+        train(asked, at('epochs', 1))
+    labels = folder / 'labels.csv'
+    labels.write_text('\n'.join([*labels.read_text().splitlines()[:-1], '']))
+    with pytest.raises(UsageError, match=r'begun with folder photos \(sha256\)'):
+        train(dataclasses.replace(asked, resume=True))
+
+
+def test_a_file_in_the_way_is_named_and_not_destroyed_by_overwrite(tmp_path: Path) -> None:
+    picture = tmp_path / 'edny.png'
+    picture.write_bytes(b'a place')
+    for overwrite in (False, True):
+        with pytest.raises(UsageError) as caught:
+            train(options(tmp_path / 'edny.safetensors', overwrite=overwrite))
+        assert f'would also write {picture} (learning curves), which exists' in str(caught.value)
+    assert picture.read_bytes() == b'a place'
+    (tmp_path / 'edny.safetensors').write_bytes(b'')
+    with pytest.raises(UsageError, match='already exists; choose another file or use --overwrite'):
+        train(options(tmp_path / 'edny.safetensors'))
+    train(options(tmp_path / 'edny.safetensors', overwrite=True, epochs=1))
+    assert picture.read_bytes().startswith(b'\x89PNG')
