@@ -17,6 +17,7 @@ from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
     CAMERA,
+    CAMERA_OFFSETS,
     DURATION,
     FAULT_ONSET,
     FAULT_SEED,
@@ -44,6 +45,7 @@ WEATHER = (SKY.key, RAIN.key)
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
     (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
+    (AIRCRAFT_MODEL.key, CAMERA.key, *(field.key for field in CAMERA_OFFSETS)),
     (*(field.key for field in FAULTS), FAULT_ONSET.key, DURATION.key),
     (*(field.key for field in FAULTS), FAULT_SEED.key),
 )
