@@ -460,9 +460,9 @@ CAMERA_OFFSETS = (
     _camera_offset('x', 'camera moved forward'),
     _camera_offset('y', 'camera moved left'),
     _camera_offset('z', 'camera moved up'),
-    _camera_offset('roll', 'camera rolled, right side down'),
-    _camera_offset('pitch', 'camera pitched, nose down'),
-    _camera_offset('yaw', 'camera yawed, left'),
+    _camera_offset('roll', 'camera rolled right side down'),
+    _camera_offset('pitch', 'camera pitched nose down'),
+    _camera_offset('yaw', 'camera yawed left'),
 )
 """Offsets of the camera from its place and attitude on the aircraft; as in a camera file."""
 DATAREFS = ScenarioField(

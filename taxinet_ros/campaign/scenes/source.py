@@ -417,6 +417,19 @@ def first_scene(source: SceneSource) -> Scenario:
     return first
 
 
+def some_scenes(source: SceneSource, runs: int) -> list[Scenario]:
+    """A few of the program's own scenes, without rejected ones.
+
+    Raises:
+        UsageError: as :meth:`SceneSource.scene`.
+    """
+    found = []
+    for index in range(min(runs, _FIRST_SCENES)):
+        with contextlib.suppress(Rejected):
+            found.append(source.scene(index))
+    return found
+
+
 def sample_scenarios(
     program: str | Path, seed: int, n: int, overrides: Mapping[str, str] = _NO_OVERRIDES
 ) -> list[Scenario]:

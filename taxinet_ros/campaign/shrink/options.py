@@ -173,7 +173,8 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'time_of_day_h': NOMINAL_HOUR,
         'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
-    pushed = {field.key: field.to_human(field.absent) for field in (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)}
+    moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)
+    pushed = {field.key: field.to_human(field.absent) for field in moved}
     pushed[TRAFFIC.key] = NOBODY
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:

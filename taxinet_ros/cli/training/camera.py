@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -40,6 +39,7 @@ from taxinet_ros.analysis.camera.sheets import (
     sheet_scenes,
 )
 from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
+from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
@@ -68,12 +68,6 @@ def save_frame(settings: Iterable[str], out: Path | None, camera: str = OURS) ->
     write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
     tell_doubts(covering_doubts(scene.aircraft_model, scene.camera_model))
-
-
-def tell_doubts(lines: Iterable[str]) -> None:
-    """Print warnings, one line each, on standard error."""
-    for line in lines:
-        print(f'warning: {line}', file=sys.stderr)
 
 
 def save_sheet(

@@ -7,18 +7,17 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import yaml
-
 from taxinet_ros.analysis.camera.rig_pictures import draw_aircraft, draw_camera
 from taxinet_ros.campaign.options import SUFFIXES
-from taxinet_ros.cli.checked import check_output
-from taxinet_ros.cli.training.camera import new_picture, tell_doubts, write_picture
+from taxinet_ros.cli.checked import check_output, tell_doubts
+from taxinet_ros.cli.training.camera import new_picture, write_picture
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.motion.aircraft import checked_aircraft, full_steering_rad
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.camera_model import BY_HAND, CameraModel
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import dump_yaml
 
 
 def print_aircraft() -> None:
@@ -108,10 +107,9 @@ def _write_camera(camera: CameraModel, path: Path) -> None:
     if path.suffix not in SUFFIXES:
         raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
     check_output(f'--yaml {path}', path)
-    text = yaml.safe_dump(json.loads(camera.document), sort_keys=False, default_flow_style=None)
     try:
         with path.open('x', encoding='utf-8') as file:
-            file.write(text)
+            file.write(dump_yaml(json.loads(camera.document)))
     except OSError as error:
         raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +42,13 @@ from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
-from taxinet_ros.core.perception.perception import GroundTruth, check_perception, make_perception
+from taxinet_ros.core.perception.domain import domain_doubts
+from taxinet_ros.core.perception.perception import (
+    GroundTruth,
+    check_perception,
+    find_domain,
+    make_perception,
+)
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
 from taxinet_ros.core.scenario import Scenario
@@ -130,10 +137,11 @@ class Investigation:
         """
         kind = kind_of(self.path)
         if kind == 'run':
-            return self._run(find_run(self.path))
-        if kind == 'table':
-            return self._table()
-        return self._campaign(open_campaign(self.path))
+            run = find_run(self.path)
+            return _with_domain(self._run(run), [run.scenario.to_human()])
+        found = self._table() if kind == 'table' else self._campaign(open_campaign(self.path))
+        return _with_domain(found, read_runs(self.path).frame.to_dict('records')) \
+            if found.failed else found
 
     # A table -------------------------------------------------------------------------------------
 
@@ -541,7 +549,10 @@ def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
     away = [key for key, one in parameters.items() if one['shrunk'] != one['nominal']]
     sentences = []
     if values['end'] == End.NOMINAL_FAILS.value:
-        return ('Even the nominal scene fails, so no parameter of this scene matters.',)
+        return (
+            'It also fails in the plainest scene: weather and pose are not the reason; look at '
+            'camera, place or network.',
+        )
     if matter:
         words = [f'{BY_KEY[key].title} {BY_KEY[key].value_words(parameters[key]["shrunk"])}'
                  for key in matter]
@@ -566,6 +577,14 @@ def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
             'goes on.'
         )
     return tuple(sentences)
+
+
+def _with_domain(found: Evidence, scenes: Sequence[Mapping[str, Any]]) -> Evidence:
+    """The evidence, with how the scenes are outside what the network was trained in."""
+    with contextlib.suppress(UsageError):  # its file is gone
+        domain = find_domain(found.network)
+        return replace(found, outside=''.join(domain_doubts(found.network, domain, scenes)))
+    return found
 
 
 def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:

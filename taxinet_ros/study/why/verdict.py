@@ -158,6 +158,7 @@ class Evidence:
         shrunk: what of the worst run matters, one sentence each.
         troubles: why a stage was not done, by its name.
         single: whether the subject is one run.
+        outside: how its scenes are outside what the network was trained in; ''.
     """
 
     subject: str
@@ -176,6 +177,7 @@ class Evidence:
     shrunk: tuple[str, ...] = ()
     troubles: Mapping[str, str] = field(default_factory=dict)
     single: bool = False
+    outside: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -208,8 +210,10 @@ def fault_of(evidence: Evidence) -> Fault:
 def judge(evidence: Evidence) -> Verdict:
     """The verdict on the evidence."""
     fault = fault_of(evidence)
+    # Said first: no other cause need be looked for before.
+    outside = f'{evidence.outside}. ' if evidence.outside and evidence.failed else ''
     return Verdict(fault=fault, sentences=(
-        _whose(evidence, fault), _where(evidence, fault), _how_sure(evidence, fault),
+        f'{outside}{_whose(evidence, fault)}', _where(evidence, fault), _how_sure(evidence, fault),
     ))
 
 
