@@ -7,7 +7,7 @@ is not shipped (`learned`, of a search through s_falsif) draws parts of what s_f
 import dataclasses
 
 from taxinet_ros.core.perception.domain import domain_of_scenes, domain_words, joined_domains
-from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model, save_model
+from taxinet_ros.core.perception.weights import SHIPPED, load_model, save_model
 from taxinet_ros.training.data.dataset import draw_scenes
 
 SCENES = 4000

@@ -74,7 +74,7 @@ class Campaign:
             opened.enter_context(self._source)
             self.check = self.options.check(
                 first_scene(self._source), lambda: self._source.search_space().drawn,
-                lambda: some_scenes(self._source, self.options.runs),
+                some_scenes(self._source, self.options.runs),
             )
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)

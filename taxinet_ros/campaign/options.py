@@ -19,6 +19,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
@@ -40,13 +41,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
-from taxinet_ros.core.perception.domain import DOMAIN_KEYS
-from taxinet_ros.core.perception.perception import (
-    GroundTruth,
-    check_perception,
-    find_domain,
-    network_doubts,
-)
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception, network_doubts
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
@@ -215,14 +210,14 @@ class CampaignOptions:
 
     def check(
         self, first: Scenario, drawn: Callable[[], Collection[str]],
-        more: Callable[[], Sequence[Scenario]] = lambda: (),
+        more: Iterable[Scenario] = (),
     ) -> SpecCheck:
         """Check the requirements and overrides before the first run.
 
         Args:
             first: scenario of the first run.
             drawn: tells the keys that scenes differ in.
-            more: draws a few more scenes, to see what a network was not trained in.
+            more: a few more scenes, to see what a network was not trained in.
 
         Raises:
             UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
@@ -251,9 +246,7 @@ class CampaignOptions:
         parts = None if self.standing_graph else parts_of(self.controller)
         strange = [] if parts is None else monitor_doubts(parts.monitor, self.perception)
         strange += covering_doubts(first.aircraft_model, first.camera_model)
-        if find_domain(self.perception) is not None:
-            few = more() if set(DOMAIN_KEYS) & set(drawn()) else ()
-            strange += network_doubts(self.perception, (first, *few))
+        strange += network_doubts(self.perception, chain((first,), more))
         return dataclasses.replace(
             found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told)
         )

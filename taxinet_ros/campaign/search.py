@@ -346,7 +346,7 @@ class Search:
             )
         self.check = campaign.check(
             first_scene(self._source), lambda: self._source.search_space().drawn,
-            lambda: some_scenes(self._source, campaign.runs),
+            some_scenes(self._source, campaign.runs),
         )
 
     def _make_sampler(self, space: Space) -> Lagged:

@@ -288,8 +288,12 @@ class Scenario:
     @property
     def camera_model(self) -> CameraModel:
         """Its camera, where the offsets move it."""
-        offsets = (field.to_human(getattr(self, field.attribute)) for field in CAMERA_OFFSETS)
-        return moved_camera(find_camera(self.camera), tuple(offsets))
+        camera, offsets = find_camera(self.camera), [
+            (field, getattr(self, field.attribute)) for field in CAMERA_OFFSETS
+        ]
+        if not any(value for _, value in offsets):
+            return camera
+        return moved_camera(camera, tuple(field.to_human(value) for field, value in offsets))
 
     @property
     def dataref_values(self) -> Mapping[str, Number]:

@@ -9,7 +9,7 @@ import secrets
 import select
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -417,17 +417,15 @@ def first_scene(source: SceneSource) -> Scenario:
     return first
 
 
-def some_scenes(source: SceneSource, runs: int) -> list[Scenario]:
-    """A few of the program's own scenes, without rejected ones.
+def some_scenes(source: SceneSource, runs: int) -> Iterator[Scenario]:
+    """Draw a few of the program's own scenes, without rejected ones.
 
     Raises:
         UsageError: as :meth:`SceneSource.scene`.
     """
-    found = []
     for index in range(min(runs, _FIRST_SCENES)):
         with contextlib.suppress(Rejected):
-            found.append(source.scene(index))
-    return found
+            yield source.scene(index)
 
 
 def sample_scenarios(

@@ -7,9 +7,9 @@ named before they are run, and where runs are analysed; an unknown domain names 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 from taxinet_ros.core.place.catalogue import PLACES
@@ -70,19 +70,12 @@ def _spread(key: str, values: Iterable[Any]) -> tuple[Any, ...]:
     return tuple(found) if key in _WORDS else (found[0], found[-1])
 
 
-@lru_cache(maxsize=64)
 def _camera_word(word: str) -> str:
     """The shipped camera that makes the same pictures, if there is one."""
-    try:
-        camera = CAMERAS.typed(word)
-    except UsageError:
-        return word  # of a campaign that has not been read
-    looks = {
-        (one.view, one.exposure_ev, one.noise_codes, one.aircraft_parts): one.name
-        for one in (camera, *map(CAMERAS.find, CAMERAS.shipped))
-    }
-    found = looks[camera.view, camera.exposure_ev, camera.noise_codes, camera.aircraft_parts]
-    return found if found in CAMERAS.shipped and found != camera.name else word
+    with contextlib.suppress(UsageError):  # of a campaign that has not been read
+        look = CAMERAS.typed(word).look
+        return next((name for name in CAMERAS.shipped if CAMERAS.find(name).look == look), word)
+    return word
 
 
 def _width_m(word: str) -> tuple[float, ...]:

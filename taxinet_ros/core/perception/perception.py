@@ -249,7 +249,7 @@ def network_doubts(word_or_file: str, scenes: Iterable[Scenario]) -> list[str]:
         UsageError: its card or description cannot be read.
     """
     domain = find_domain(word_or_file)
-    told = [] if domain is None else [scene.to_human() for scene in scenes]
+    told = [] if domain is None else [scene.to_human() for scene in dict.fromkeys(scenes)]
     return domain_doubts(word_or_file, domain, told)
 
 

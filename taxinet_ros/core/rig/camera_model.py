@@ -114,6 +114,11 @@ class CameraModel(NamedDocument):
             self.centre_px, self.distortion,
         )
 
+    @property
+    def look(self) -> tuple[object, ...]:
+        """All parameters of the pictures, likewise."""
+        return self.view, self.exposure_ev, self.noise_codes, self.aircraft_parts
+
     @cached_property
     def intrinsics(self) -> Vectors:
         """Camera matrix K (3, 3)."""
