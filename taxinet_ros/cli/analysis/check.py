@@ -50,7 +50,8 @@ def run_check(
         check_perception(network)
     scenes = fixed_scenes(runs)
     drawn = [scene.scenario for scene in scenes]
-    tell_doubts(line for network in networks for line in network_doubts(network, drawn))
+    named = () if quiet else networks
+    tell_doubts(line for network in named for line in network_doubts(network, drawn))
     asked: list[bool] = []
     found: list[NetworkCheck] = []
     with (
