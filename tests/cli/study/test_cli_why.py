@@ -99,6 +99,7 @@ def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_co
     verdict = judge(found)
     assert verdict.fault is Fault.NETWORK
     assert 'the failed run, driven again' in verdict.sentences[0]
+    assert verdict.sentences[0].startswith('original was trained with clouds cirrus, clear')
 
 
 def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_path, taxinet):
