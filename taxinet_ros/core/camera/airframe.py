@@ -247,8 +247,10 @@ def _rivets(colour: _Canvas) -> None:
 def _rounded(canvas: _Canvas) -> NDArray[np.float64]:
     """Darken towards the rim and the underside, as round bodies do."""
     colour = canvas.pixels.astype(np.float64)
-    across, down = (np.arange(side) / _FINE for side in reversed(colour.shape[:2]))
-    x, y = _through(np.linalg.inv(canvas.place), across[None, :], down[:, None])
+    height, width = colour.shape[:2]
+    across, down = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
+    back = np.asarray(np.linalg.inv(canvas.place), np.float64)
+    x, y = _through(back, across[None, :] / _FINE, down[:, None] / _FINE)
     under = np.clip((y - 62 + 0.5 * x) / 90, 0, 1)
     rim = np.clip((x - 44) / 10, 0, 1)
     factor = 1 - 0.10 * under * ((y < 134) | (x < 0)) - 0.05 * rim

@@ -247,10 +247,9 @@ def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraM
         name=name,
         title=top.text('title', name, kind='a title'),
         offset_m=(x, y, z),
-        **{
-            f'{name}_rad': math.radians(top.number(f'{name}_deg', *limits, 0.0))
-            for name, limits in _ANGLES_DEG.items()
-        },
+        roll_rad=_angle_rad(top, 'roll'),
+        pitch_rad=_angle_rad(top, 'pitch'),
+        yaw_rad=_angle_rad(top, 'yaw'),
         width_px=width,
         height_px=height,
         focal_px=_focal(top, width),
@@ -297,6 +296,11 @@ def moved_camera(base: CameraModel, offsets: tuple[float, ...]) -> CameraModel:
         document=canonical({'base': of, **told}), shipped=False, base=base, offsets=offsets,
         offset_m=(x, y, z), **turned,
     )
+
+
+def _angle_rad(top: Section, name: str) -> float:
+    low, high = _ANGLES_DEG[name]
+    return math.radians(top.number(f'{name}_deg', low, high, 0.0))
 
 
 def _size(top: Section) -> tuple[int, int]:

@@ -140,8 +140,8 @@ class Investigation:
             run = find_run(self.path)
             return _with_domain(self._run(run), [run.scenario.to_human()])
         found = self._table() if kind == 'table' else self._campaign(open_campaign(self.path))
-        return _with_domain(found, read_runs(self.path).frame.to_dict('records')) \
-            if found.failed else found
+        scenes: Any = read_runs(self.path).scenes.to_dict('records') if found.failed else ()
+        return _with_domain(found, scenes)
 
     # A table -------------------------------------------------------------------------------------
 

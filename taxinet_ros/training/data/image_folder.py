@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -127,10 +128,10 @@ def folders_domain(paths: Sequence[Path]) -> Domain | None:
     domains: list[Domain | None] = []
     for path in paths:
         table = _table(path)
-        frame = _read(table, lambda table=table: pd.read_parquet(table)) \
-            if table.suffix == '.parquet' else pd.DataFrame()
-        whole = PLACE.key in frame.columns and CAMERA.key in frame.columns
-        domains.append(domain_of_scenes(frame.to_dict('records')) if whole else None)
+        ours = table.suffix == '.parquet'
+        rows: Any = _read(table, partial(pd.read_parquet, table)).to_dict('records') if ours else ()
+        whole = all(PLACE.key in row and CAMERA.key in row for row in rows)
+        domains.append(domain_of_scenes(rows) if rows and whole else None)
     return joined_domains(domains)
 
 
