@@ -117,7 +117,10 @@ def _write_camera(camera: CameraModel, path: Path) -> None:
 def _camera_lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
     yield 'camera', f'{camera.reference}: {camera.title}'
     x, y, z = camera.offset_m
-    yield 'mount', f'{x:g} m forward, {y:g} m left, {z:g} m up of the reference point'
+    ways = ((x, 'forward', 'back'), (y, 'left', 'right'), (z, 'up', 'down'))
+    words = ', '.join(f'{abs(value):g} m {one if value >= 0 else other}'
+                      for value, one, other in ways)
+    yield 'mount', f'{words} from the centre of gravity'
     roll, pitch, yaw = map(math.degrees, (camera.roll_rad, camera.pitch_rad, camera.yaw_rad))
     yield 'attitude', f'roll {roll:g}, pitch {pitch:g} (nose down), yaw {yaw:g} (left) deg'
     (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px

@@ -41,12 +41,13 @@ _STEPS = {
 DOMAIN_KEYS = (*_WORDS, *_STEPS)
 
 
-def domain_of_scenes(scenes: Iterable[Mapping[str, Any]]) -> Domain:
+def domain_of_scenes(scenes: Iterable[Mapping[str, Any]], *, rounded: bool = True) -> Domain:
     """The domain of the pictures of scenes.
 
     Args:
         scenes: values by key in human units, as :meth:`.Scenario.to_human`; ones that are missing
             or empty are left out.
+        rounded: whether the ends of ranges are rounded outwards.
     """
     seen: dict[str, set[Any]] = {key: set() for key in DOMAIN_KEYS}
     for scene in scenes:
@@ -56,7 +57,7 @@ def domain_of_scenes(scenes: Iterable[Mapping[str, Any]]) -> Domain:
                 seen[key].add(value)
     seen[CAMERA.key] = {_camera_word(word) for word in seen[CAMERA.key]}
     seen[WIDTH] |= {width for word in seen[PLACE.key] for width in _width_m(word)}
-    for key, step in _STEPS.items():
+    for key, step in _STEPS.items() if rounded else ():
         ends = [round(value / step, 6) for value in seen[key]]
         seen[key] = {round(end(one) * step, 6) for one in ends for end in (math.floor, math.ceil)}
     return {
@@ -107,7 +108,8 @@ def domain_doubts(
     """
     if domain is None or not scenes:
         return []
-    trained, here = {**_OFFSETS, **domain}, {**_OFFSETS, **domain_of_scenes(scenes)}
+    trained = {**_OFFSETS, **domain}
+    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False)}
     beyond = {
         key: tuple(one for one in here[key] if key in _STEPS or one not in trained[key])
         for key in DOMAIN_KEYS

@@ -62,6 +62,7 @@ def test_a_domain_has_words_and_ranges_with_ends_that_draws_do_not_reach():
      'm wide), track rapid_exit'),
     ({'clouds': 'broken'}, 'clouds clear, stratus; this scene has clouds broken'),
     ({'time_of_day_h': 5}, 'time of day 06:00 to 18:00; this scene has time of day 05:00'),
+    ({'camera_dyaw_deg': 0.12}, 'this scene has camera yawed left +0.1 deg'),
     ({'camera_dz_m': -0.1}, 'the camera in its place; this scene has camera moved up -0.10 m'),
 ])
 def test_a_scene_outside_is_named_in_one_line_by_what_is_outside_alone(value, words):
