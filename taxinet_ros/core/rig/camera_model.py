@@ -282,7 +282,7 @@ def moved_camera(base: CameraModel, offsets: tuple[float, ...]) -> CameraModel:
     turned = {}
     for name, added in zip(_ANGLES_DEG, offsets[3:], strict=True):
         low, high = _ANGLES_DEG[name]
-        angle_deg = math.degrees(getattr(base, f'{name}_rad')) + added
+        angle_deg = round(math.degrees(getattr(base, f'{name}_rad')) + added, 9)
         if name != 'yaw' and not low <= angle_deg <= high:
             raise UsageError(
                 f'camera {base.name}: with its offset {name}_deg is {angle_deg:g}, outside '

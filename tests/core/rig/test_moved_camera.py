@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
+from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.options import split_settings
+from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.core.camera.airframe import covering_doubts, drawing
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -153,3 +155,19 @@ def test_every_offset_changes_the_picture_and_is_named_by_its_title():
         assert (shot(scenario_from_human({**SCENE, field.key: 0.5})) != usual).any(), field.key
     assert dataclasses.replace(Scenario(), camera_dz_m=-0.1).camera_model.title.endswith(
         '; dz_m -0.1')
+
+
+def test_a_program_draws_offsets_a_search_varies_them_and_analyses_can_name_them(tmp_path):
+    program = tmp_path / 'mount.scenic'
+    program.write_text(
+        'model runway_world\nparam camera = "nose"\nparam camera_dpitch_deg = Range(-2, 2)\n'
+        'ego = new Plane at (0, 300)\n')
+    with SceneSource(program, seed=0, overrides={'camera_dz_m': '-0.1'}) as source:
+        drawn = [source.scene(index) for index in range(3)]
+        (searched,) = source.space()
+    assert searched.name == 'camera_dpitch_deg'
+    assert len({scene.camera_dpitch_rad for scene in drawn}) == 3
+    assert {(scene.camera, scene.camera_dz_m) for scene in drawn} == {('nose', -0.1)}
+    for field in CAMERA_OFFSETS:
+        words = BY_NAME[field.key].interval_words(None, -0.5)
+        assert words.startswith(f'{field.title}: below \N{MINUS SIGN}0.5')
