@@ -67,6 +67,7 @@ from taxinet_ros.core.perception.perception import (
     Perception,
     UserPerception,
     make_perception,
+    network_doubts,
     read_estimate,
 )
 from taxinet_ros.core.scenario import Scenario
@@ -370,8 +371,8 @@ def run(
 
     Warns:
         UserWarning: a requirement is likely mistaken, the run violated an assumed bound or rate,
-            the perception needs no picture and so cannot notice faults of the camera, or the
-            controller's monitor is calibrated for another perception.
+            the perception needs no picture and so cannot notice faults of the camera, was not
+            trained in such a scene, or the controller's monitor is calibrated for another one.
 
     Raises:
         UsageError: a word, file or formula is not known, a formula looks beyond the run, or a
@@ -392,6 +393,8 @@ def run(
     check_others(asked, scenario)
     unseen = [] if eyes.needs_image else unseen_faults(scenario)
     strange = hands.doubts(eyes) if isinstance(hands, Assured) else []
+    if isinstance(perception, str):
+        strange += network_doubts(perception, (scenario,))
     for line in (*check_specs(asked, scenario, gains).warnings, *unseen, *strange):
         warnings.warn(line, stacklevel=CALLER)
     done = drive(scenario, eyes, hands, judging=judging, timing=timing, world=chosen)

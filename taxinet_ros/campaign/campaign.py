@@ -16,7 +16,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_scene
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_scene, some_scenes
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -73,7 +73,8 @@ class Campaign:
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
             self.check = self.options.check(
-                first_scene(self._source), lambda: self._source.search_space().drawn
+                first_scene(self._source), lambda: self._source.search_space().drawn,
+                some_scenes(self._source, self.options.runs),
             )
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program, self._source.text)

@@ -38,6 +38,7 @@ from taxinet_ros.campaign.options import (
     check_engine,
     check_new,
     read_specs,
+    with_offsets,
 )
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
@@ -216,7 +217,7 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
     given.check('set', lambda: check_overrides(overrides))
     overrides = {
         key: BY_KEY[key].settled(text) if key in BY_KEY else text
-        for key, text in overrides.items()
+        for key, text in with_offsets(overrides).items()
     }
     gains: dict[str, float] = {}
     for key in texts.keys() - overrides.keys():

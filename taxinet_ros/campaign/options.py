@@ -19,11 +19,13 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.assurance.monitor import monitor_doubts
 from taxinet_ros.core.assurance.switch import check_controller, parts_of
+from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.motion.aircraft import checked_aircraft
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, typed_gain
@@ -39,10 +41,17 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
-from taxinet_ros.core.perception.perception import GroundTruth, check_perception
-from taxinet_ros.core.rig.catalogue import AIRCRAFT
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception, network_doubts
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, TRAFFIC, by_key
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    BY_KEY,
+    CAMERA,
+    CAMERA_OFFSETS,
+    TRAFFIC,
+    by_key,
+)
 from taxinet_ros.core.user_code import is_node_elsewhere, short_word
 from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
@@ -199,12 +208,16 @@ class CampaignOptions:
     engine: str = GRAPH
     audit_percent: float = 0.0
 
-    def check(self, first: Scenario, drawn: Callable[[], Collection[str]]) -> SpecCheck:
+    def check(
+        self, first: Scenario, drawn: Callable[[], Collection[str]],
+        more: Iterable[Scenario] = (),
+    ) -> SpecCheck:
         """Check the requirements and overrides before the first run.
 
         Args:
             first: scenario of the first run.
             drawn: tells the keys that scenes differ in.
+            more: a few more scenes, to see what a network was not trained in.
 
         Raises:
             UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
@@ -232,6 +245,8 @@ class CampaignOptions:
         told = [f'{again}, so every frame is recorded'] if again and self.bags else []
         parts = None if self.standing_graph else parts_of(self.controller)
         strange = [] if parts is None else monitor_doubts(parts.monitor, self.perception)
+        strange += covering_doubts(first.aircraft_model, first.camera_model)
+        strange += network_doubts(self.perception, chain((first,), more))
         return dataclasses.replace(
             found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told)
         )
@@ -523,6 +538,21 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
         raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
 
 
+def with_offsets(values: Mapping[str, str]) -> dict[str, str]:
+    """Settings in which a moved camera is its base and its offsets, which tables have as numbers.
+
+    Raises:
+        UsageError: no such camera, or an offset is given twice.
+    """
+    if CAMERA.key not in values or (camera := CAMERAS.typed(values[CAMERA.key])).base is None:
+        return dict(values)
+    offsets = dict(zip(CAMERA_OFFSETS, camera.offsets, strict=True))
+    moved = {field.key: f'{value!r}' for field, value in offsets.items() if value}
+    if twice := sorted(moved.keys() & values.keys()):
+        raise UsageError(f'--set {twice[0]}: the camera has an offset of its own; leave one out')
+    return {**values, CAMERA.key: camera.base.text, **moved}
+
+
 def _check_taxiing(reference: str) -> None:
     aircraft = AIRCRAFT.typed(reference)
     if not aircraft.shipped:
@@ -537,7 +567,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
-    for key, value in read_settings(settings).items():
+    for key, value in with_offsets(read_settings(settings)).items():
         if not key.startswith(_GAIN_PREFIX):
             # A file may change: the campaign's identity includes its digest.
             overrides[key] = BY_KEY[key].settled(value) if key in BY_KEY else value

@@ -46,6 +46,7 @@ from taxinet_ros.campaign.scenes.source import (
     SceneSource,
     accepted_scene,
     first_scene,
+    some_scenes,
 )
 from taxinet_ros.campaign.scenes.values import REJECTION_FEEDBACK
 from taxinet_ros.campaign.search_options import (
@@ -349,7 +350,8 @@ class Search:
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
         self.check = campaign.check(
-            first_scene(self._source), lambda: self._source.search_space().drawn
+            first_scene(self._source), lambda: self._source.search_space().drawn,
+            some_scenes(self._source, campaign.runs),
         )
 
     def _make_sampler(self, space: Space) -> Lagged:

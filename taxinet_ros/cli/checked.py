@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,12 @@ def outputs(command: Any, params: dict[str, Any]) -> Iterator[tuple[Any, Path]]:
         path = params.get(param.name)
         if isinstance(path, Path) and getattr(_info(param), 'writable', False):
             yield param, path
+
+
+def tell_doubts(lines: Iterable[str]) -> None:
+    """Print warnings, one line each, on standard error."""
+    for line in lines:
+        print(f'warning: {line}', file=sys.stderr)
 
 
 def check_output(

@@ -188,7 +188,7 @@ def _ros(name: str) -> Iterator[Check]:
 
 
 def _messages(name: str) -> Iterator[Check]:
-    from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+    from taxinet_ros.core.scenario_fields import MESSAGE_FIELDS
 
     try:
         messages: Any = importlib.import_module('taxinet_msgs.msg')
@@ -197,7 +197,7 @@ def _messages(name: str) -> Iterator[Check]:
         yield Check(name, 'broken', f'not built: {error}', mend)
         return
     fields = messages.Scenario.get_fields_and_field_types()
-    lost = [field.attribute for field in SCENARIO_FIELDS if field.attribute not in fields]
+    lost = [field.attribute for field in MESSAGE_FIELDS if field.attribute not in fields]
     if lost:
         yield Check(name, 'broken', f'built from older sources, without {lost[0]}', 'make')
     else:

@@ -86,7 +86,7 @@ class Fork:
         return json.dumps(
             {
                 'version': _VERSION, 'run_id': self.run_id, 'sha256': self.sha256,
-                'step': self.step, 'scenario': dataclasses.asdict(self.scenario), 'placed': placed,
+                'step': self.step, 'scenario': self.scenario.recorded(), 'placed': placed,
                 'perception': self.perception, 'controller': self.controller,
             },
             sort_keys=True, allow_nan=False,

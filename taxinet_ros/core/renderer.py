@@ -27,6 +27,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     CAMERA,
+    CAMERA_OFFSETS,
     CROSSING,
     DATAREFS,
     DATE,
@@ -138,7 +139,8 @@ class ChosenRenderer:
             UsageError: there is such a value.
         """
         hidden = [
-            field.key for field in _LOOK if field.key not in self.shows
+            field.key for field in (*_LOOK, *CAMERA_OFFSETS)
+            if (field.carrier or field.key) not in self.shows
             and getattr(scenario, field.attribute) != getattr(_USUAL, field.attribute)
         ]
         if hidden:

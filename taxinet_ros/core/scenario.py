@@ -21,7 +21,12 @@ from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
-from taxinet_ros.core.rig.camera_model import LEAST_HEIGHT_M, CameraModel, rotation
+from taxinet_ros.core.rig.camera_model import (
+    LEAST_HEIGHT_M,
+    CameraModel,
+    moved_camera,
+    rotation,
+)
 from taxinet_ros.core.rig.catalogue import (
     DEFAULT_AIRCRAFT,
     DEFAULT_CAMERA,
@@ -30,6 +35,8 @@ from taxinet_ros.core.rig.catalogue import (
 )
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
+    CAMERA,
+    CAMERA_OFFSETS,
     CROSS_TRACK,
     CROSSING,
     DISTANCE,
@@ -38,6 +45,7 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_SEED,
     FAULTS,
     HUMAN_KEYS,
+    MESSAGE_FIELDS,
     PLACE,
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
@@ -104,7 +112,11 @@ class Scenario:
         traffic: others on the ground: ``nobody``, or a list as JSON, see
             :mod:`taxinet_ros.core.traffic`.
         camera: a shipped name, or the whole camera as JSON, see
-            :mod:`taxinet_ros.core.rig.camera_model`.
+            :mod:`taxinet_ros.core.rig.camera_model`; of a moved one its base, and the offsets in
+            the next six.
+        camera_dx_m, camera_dy_m, camera_dz_m: the camera's offset forward, to the left and up [m].
+        camera_droll_rad, camera_dpitch_rad, camera_dyaw_rad: added to its angles [rad]: right side
+            down, nose down, left positive.
         datarefs: ``none``, or values of X-Plane's datarefs as JSON, see
             :mod:`taxinet_ros.core.datarefs`.
         duration_s: length of the run [s], a multiple of the control period.
@@ -147,12 +159,19 @@ class Scenario:
     fault_seed: float = 0.0
     traffic: str = NOBODY
     camera: str = DEFAULT_CAMERA
+    camera_dx_m: float = 0.0
+    camera_dy_m: float = 0.0
+    camera_dz_m: float = 0.0
+    camera_droll_rad: float = 0.0
+    camera_dpitch_rad: float = 0.0
+    camera_dyaw_rad: float = 0.0
     datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
 
     def __post_init__(self) -> None:
         PLACE.checked(self.place)
+        self._take_camera_apart()
         object.__setattr__(self, TRACK.attribute, TRACK.checked(self.track) or RUNWAY_TRACK)
         line = self.line
         limits = {
@@ -161,6 +180,8 @@ class Scenario:
         }
         for field in SCENARIO_FIELDS:
             value = self._checked(field, limits.get(field.key))
+            if field.carrier:  # as its document has it, so that reading it back gives the same
+                value = field.from_human(field.to_human(value))
             object.__setattr__(self, field.attribute, value)
         if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
@@ -175,6 +196,20 @@ class Scenario:
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         self._check_faults()
+
+    def _take_camera_apart(self) -> None:
+        """Replace a moved camera by its base and its offsets."""
+        camera = find_camera(CAMERA.checked(self.camera))
+        if camera.base is None:
+            return
+        for field, offset in zip(CAMERA_OFFSETS, camera.offsets, strict=True):
+            if offset and getattr(self, field.attribute):
+                raise UsageError(
+                    f'scenario: {field.key} is given twice: the camera has an offset of its own'
+                )
+            if offset:
+                object.__setattr__(self, field.attribute, field.from_human(offset))
+        object.__setattr__(self, CAMERA.attribute, camera.base.text)
 
     def _check_faults(self) -> None:
         if self.fault_onset_s and not self.faults:
@@ -209,8 +244,9 @@ class Scenario:
                 f'scenario: aircraft {model.name}: speed_mps is {self.speed_mps:g}, it taxis at '
                 f'{low_mps:g} to {high_mps:g}'
             )
+        camera = self.camera_model  # refuses offsets that turn it too far
         if model.settled is not None:  # else when it has been measured
-            check_camera_height(self.camera_model, model)
+            check_camera_height(camera, model)
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         if field is DISTANCE and not self.line.is_runway:
@@ -251,8 +287,13 @@ class Scenario:
 
     @property
     def camera_model(self) -> CameraModel:
-        """Its camera."""
-        return find_camera(self.camera)
+        """Its camera, where the offsets move it."""
+        camera, offsets = find_camera(self.camera), [
+            (field, getattr(self, field.attribute)) for field in CAMERA_OFFSETS
+        ]
+        if not any(value for _, value in offsets):
+            return camera
+        return moved_camera(camera, tuple(field.to_human(value) for field, value in offsets))
 
     @property
     def dataref_values(self) -> Mapping[str, Number]:
@@ -292,6 +333,16 @@ class Scenario:
         if self.runway_state == 'auto':
             return 'wet' if self.rain_fraction > 0 else 'dry'
         return self.runway_state
+
+    def recorded(self) -> dict[str, Any]:
+        """Values by field of its message, where camera and offsets are one text."""
+        values = {field.attribute: getattr(self, field.attribute) for field in MESSAGE_FIELDS}
+        return {**values, CAMERA.attribute: self.camera_model.text}
+
+    def __repr__(self) -> str:
+        """As it is recorded: digests of scenes without offsets are as they were before these."""
+        values = ', '.join(f'{name}={value!r}' for name, value in self.recorded().items())
+        return f'{type(self).__name__}({values})'
 
     @property
     def digest(self) -> str:

@@ -29,6 +29,7 @@ from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.core.place.track import RUNWAY_TRACK
+from taxinet_ros.core.rig.camera_model import MOST_OFFSET_DEG, MOST_OFFSET_M
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.traffic.traffic_file import OTHERS
 from taxinet_ros.core.units import typed_number
@@ -105,6 +106,8 @@ class ScenarioField:
             of this name; else a parameter of the program does.
         absent: its value in recordings older than the key, in SI units; None if the key has always
             existed.
+        carrier: attribute whose text carries it in the scenario message; '' if it has a field of
+            its own.
     """
 
     key: str
@@ -124,6 +127,7 @@ class ScenarioField:
     catalogue: Catalogue[Any] | None = None
     plane: bool = False
     absent: Any = None
+    carrier: str = ''
 
     @property
     def label(self) -> str:
@@ -290,7 +294,7 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
     """
     return ''.join(
         f', {field.title} {field.value_words(scene[field.key])}'
-        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, DATAREFS)
+        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, DATAREFS)
         if scene[field.key] not in (None, '', field.to_human(field.absent))
     )
 
@@ -437,6 +441,30 @@ CAMERA = ScenarioField(
     key='camera', attribute='camera', title='camera', kind=Kind.DOCUMENT, catalogue=CAMERAS,
     absent=CAMERAS.default,
 )
+
+
+def _camera_offset(axis: str, title: str) -> ScenarioField:
+    length = len(axis) == 1
+    unit, suffix, si_unit, si = ('m', 'm', 'm', 1.0) if length else (
+        '°', 'deg', 'rad', math.pi / 180)
+    most = MOST_OFFSET_M if length else MOST_OFFSET_DEG * si
+    return ScenarioField(
+        key=f'camera_d{axis}_{suffix}', short=f'camera_d{axis}',
+        attribute=f'camera_d{axis}_{si_unit}', title=title, unit=unit, si=si,
+        form='{:+.2f}' if length else '{:+.1f}', low=-most, high=most, si_unit=si_unit,
+        absent=0.0, carrier=CAMERA.attribute,
+    )
+
+
+CAMERA_OFFSETS = (
+    _camera_offset('x', 'camera moved forward'),
+    _camera_offset('y', 'camera moved left'),
+    _camera_offset('z', 'camera moved up'),
+    _camera_offset('roll', 'camera rolled right side down'),
+    _camera_offset('pitch', 'camera pitched nose down'),
+    _camera_offset('yaw', 'camera yawed left'),
+)
+"""Offsets of the camera from its place and attitude on the aircraft; as in a camera file."""
 DATAREFS = ScenarioField(
     key='datarefs', attribute='datarefs', title='datarefs of X-Plane', kind=Kind.DOCUMENT,
     catalogue=DATAREF_SETS, absent=DATAREF_SETS.default,
@@ -465,8 +493,10 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
-    TRAFFIC, CAMERA, DATAREFS, DURATION, PLACE,
+    TRAFFIC, CAMERA, *CAMERA_OFFSETS, DATAREFS, DURATION, PLACE,
 )
+MESSAGE_FIELDS = tuple(field for field in SCENARIO_FIELDS if not field.carrier)
+"""Fields of the scenario message."""
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """User-facing scenario keys."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taxinet_ros.core.perception.domain import Domain, domain_of_scenes, joined_domains
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from taxinet_ros.core.perception.weights import (
     Model,
@@ -37,7 +38,7 @@ from taxinet_ros.training.data.dataset import (
     no_progress,
 )
 from taxinet_ros.training.data.dataset_folder import begin_request, check_request
-from taxinet_ros.training.data.image_folder import load_folders
+from taxinet_ros.training.data.image_folder import folders_domain, load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.version import __version__
@@ -60,12 +61,14 @@ class TrainingData:
         training, validation: the pictures.
         training_data, validation_data: their origins, as in a model card; the latter is empty if
             the validation pictures were held out from the others.
+        domain: what the training pictures show, as in a card.
     """
 
     training: Dataset
     validation: Dataset
     training_data: tuple[Source, ...]
     validation_data: tuple[Source, ...] = ()
+    domain: Domain | None = None
 
 
 def get_training_data(
@@ -117,6 +120,9 @@ def _render_scenes(
     return TrainingData(
         training=dataset.take(~held_back), validation=dataset.take(held_back),
         training_data=sources, validation_data=validation_data,
+        domain=domain_of_scenes(
+            scene.to_human() for lot in lots if not lot.held_back for scene in lot.scenes
+        ),
     )
 
 
@@ -148,17 +154,20 @@ def _added_scenes(options: TrainOptions, progress: Progress) -> list[_SceneGroup
 
 
 def _read_folders(options: TrainOptions, progress: Progress) -> TrainingData:
-    workers = options.workers
+    workers, domain = options.workers, folders_domain(options.data)
     training, sources = load_folders(options.data, workers=workers, progress=progress)
     if options.validation_data is None:
         kept, held_back = _split(options, training)
-        return TrainingData(training=kept, validation=held_back, training_data=sources)
+        return TrainingData(
+            training=kept, validation=held_back, training_data=sources, domain=domain,
+        )
     _check_batch(options, len(training))
     validation, others = load_folders(
         (options.validation_data,), workers=workers, stage='held back', progress=progress
     )
     return TrainingData(
-        training=training, validation=validation, training_data=sources, validation_data=others
+        training=training, validation=validation, training_data=sources, validation_data=others,
+        domain=domain,
     )
 
 
@@ -261,6 +270,9 @@ def _write(
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         command_line=options.command_line,
         start_sha256=None if start is None else start.fingerprint,
+        domain=joined_domains(
+            [material.domain, *([] if start is None else [start.card.domain])]
+        ),
     )
     save_model(options.out, data, card)
     _write_curves(options, fitted)

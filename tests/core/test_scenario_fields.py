@@ -16,6 +16,7 @@ from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CLOUDS,
     HUMAN_KEYS,
+    MESSAGE_FIELDS,
     PAPER_FIELDS,
     PARAMETERS,
     PLANE_KEYS,
@@ -69,9 +70,9 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
     lines = re.findall(r'^(\w+) (\w+) +# (.*)$', MESSAGE.read_text(encoding='utf-8'), re.MULTILINE)
     said = {name: (kind, comment) for kind, name, comment in lines}
     assert [name for name in said if name in {field.attribute for field in SCENARIO_FIELDS}] == [
-        field.attribute for field in SCENARIO_FIELDS
+        field.attribute for field in MESSAGE_FIELDS
     ]
-    for field in SCENARIO_FIELDS:
+    for field in MESSAGE_FIELDS:
         kind, comment = said[field.attribute]
         assert kind == field.message_type, field.key
         assert all(word in comment for word in field.words), field.key

@@ -10,13 +10,14 @@ from training_samples import foreign_folder
 
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_digest
+from taxinet_ros.core.perception.domain import domain_of_scenes, joined_domains
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import Source, digest, load_model
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import draw_scenes, make_dataset, no_progress
 from taxinet_ros.training.data.dataset_folder import DatasetOptions, write_dataset
-from taxinet_ros.training.data.image_folder import load_folders
+from taxinet_ros.training.data.image_folder import folders_domain, load_folders
 from taxinet_ros.training.data.portions import parse_portion
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import IMAGES, get_training_data, train
@@ -52,6 +53,9 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
     assert (card.seed, card.images, card.validation) == (7, 12, 4)
     assert (card.varied, card.augment, card.patience) == (False, False, 0)
     assert (card.epochs, card.batch, card.package_version) == (2, 4, __version__)
+    shown = draw_scenes('nominal', seed=7, images=12)
+    assert card.domain == domain_of_scenes(scene.to_human() for scene in shown)
+    assert card.domain['camera'] == ('wing',)
     assert card.command_line == (
         'taxinet train nominal --images 12 --validation 4 --epochs 2 --batch 4 '
         '--learning-rate 0.003 --seed 7 --out first.safetensors'
@@ -148,6 +152,7 @@ def test_given_weights_to_begin_from_then_training_goes_on_from_them(tmp_path: P
     fresh = train(options(tmp_path / 'fresh.safetensors', **small_steps))
     assert gentle.start_sha256 == first.weights_sha256
     assert fresh.start_sha256 is None
+    assert gentle.domain == joined_domains([first.domain, fresh.domain])
     pictures = make_dataset(draw_scenes('nominal', seed=3, images=6), workers=1).pictures
     answers = [
         TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], load_model(tmp_path / name).weights)
@@ -170,6 +175,10 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
 ) -> None:
     write_dataset(DatasetOptions(program='nominal', out=tmp_path / 'd', count=5, seed=3, workers=1))
     from_disk, _ = load_folders([tmp_path / 'd'], workers=2)
+    drawn = draw_scenes('nominal', seed=3, images=5)
+    assert folders_domain([tmp_path / 'd']) == domain_of_scenes(one.to_human() for one in drawn)
+    foreign = foreign_folder(tmp_path / 'foreign')
+    assert folders_domain([tmp_path / 'd', foreign]) is None
     in_memory = make_dataset(draw_scenes('nominal', seed=3, images=5), workers=1)
     assert np.array_equal(from_disk.pictures, in_memory.pictures)
     assert list(from_disk.cte_m) == list(in_memory.cte_m)

@@ -118,7 +118,7 @@ def check_values(who: str, shows: Collection[str], scenario: Scenario) -> None:
     told, usual = scenario.to_human(), Scenario().to_human()
     for field in SCENARIO_FIELDS:
         value = told[field.key]
-        if field.attribute not in shows and value != usual[field.key]:
+        if (field.carrier or field.attribute) not in shows and value != usual[field.key]:
             raise UsageError(
                 f'{who}: {field.key} is {value!s:.60}, which its scene does not show; leave it out'
             )

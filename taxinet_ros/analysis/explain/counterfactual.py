@@ -32,7 +32,13 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.renderer import PICTURE_KEYS, ChosenRenderer, RunCamera
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY, FAULTS, PICTURE_FAULTS, ScenarioField
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    CAMERA_OFFSETS,
+    FAULTS,
+    PICTURE_FAULTS,
+    ScenarioField,
+)
 from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
@@ -127,6 +133,8 @@ def factors(
 
     return _different(scenario, [
         *_without_faults(scenario, seen, 'without any fault of the camera'),
+        ('offset', 'with the camera in its place', 'the offset of the camera',
+         changed(**{field.attribute: 0.0 for field in CAMERA_OFFSETS})),
         (SHADOW, 'without its shadow', "the aircraft's own shadow", changed(shadows=False)),
         (CROSSING, 'without the crossing', 'the crossing runway', changed(crossing=False)),
         (

@@ -213,11 +213,22 @@ _OTHER_KINDS = tuple(
         fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE, fields.TRACK,
     )
 )
+_CAMERA_OFFSETS = tuple(
+    _feature(
+        field, step=0.01 if field.unit == 'm' else 0.1,
+        widths=tuple(width / (1 if field.unit == '°' else 20) for width in _ANGLES_DEG),
+        words=(
+            f'{field.title}: {{}} to {{}} {field.unit}', f'{field.title}: below {{}} {field.unit}',
+            f'{field.title}: above {{}} {field.unit}',
+        ),
+    )
+    for field in fields.CAMERA_OFFSETS
+)
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six features, as columns of the table."""
 ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
-    *FAULT_FEATURES,
+    *FAULT_FEATURES, *_CAMERA_OFFSETS,
 )
 BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
 

@@ -5,7 +5,6 @@ Floats are not changed, so judging or repeating a run uses the recorded bits.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from typing import Any
@@ -17,8 +16,8 @@ from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    MESSAGE_FIELDS,
     PLACE,
-    SCENARIO_FIELDS,
     SPEED,
     TRACK,
     TRAFFIC,
@@ -39,7 +38,7 @@ def scenario_of(message: Any) -> Scenario:
         UsageError: a value is out of range.
         AttributeError: not a scenario message.
     """
-    return Scenario(**{field.attribute: _value(message, field) for field in SCENARIO_FIELDS})
+    return Scenario(**{field.attribute: _value(message, field) for field in MESSAGE_FIELDS})
 
 
 def _value(message: Any, field: ScenarioField) -> Any:
@@ -204,7 +203,7 @@ def scenario_values(request: RunRequest) -> dict[str, Any]:
         'bounds': list(request.judging.bounds),
         'rates': list(request.judging.rates),
         'participants': list(request.participants),
-        **dataclasses.asdict(request.scenario),
+        **request.scenario.recorded(),
     }
 
 

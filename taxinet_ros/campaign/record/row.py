@@ -119,6 +119,12 @@ class RunRow:
     fault_seed: float | None = None
     traffic: str = ''
     camera: str = ''
+    camera_dx_m: float | None = None
+    camera_dy_m: float | None = None
+    camera_dz_m: float | None = None
+    camera_droll_deg: float | None = None
+    camera_dpitch_deg: float | None = None
+    camera_dyaw_deg: float | None = None
     datarefs: str = ''
     duration_s: float | None = None
     place: str = ''

@@ -19,6 +19,7 @@ from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
     CAMERA,
+    CAMERA_OFFSETS,
     CATALOGUES,
     DRAWN_FAULTS,
     DURATION,
@@ -51,6 +52,7 @@ WEATHER = (SKY.key, RAIN.key)
 _BOUND = (
     WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
     (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
+    (AIRCRAFT_MODEL.key, CAMERA.key, *(field.key for field in CAMERA_OFFSETS)),
     (*(field.key for field in FAULTS), FAULT_ONSET.key, DURATION.key),
     (*(field.key for field in FAULTS), FAULT_SEED.key),
 )

@@ -10,7 +10,7 @@ import secrets
 import select
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -492,6 +492,17 @@ def first_scene(source: SceneSource) -> Scenario:
             break
     last_step(first)
     return first
+
+
+def some_scenes(source: SceneSource, runs: int) -> Iterator[Scenario]:
+    """Draw a few of the program's own scenes, without rejected ones.
+
+    Raises:
+        UsageError: as :meth:`SceneSource.scene`.
+    """
+    for index in range(min(runs, _FIRST_SCENES)):
+        with contextlib.suppress(Rejected):
+            yield source.scene(index)
 
 
 def sample_scenarios(

@@ -35,6 +35,7 @@ from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
+    CAMERA_OFFSETS,
     DRAWN_FAULTS,
     FAULT_ONSET,
     FAULT_SEED,
@@ -63,13 +64,14 @@ STEPS = {
     'speed_mps': 0.5, 'camera_dropout_percent': 1.0, 'camera_freeze_s': 0.1,
     'lens_dirt_percent': 1.0, 'lens_drops_percent': 1.0, 'glare_ghost_percent': 5.0,
     'exposure_jump_ev': 0.1, 'loop_delay_s': 0.1, 'loop_jitter_s': 0.1, 'steering_bias_deg': 0.1,
+    **{field.key: 0.01 if field.unit == 'm' else 0.1 for field in CAMERA_OFFSETS},
 }
 """Step of each numeric parameter; 0.05 h are 3 min. A limit of the steering rate has none, as the
 least severe one is as far from no limit as any."""
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
     'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps',
-    *(field.key for field in FAULTS), 'traffic', 'shadows', 'crossing', 'date',
+    *(field.key for field in (*FAULTS, *CAMERA_OFFSETS)), 'traffic', 'shadows', 'crossing', 'date',
     'aircraft',
 )
 """Parameters to move to nominal; the last four keep the run's values unless given."""
@@ -171,7 +173,8 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'time_of_day_h': NOMINAL_HOUR,
         'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
-    pushed = {field.key: field.to_human(field.absent) for field in (*PUSHING_FIELDS, *FAULTS)}
+    moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)
+    pushed = {field.key: field.to_human(field.absent) for field in moved}
     pushed[TRAFFIC.key] = NOBODY
     usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
     try:

@@ -16,8 +16,9 @@ from taxinet_ros.analysis.network_check import (
     fixed_scenes,
 )
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
+from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import check_perception, network_doubts
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -48,6 +49,9 @@ def run_check(
     for network in networks:
         check_perception(network)
     scenes = fixed_scenes(runs)
+    drawn = [scene.scenario for scene in scenes]
+    named = () if quiet else networks
+    tell_doubts(line for network in named for line in network_doubts(network, drawn))
     asked: list[bool] = []
     found: list[NetworkCheck] = []
     with (

@@ -40,10 +40,10 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import recorded_shard
 from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
 from taxinet_ros.campaign.record.table import table as table_of
-from taxinet_ros.cli.checked import check_output
+from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.pacing.timing import is_free
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import check_perception, network_doubts
 from taxinet_ros.core.provenance import differences
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
@@ -203,6 +203,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
     out = asked.out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
     console = Console(highlight=False, stderr=True)
     asked_to_stop: list[bool] = []
+    tell_doubts(network_doubts(network, (scene.scenario for scene in scenes.scenes)))
     with (
         SharedTrials(scenes, out) as trials, stage_bars(console) as show,
         interrupts(lambda: asked_to_stop.append(True)),

@@ -39,6 +39,8 @@ from taxinet_ros.analysis.camera.sheets import (
     sheet_scenes,
 )
 from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
+from taxinet_ros.cli.checked import tell_doubts
+from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.place.catalogue import find_place
@@ -65,6 +67,7 @@ def save_frame(settings: Iterable[str], out: Path | None, camera: str = OURS) ->
     path = new_picture(out, 'camera-frame')
     write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
+    tell_doubts(covering_doubts(scene.aircraft_model, scene.camera_model))
 
 
 def save_sheet(

@@ -207,11 +207,18 @@ def show_camera(
     ],
     aircraft: AircraftOption = None,
     out: PictureOption = None,
+    yaml: Annotated[
+        Path | None,
+        typer.Option(
+            '--yaml', metavar='FILE.yaml', writable=True, dir_okay=False,
+            help='also write it as a YAML file, to be changed; must be new',
+        ),
+    ] = None,
 ) -> None:
     """Describe a camera, and draw what it sees on an aircraft and where it looks."""
     from taxinet_ros.cli.training.rig import show_camera
 
-    show_camera(camera, aircraft, out)
+    show_camera(camera, aircraft, out, yaml)
 
 
 @camera_app.command()

@@ -10,6 +10,7 @@ from taxinet_ros.analysis.camera.network_view import draw_network_view, network_
 from taxinet_ros.campaign.options import read_settings
 from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.training.camera import new_picture, write_picture
+from taxinet_ros.core.perception.domain import domain_words
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.onnx.nnet import (
     converted,
@@ -19,6 +20,7 @@ from taxinet_ros.core.perception.onnx.nnet import (
 )
 from taxinet_ros.core.perception.onnx.sidecar import sidecar_path
 from taxinet_ros.core.perception.onnx.trial import tried_network
+from taxinet_ros.core.perception.perception import find_domain
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.errors import UsageError
 
@@ -66,7 +68,8 @@ def show_network_view(network: Path, settings: Iterable[str], out: Path | None) 
     answer = _words(found.cte_m, found.he_rad)
     title = f'truth: {truth}; {network.name}: {answer}'
     write_picture(path, lambda: draw_network_view(found, title, path))
-    print(f'truth {truth}\nanswer {answer}\npicture: {path}')
+    domain = domain_words(find_domain(str(network)))
+    print(f'truth {truth}\nanswer {answer}\ndomain {domain}\npicture: {path}')
 
 
 def _words(cte_m: float, he_rad: float) -> str:

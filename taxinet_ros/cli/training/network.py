@@ -15,6 +15,7 @@ from rich.table import Table
 
 from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.perception.domain import domain_words
 from taxinet_ros.core.perception.weights import card_path
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
@@ -77,6 +78,7 @@ def run_train(options: TrainOptions) -> None:
     for quantity, errors in card.errors.items():
         figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
         console.print(f'{quantity}: {figures}', soft_wrap=True)
+    console.print(f'domain: {domain_words(card.domain)}', soft_wrap=True)
     console.print(
         f'weights: {options.out} (epoch {card.best_epoch}), model card: {card_path(options.out)}, '
         f'learning curves: {options.curves_path}, {options.history_path.name}',

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from taxinet_ros.analysis.camera.rig_pictures import draw_aircraft, draw_camera
+from taxinet_ros.campaign.options import SUFFIXES
+from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.training.camera import new_picture, write_picture
+from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.motion.aircraft import checked_aircraft, full_steering_rad
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
-from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.camera_model import BY_HAND, CameraModel
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import dump_yaml
 
 
 def print_aircraft() -> None:
@@ -79,24 +85,42 @@ def print_cameras() -> None:
         print(f'{name:<6} {camera.width_px}x{camera.height_px}  {camera.title}')
 
 
-def show_camera(word: str, on: str | None, out: Path | None) -> None:
-    """Print the parameters of a camera, and draw its view.
+def show_camera(word: str, on: str | None, out: Path | None, yaml_out: Path | None) -> None:
+    """Print the parameters of a camera, draw its view, and write its file if wanted.
 
     Raises:
-        UsageError: unknown camera or aircraft, an invalid file, or an unwritable picture.
+        UsageError: unknown camera or aircraft, an invalid file, or an unwritable picture or file.
     """
     camera, aircraft = CAMERAS.typed(word), checked_aircraft(AIRCRAFT.typed(on or AIRCRAFT.default))
     path = new_picture(out, f'camera-{camera.name}')
+    if yaml_out is not None:
+        _write_camera(camera, yaml_out)
     for label, text in _camera_lines(camera):
         print(f'{label:<12}{text}')
     write_picture(path, lambda: draw_camera(camera, aircraft, path))
-    print(f'picture: {path}')
+    print(f'picture: {path}' if yaml_out is None else f'picture: {path}, file: {yaml_out}')
+    tell_doubts(covering_doubts(aircraft, camera))
+
+
+def _write_camera(camera: CameraModel, path: Path) -> None:
+    """Write the file of a camera, with which its pictures are the same."""
+    if path.suffix not in SUFFIXES:
+        raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
+    check_output(f'--yaml {path}', path)
+    try:
+        with path.open('x', encoding='utf-8') as file:
+            file.write(dump_yaml(json.loads(camera.document)))
+    except OSError as error:
+        raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
 
 
 def _camera_lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
     yield 'camera', f'{camera.reference}: {camera.title}'
     x, y, z = camera.offset_m
-    yield 'mount', f'{x:g} m forward, {y:g} m left, {z:g} m up of the reference point'
+    ways = ((x, 'forward', 'back'), (y, 'left', 'right'), (z, 'up', 'down'))
+    words = ', '.join(f'{abs(value):g} m {one if value >= 0 else other}'
+                      for value, one, other in ways)
+    yield 'mount', f'{words} from the centre of gravity'
     roll, pitch, yaw = map(math.degrees, (camera.roll_rad, camera.pitch_rad, camera.yaw_rad))
     yield 'attitude', f'roll {roll:g}, pitch {pitch:g} (nose down), yaw {yaw:g} (left) deg'
     (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
@@ -104,6 +128,8 @@ def _camera_lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
     yield 'picture', f'{camera.width_px} x {camera.height_px} px, {_angles(camera)}'
     if camera.distorts:
         yield 'distortion', 'k1 {:g}, k2 {:g}, p1 {:g}, p2 {:g}, k3 {:g}'.format(*camera.distortion)
+    if camera.aircraft_parts == BY_HAND:
+        yield 'aircraft', "aircraft_parts: by_hand, the Caravan's cowling and nose wheel only"
     yield 'sensor', f'exposure {camera.exposure_ev:+g} EV, noise {camera.noise_codes:g} codes'
     if camera.shape != CAMERAS.find(CAMERAS.default).shape:
         yield 'networks', 'take 360x200: they get the frame averaged to that, out of its aspect'

@@ -8,16 +8,20 @@ name is an error, with no fallback to the truth.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.perception.domain import Domain, domain_doubts
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, is_frame
-from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
+from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX, NetworkFiles
+from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar, sidecar_path
 from taxinet_ros.core.perception.onnx.trial import tried_network
-from taxinet_ros.core.perception.weights import SUFFIX, load_model
+from taxinet_ros.core.perception.weights import SUFFIX, card_path, load_card, load_model
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
@@ -221,6 +225,32 @@ def check_perception(word_or_file: str, *, graph: bool = False) -> str:
     if names_user_code(word_or_file):
         return find_user_code(word_or_file, 'perception').sha256
     return _fingerprint(_network_file(word_or_file))
+
+
+def find_domain(word_or_file: str) -> Domain | None:
+    """What a network was trained in, by its card or description; None if they do not say.
+
+    Raises:
+        UsageError: they cannot be read.
+    """
+    extension = find(PERCEPTIONS, word_or_file)
+    path = Path(word_or_file) if extension is None else extension.load()
+    if isinstance(path, Path) and path.suffix == SUFFIX:
+        return load_card(card_path(path)).domain
+    if isinstance(path, Path) and path.suffix == ONNX_SUFFIX:
+        return parse_sidecar(sidecar_path(path), NetworkFiles.read(path).description).domain
+    return None
+
+
+def network_doubts(word_or_file: str, scenes: Iterable[Scenario]) -> list[str]:
+    """A warning if scenes are outside what a network was trained in.
+
+    Raises:
+        UsageError: its card or description cannot be read.
+    """
+    domain = find_domain(word_or_file)
+    told = [] if domain is None else [scene.to_human() for scene in dict.fromkeys(scenes)]
+    return domain_doubts(word_or_file, domain, told)
 
 
 def _loaded(extension: Extension) -> Path | PluginCode | Perception:

@@ -20,6 +20,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from taxinet_ros import registry
+from taxinet_ros.core.perception.domain import Domain, read_domain
 from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -72,6 +73,8 @@ class ModelCard:
         date: ISO date of the training (UTC).
         command_line: command that reproduces the weights.
         start_sha256: digest of the weights that training started from; None for random ones.
+        domain: what is in the training pictures, with those that the first weights were trained
+            on; None if unknown.
     """
 
     architecture: str
@@ -93,6 +96,7 @@ class ModelCard:
     date: str
     command_line: str
     start_sha256: str | None = None
+    domain: Domain | None = None
 
 
 _ABOUT = 'weights: '
@@ -133,6 +137,7 @@ def load_card(path: Path) -> ModelCard:
         best_epoch=card.whole('best_epoch', 0), architecture=card.text('architecture'),
         weights_sha256=card.text('weights_sha256'), date=card.text('date'),
         package_version=card.text('package_version'), command_line=card.text('command_line'),
+        domain=read_domain(card),
     )
 
 

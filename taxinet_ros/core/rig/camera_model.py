@@ -7,10 +7,11 @@ The pinhole model is that of ROS: pixel centres are integers, the optical axis m
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.documents import NamedDocument, canonical, document_name
 from taxinet_ros.core.types import quaternion, quaternion_product
-from taxinet_ros.files.plain_values import Section, read_yaml
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import Section
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 8, 2048
 """Limits of the image size."""
@@ -30,7 +32,15 @@ _MOST_INNER_PX = 6144
 _KEYS = (
     'name', 'title', 'offset_m', 'roll_deg', 'pitch_deg', 'yaw_deg', 'size_px',
     'field_of_view_deg', 'focal_px', 'centre_px', 'distortion', 'exposure_ev', 'noise_codes',
+    'aircraft_parts',
 )
+OFFSETS = ('dx_m', 'dy_m', 'dz_m', 'droll_deg', 'dpitch_deg', 'dyaw_deg')
+"""Keys of a moved camera, beside its ``base``."""
+MOST_OFFSET_M, MOST_OFFSET_DEG = 1.0, 20.0
+_ANGLES_DEG = {'roll': (-20.0, 20.0), 'pitch': (-30.0, 60.0), 'yaw': (-180.0, 180.0)}
+PARTS = (OUTLINE, BY_HAND) = ('outline', 'by_hand')
+"""How the own aircraft is drawn in its pictures: from its outline; or the Caravan as in the
+paper's pictures, by hand (:mod:`taxinet_ros.core.camera.airframe`)."""
 _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _NEWTON_STEPS = 30
 _BESIDE = 1.05
@@ -67,6 +77,8 @@ class CameraModel(NamedDocument):
         distortion: k1, k2, p1, p2, k3.
         exposure_ev: exposure compensation in stops; +1 doubles the light.
         noise_codes: standard deviation of the sensor's noise, in display codes 0..255.
+        aircraft_parts: one of :data:`PARTS`.
+        base, offsets: of a moved camera what was moved, and by how much: :data:`OFFSETS`.
     """
 
     offset_m: tuple[float, float, float]
@@ -80,6 +92,9 @@ class CameraModel(NamedDocument):
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     exposure_ev: float = 0.0
     noise_codes: float = 0.0
+    aircraft_parts: str = OUTLINE
+    base: CameraModel | None = None
+    offsets: tuple[float, ...] = (0.0,) * len(OFFSETS)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -98,6 +113,11 @@ class CameraModel(NamedDocument):
             self.offset_m, self.roll_rad, self.pitch_rad, self.yaw_rad, self.shape, self.focal_px,
             self.centre_px, self.distortion,
         )
+
+    @property
+    def look(self) -> tuple[object, ...]:
+        """All parameters of the pictures, likewise."""
+        return self.view, self.exposure_ev, self.noise_codes, self.aircraft_parts
 
     @cached_property
     def intrinsics(self) -> Vectors:
@@ -203,15 +223,6 @@ class CameraModel(NamedDocument):
         return self.inner_view[0]
 
 
-def read_camera(path: Path, shipped: bool = False) -> CameraModel:
-    """Read the camera of a YAML file.
-
-    Raises:
-        UsageError: an unreadable file, or an invalid value.
-    """
-    return make_camera(read_yaml(path, option='camera'), path, shipped=shipped)
-
-
 def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraModel:
     """Build a camera from plain values.
 
@@ -236,9 +247,9 @@ def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraM
         name=name,
         title=top.text('title', name, kind='a title'),
         offset_m=(x, y, z),
-        roll_rad=math.radians(top.number('roll_deg', -20.0, 20.0, 0.0)),
-        pitch_rad=math.radians(top.number('pitch_deg', -30.0, 60.0, 0.0)),
-        yaw_rad=math.radians(top.number('yaw_deg', -180.0, 180.0, 0.0)),
+        roll_rad=_angle_rad(top, 'roll'),
+        pitch_rad=_angle_rad(top, 'pitch'),
+        yaw_rad=_angle_rad(top, 'yaw'),
         width_px=width,
         height_px=height,
         focal_px=_focal(top, width),
@@ -246,11 +257,50 @@ def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraM
         distortion=(k1, k2, p1, p2, k3),
         exposure_ev=top.number('exposure_ev', -6.0, 6.0, 0.0),
         noise_codes=top.number('noise_codes', 0.0, 64.0, 0.0),
+        aircraft_parts=top.word('aircraft_parts', PARTS, OUTLINE),
         document=canonical(values),
         shipped=shipped,
     )
     _check_view(top, camera)
     return camera
+
+
+@lru_cache(maxsize=256)
+def moved_camera(base: CameraModel, offsets: tuple[float, ...]) -> CameraModel:
+    """A camera moved and turned from its place; the same one if nothing is.
+
+    Args:
+        base: the camera.
+        offsets: by :data:`OFFSETS`; the angles are added to its own.
+
+    Raises:
+        UsageError: it would be turned beyond what a camera may be.
+    """
+    if not any(offsets):
+        return base
+    told = {key: value for key, value in zip(OFFSETS, offsets, strict=True) if value}
+    turned = {}
+    for name, added in zip(_ANGLES_DEG, offsets[3:], strict=True):
+        low, high = _ANGLES_DEG[name]
+        angle_deg = round(math.degrees(getattr(base, f'{name}_rad')) + added, 9)
+        if name != 'yaw' and not low <= angle_deg <= high:
+            raise UsageError(
+                f'camera {base.name}: with its offset {name}_deg is {angle_deg:g}, outside '
+                f'{low:g}..{high:g}'
+            )
+        turned[f'{name}_rad'] = getattr(base, f'{name}_rad') + math.radians(added)
+    x, y, z = (place + added for place, added in zip(base.offset_m, offsets[:3], strict=True))
+    of = base.name if base.shipped else json.loads(base.document)
+    return replace(
+        base, title=f'{base.title}; ' + ', '.join(f'{key} {told[key]:g}' for key in told),
+        document=canonical({'base': of, **told}), shipped=False, base=base, offsets=offsets,
+        offset_m=(x, y, z), **turned,
+    )
+
+
+def _angle_rad(top: Section, name: str) -> float:
+    low, high = _ANGLES_DEG[name]
+    return math.radians(top.number(f'{name}_deg', low, high, 0.0))
 
 
 def _size(top: Section) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -45,11 +46,17 @@ from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
-from taxinet_ros.core.perception.perception import GroundTruth, check_perception, make_perception
+from taxinet_ros.core.perception.domain import domain_doubts
+from taxinet_ros.core.perception.perception import (
+    GroundTruth,
+    check_perception,
+    find_domain,
+    make_perception,
+)
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, CAMERA
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, CAMERA, CAMERA_OFFSETS
 from taxinet_ros.core.verdict.judge import describe_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -92,7 +99,7 @@ from taxinet_ros.study.why.verdict import (
 )
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
-_RIG = (AIRCRAFT_MODEL, CAMERA)
+_RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)
 _PROGRAM, _BASE = 'scenes.scenic', 'training.scenic'
 _ONLY_TABLE = (
     'a table has neither bags nor settings of its runs, so no run can be driven again; name the '
@@ -141,10 +148,11 @@ class Investigation:
         """
         kind = kind_of(self.path)
         if kind == 'run':
-            return self._run(find_run(self.path))
-        if kind == 'table':
-            return self._table()
-        return self._campaign(open_campaign(self.path))
+            run = find_run(self.path)
+            return _with_domain(self._run(run), [run.scenario.to_human()])
+        found = self._table() if kind == 'table' else self._campaign(open_campaign(self.path))
+        scenes: Any = read_runs(self.path).scenes.to_dict('records') if found.failed else ()
+        return _with_domain(found, scenes)
 
     # A table -------------------------------------------------------------------------------------
 
@@ -576,7 +584,10 @@ def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
     away = [key for key, one in parameters.items() if one['shrunk'] != one['nominal']]
     sentences = []
     if values['end'] == End.NOMINAL_FAILS.value:
-        return ('Even the nominal scene fails, so no parameter of this scene matters.',)
+        return (
+            'It also fails in the plainest scene: weather and pose are not the reason; look at '
+            'camera, place or network.',
+        )
     if matter:
         words = [f'{BY_KEY[key].title} {BY_KEY[key].value_words(parameters[key]["shrunk"])}'
                  for key in matter]
@@ -601,6 +612,14 @@ def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
             'goes on.'
         )
     return tuple(sentences)
+
+
+def _with_domain(found: Evidence, scenes: Sequence[Mapping[str, Any]]) -> Evidence:
+    """The evidence, with how the scenes are outside what the network was trained in."""
+    with contextlib.suppress(UsageError):  # its file is gone
+        domain = find_domain(found.network)
+        return replace(found, outside=''.join(domain_doubts(found.network, domain, scenes)))
+    return found
 
 
 def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:

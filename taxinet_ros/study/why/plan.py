@@ -24,7 +24,7 @@ from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.stage import Kind, Resume, Stage, workers_option
@@ -189,7 +189,7 @@ def region_change(region: Region) -> Change | None:
     """
     values: dict[str, Any] = {}
     words = []
-    absent = {field.key: field for field in (*PUSHING_FIELDS, *FAULTS)}
+    absent = {field.key: field for field in (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)}
     for part in region.parts:
         if isinstance(part, Interval) and part.feature == 'rain_percent' and part.low:
             values['rain_percent'] = 0.0

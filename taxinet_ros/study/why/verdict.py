@@ -185,6 +185,7 @@ class Evidence:
             is not known.
         seed: one that gives scenes which the runs did not have.
         single: whether the subject is one run.
+        outside: how its scenes are outside what the network was trained in; ''.
     """
 
     subject: str
@@ -207,6 +208,7 @@ class Evidence:
     settings: RunSettings | None = None
     seed: int = 0
     single: bool = False
+    outside: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -239,8 +241,10 @@ def fault_of(evidence: Evidence) -> Fault:
 def judge(evidence: Evidence) -> Verdict:
     """The verdict on the evidence."""
     fault = fault_of(evidence)
+    # Said first: no other cause need be looked for before.
+    outside = f'{evidence.outside}. ' if evidence.outside and evidence.failed else ''
     return Verdict(fault=fault, sentences=(
-        _whose(evidence, fault), _where(evidence, fault), _how_sure(evidence, fault),
+        f'{outside}{_whose(evidence, fault)}', _where(evidence, fault), _how_sure(evidence, fault),
     ))
 
 

@@ -11,6 +11,7 @@ import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Exhausted
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, accepted_scene
+from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
@@ -60,6 +62,8 @@ def no_progress(stage: str, done: int, total: int) -> None:
     """Progress callback that does nothing."""
 
 
+_LOOKED_AT = 8
+"""Cameras of which it is checked that the aircraft does not cover their pictures."""
 SAMPLERS = ('random', 'halton', 'sobol', 'grid')
 """Samplers of scenes that need no results of runs."""
 
@@ -97,6 +101,10 @@ def draw_scenes(
                 raise UsageError(f'{program}: {error}, which are fewer than {images}') from error
             else:
                 progress('scenes', len(scenes), images)
+    cameras = dict.fromkeys((scene.aircraft_model, scene.camera_model) for scene in scenes)
+    doubts = (line for one in islice(cameras, _LOOKED_AT) for line in covering_doubts(*one))
+    for line in islice(doubts, 1):
+        print(f'warning: {line}', file=sys.stderr)
     return scenes
 
 

@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from PIL import Image
 
+from taxinet_ros.core.perception.domain import Domain, domain_of_scenes, joined_domains
 from taxinet_ros.core.perception.labelled_frames import LabelledFrame, labelled_frames
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.perception.weights import Source
+from taxinet_ros.core.scenario_fields import CAMERA, PLACE
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
@@ -114,6 +117,22 @@ def open_folder(path: Path) -> ImageFolder:
         lines[name] = number
     digests = tuple(str(row[_DIGEST]) for _, row in rows if _DIGEST in row)
     return ImageFolder(path=path, table=table, frames=frames, digests=digests)
+
+
+def folders_domain(paths: Sequence[Path]) -> Domain | None:
+    """What folders of `taxinet dataset` show; None if one is of other pictures.
+
+    Raises:
+        UsageError: a table cannot be read.
+    """
+    domains: list[Domain | None] = []
+    for path in paths:
+        table = _table(path)
+        ours = table.suffix == '.parquet'
+        rows: Any = _read(table, partial(pd.read_parquet, table)).to_dict('records') if ours else ()
+        whole = all(PLACE.key in row and CAMERA.key in row for row in rows)
+        domains.append(domain_of_scenes(rows) if rows and whole else None)
+    return joined_domains(domains)
 
 
 def load_folders(

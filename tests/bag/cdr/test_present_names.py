@@ -26,9 +26,9 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     DATAREFS,
     FAULT_FIELDS,
+    MESSAGE_FIELDS,
     PLACE,
     PUSHING_FIELDS,
-    SCENARIO_FIELDS,
     TRACK,
     TRAFFIC,
     Kind,
@@ -38,7 +38,7 @@ SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'truth-nominal'
 NEW = (*PUSHING_FIELDS, TRACK, *FAULT_FIELDS, TRAFFIC, CAMERA, DATAREFS)
 RENAMED = {
-    field.attribute: field.short for field in SCENARIO_FIELDS
+    field.attribute: field.short for field in MESSAGE_FIELDS
     if field.short and field not in NEW
 }
 
@@ -69,7 +69,7 @@ def described(topic: TopicInfo, definition: str) -> TopicInfo:
 
 
 def test_given_the_renamed_fields_then_they_are_the_numbers_of_a_scenario():
-    numbers = [field for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
+    numbers = [field for field in MESSAGE_FIELDS if field.kind is Kind.NUMBER]
     assert re.findall(r'^float64 (\w+)', message_definition(SCENARIO), re.MULTILINE) == [
         field.attribute for field in numbers
     ]

@@ -63,6 +63,28 @@ def test_given_a_camera_when_shown_then_its_lens_is_told_and_its_view_drawn(tmp_
         assert drawn.size == (1100, 860)
 
 
+def test_a_shipped_camera_written_as_yaml_makes_the_same_frame_and_a_changed_one_is_warned_of(
+    tmp_path
+):
+    own, frames = tmp_path / 'own.yaml', []
+    show = 'camera', 'show', 'wing', '--out', tmp_path / 'view.png', '--yaml', own
+    done = taxinet(*show)
+    assert done.returncode == 0, done.stderr
+    assert 'mount       0.085 m forward, 2.17 m right, 0.5 m up from the centre' in done.stdout
+    assert 'aircraft_parts: by_hand' in done.stdout
+    for camera in ('wing', own):
+        frames.append(tmp_path / f'{len(frames)}.png')
+        done = taxinet('camera', 'frame', '--camera', camera, '--out', frames[-1])
+        assert (done.returncode, done.stderr) == (0, '')
+    assert frames[0].read_bytes() == frames[1].read_bytes()
+    own.write_text(own.read_text().replace('by_hand', 'outline').replace('10.42', '10.4'))
+    done = taxinet('camera', 'frame', '--camera', own, '--out', tmp_path / 'covered.png')
+    assert 'the aircraft itself (caravan) covers 94 % of the picture' in done.stderr
+    assert done.stderr.count('\n') == 1
+    (tmp_path / 'view.png').unlink()
+    assert 'File exists' in taxinet(*show).stderr
+
+
 def test_given_a_camera_when_a_frame_is_rendered_then_it_is_as_large_as_the_camera_makes_it(
     tmp_path
 ):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from taxinet_ros.core import world
-from taxinet_ros.core.camera.airframe import hidden_columns
+from taxinet_ros.core.camera.airframe import drawing
 from taxinet_ros.core.camera.camera import (
     IMAGE_HEIGHT,
     IMAGE_WIDTH,
@@ -230,10 +230,12 @@ def test_given_ground_that_the_aircraft_covers_when_left_out_then_the_picture_is
 ) -> None:
     states = [at(1200.0, 2.0, 8.0), at(800.0, -4.0, -20.0, 1.0)]
     left_out = [shot(state, **weather) for state in states]
-    assert hidden_columns().sum() > 5000
-    monkeypatch.setattr(
-        'taxinet_ros.core.camera.airframe.hidden_columns', lambda: np.zeros(IMAGE_HEIGHT, np.int32)
-    )
+    scene = Scenario()
+    parts = drawing(scene.aircraft_model, scene.camera_model, (IMAGE_HEIGHT, IMAGE_WIDTH))
+    assert parts is not None
+    assert parts.hidden.sum() > 5000
+    seen = dataclasses.replace(parts, hidden=np.zeros(IMAGE_HEIGHT, np.int32))
+    monkeypatch.setattr('taxinet_ros.core.camera.camera.drawing', lambda *_: seen)
     for state, picture in zip(states, left_out, strict=True):
         np.testing.assert_array_equal(shot(state, **weather), picture)
 

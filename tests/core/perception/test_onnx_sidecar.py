@@ -176,10 +176,10 @@ def test_given_blocks_when_the_resized_frame_were_huge_then_it_is_refused() -> N
 BOMB = b'a: &a [x,x]\n' + b''.join(b'%c: &%c [*%c,*%c]\n' % (i + 1, i + 1, i, i)
                                    for i in range(97, 115))
 HOSTILE: list[tuple[bytes, str]] = [
-    (b'', 'expected KEY: VALUE pairs with the keys input, scaling, outputs, got None'),
+    (b'', 'expected KEY: VALUE pairs with the keys input, scaling, outputs, domain, got None'),
     (b'\xff\xfe\x00', 'is not text in UTF-8'),
     (b'just words',
-     "expected KEY: VALUE pairs with the keys input, scaling, outputs, got 'just words'"),
+     "expected KEY: VALUE pairs with the keys input, scaling, outputs, domain, got 'just words'"),
     (b'input: [', 'line 1, column '),
     (b'input: 1\ninput: 2', 'line 2, column 1: input is given twice'),
     (b'input: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),

@@ -14,7 +14,7 @@ import yaml
 
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.motion.aircraft import Aircraft
-from taxinet_ros.core.rig.camera_model import make_camera, read_camera
+from taxinet_ros.core.rig.camera_model import make_camera
 from taxinet_ros.core.rig.catalogue import CAMERAS, WING, find_camera, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import AircraftState
@@ -57,7 +57,7 @@ def test_given_a_file_when_a_scenario_has_it_then_whole_and_tables_have_its_dige
     scene = scenario_from_human({'camera': str(path)})
     assert json.loads(scene.camera) == OWN
     reference = scene.to_human()['camera']
-    assert reference == f'own@{read_camera(path).digest[:12]}'
+    assert reference == f'own@{CAMERAS.typed(str(path)).digest[:12]}'
     assert scenario_from_human({'camera': reference}) == scene == Scenario(camera=load_camera(path))
 
 
@@ -194,7 +194,7 @@ def test_given_a_bad_value_when_read_then_one_line_names_file_and_key(tmp_path, 
     path = tmp_path / 'own.yaml'
     path.write_text(yaml.safe_dump({**OWN, **changes}))
     with pytest.raises(UsageError) as caught:
-        read_camera(path)
+        CAMERAS.typed(str(path))
     assert str(caught.value).startswith(f'{path}: {words}')
     assert '\n' not in str(caught.value)
 

@@ -44,6 +44,8 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         glare_ghost_fraction=0.4, exposure_jump_ev=-1.5, loop_delay_s=0.2, loop_jitter_s=0.3,
         steering_bias_rad=0.01, steering_rate_limit_radps=0.1, fault_onset_s=2.0, fault_seed=5.0,
         traffic=load_traffic([{'kind': 'cone', 'x_m': 830, 'y_m': 1}]), camera='nose',
+        camera_dx_m=0.1, camera_dy_m=0.1, camera_dz_m=-0.1, camera_droll_rad=0.01,
+        camera_dpitch_rad=0.1 + 1e-12, camera_dyaw_rad=-0.0123456789012,
         datarefs='{"sim/a/b":1.0}',
         duration_s=12.0, place='bikf_10',
     )

@@ -81,6 +81,14 @@ def test_given_evidence_then_the_fault_is_what_it_shows(values, fault):
     assert all(sentence.endswith('.') and '  ' not in sentence for sentence in verdict.sentences)
 
 
+def test_what_the_network_was_not_trained_in_is_said_first():
+    outside = 'original was trained with camera wing; scenes here have camera nose'
+    whose, *_ = judge(evidence(blames=Blames(network=16), outside=outside)).sentences
+    assert whose.startswith(f'{outside}. The network original is at fault')
+    passed, *_ = judge(evidence(failed=0, outside=outside)).sentences
+    assert outside not in passed
+
+
 def test_given_all_trials_pass_then_the_interval_is_that_of_clopper_and_pearson():
     whose, where, sure = judge(evidence(blames=Blames(network=16), causes=(WET,))).sentences
     # 1 - 0.025 ** (1 / 16) = 0.206 can be at fault otherwise.

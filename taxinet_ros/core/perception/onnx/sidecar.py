@@ -26,6 +26,8 @@ in brackets optional::
                                at positive values
         scale                  value = scale x output + offset, in that unit
         [offset]               0 by default
+    [domain]                   what it was trained in, as in a card
+                               (:mod:`taxinet_ros.core.perception.domain`)
 
 Anything else is rejected, because a wrong input image would not cause an error.
 """
@@ -36,6 +38,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from taxinet_ros.core.perception.domain import Domain, read_domain
 from taxinet_ros.core.perception.network import IMAGE_SHAPE
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, parse_yaml
@@ -130,6 +133,7 @@ class Sidecar:
     picture: Picture
     scaling: Scaling
     outputs: tuple[Output, ...]
+    domain: Domain | None = None
 
 
 def sidecar_path(path: Path) -> Path:
@@ -148,14 +152,16 @@ def parse_sidecar(path: Path, data: bytes) -> Sidecar:
         UsageError: an invalid description; one line with file, key and correction.
     """
     content = parse_yaml(path, data, about=_ABOUT)
-    top = Section(path, content, ('input', 'scaling', 'outputs'), about=_ABOUT)
+    top = Section(path, content, ('input', 'scaling', 'outputs', 'domain'), about=_ABOUT)
     picture = _picture(top.section('input', (
         'name', 'layout', 'colour', 'crop', 'height', 'width', 'resize', 'brightest')))
     scaling = _scaling(
         top.section('scaling', ('divide_by', 'per_image', 'mean', 'std', 'clip')),
         CHANNELS[picture.colour],
     )
-    return Sidecar(picture=picture, scaling=scaling, outputs=_outputs(top))
+    return Sidecar(
+        picture=picture, scaling=scaling, outputs=_outputs(top), domain=read_domain(top),
+    )
 
 
 def _picture(section: Section) -> Picture:

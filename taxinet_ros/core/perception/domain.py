@@ -1,0 +1,166 @@
+"""What a network was trained in: camera, places, aircraft, weather and hours of its pictures.
+
+A domain has a list of words, or the least and the greatest number, by scenario key. It is in a
+network's card, or under ``domain`` in the description of an ONNX network. Scenes outside it are
+named before they are run, and where runs are analysed; an unknown domain names none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from taxinet_ros.core.place.catalogue import PLACES
+from taxinet_ros.core.rig.catalogue import CAMERAS
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    BY_KEY,
+    CAMERA,
+    CAMERA_OFFSETS,
+    PLACE,
+    RAIN,
+    SKY,
+    TIME_OF_DAY,
+    TRACK,
+)
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import Section, expected
+
+Domain = Mapping[str, tuple[Any, ...]]
+
+WIDTH = 'runway_width_m'
+_WORDS = tuple(field.key for field in (CAMERA, PLACE, AIRCRAFT_MODEL, TRACK, SKY))
+_OFFSETS = {field.key: (0.0, 0.0) for field in CAMERA_OFFSETS}
+_STEPS = {
+    TIME_OF_DAY.key: 0.5, RAIN.key: 5.0, WIDTH: 0.01,
+    **{field.key: 0.05 if field.unit == 'm' else 0.5 for field in CAMERA_OFFSETS},
+}
+"""Numbers, and to what their ends are rounded outwards: what is drawn does not reach the ends."""
+DOMAIN_KEYS = (*_WORDS, *_STEPS)
+
+
+def domain_of_scenes(scenes: Iterable[Mapping[str, Any]], *, rounded: bool = True) -> Domain:
+    """The domain of the pictures of scenes.
+
+    Args:
+        scenes: values by key in human units, as :meth:`.Scenario.to_human`; ones that are missing
+            or empty are left out.
+        rounded: whether the ends of ranges are rounded outwards.
+    """
+    seen: dict[str, set[Any]] = {key: set() for key in DOMAIN_KEYS}
+    for scene in scenes:
+        for key in DOMAIN_KEYS:
+            value = scene.get(key)
+            if isinstance(value, str | float) and value == value and value != '':
+                seen[key].add(value)
+    seen[CAMERA.key] = {_camera_word(word) for word in seen[CAMERA.key]}
+    seen[WIDTH] |= {width for word in seen[PLACE.key] for width in _width_m(word)}
+    for key, step in _STEPS.items() if rounded else ():
+        ends = [round(value / step, 6) for value in seen[key]]
+        seen[key] = {round(end(one) * step, 6) for one in ends for end in (math.floor, math.ceil)}
+    return {
+        key: _spread(key, values) for key, values in seen.items()
+        if values and (key not in _OFFSETS or any(values))
+    }
+
+
+def _spread(key: str, values: Iterable[Any]) -> tuple[Any, ...]:
+    found = sorted(set(values))
+    return tuple(found) if key in _WORDS else (found[0], found[-1])
+
+
+def _camera_word(word: str) -> str:
+    """The shipped camera that makes the same pictures, if there is one."""
+    with contextlib.suppress(UsageError):  # of a campaign that has not been read
+        look = CAMERAS.typed(word).look
+        return next((name for name in CAMERAS.shipped if CAMERAS.find(name).look == look), word)
+    return word
+
+
+def _width_m(word: str) -> tuple[float, ...]:
+    try:
+        return (PLACES.typed(word).runway.width_m,)
+    except UsageError:
+        return ()
+
+
+def joined_domains(domains: Sequence[Domain | None]) -> Domain | None:
+    """The domain of all pictures together; None if one is unknown."""
+    known = [{**_OFFSETS, **domain} for domain in domains if domain is not None]
+    if not known or len(known) < len(domains):
+        return None
+    keys = [key for key in DOMAIN_KEYS if all(key in domain for domain in known)]
+    joined = {key: _spread(key, (one for domain in known for one in domain[key])) for key in keys}
+    return {key: values for key, values in joined.items() if values != _OFFSETS.get(key)}
+
+
+def domain_doubts(
+    network: str, domain: Domain | None, scenes: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """A warning if scenes are outside what a network was trained in.
+
+    Args:
+        network: its name, for the line.
+        domain: its domain; None if unknown.
+        scenes: as for :func:`domain_of_scenes`.
+    """
+    if domain is None or not scenes:
+        return []
+    trained = {**_OFFSETS, **domain}
+    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False)}
+    beyond = {
+        key: tuple(one for one in here[key] if key in _STEPS or one not in trained[key])
+        for key in DOMAIN_KEYS
+        if key != WIDTH and key in trained and key in here
+        and _spread(key, (*trained[key], *here[key])) != _spread(key, trained[key])
+    }
+    if not beyond:
+        return []
+    verb = 'this scene has' if len(scenes) == 1 else 'scenes here have'
+    return [
+        f'{network} was trained with {domain_words(trained, beyond)}; {verb} '
+        f'{domain_words({**here, **beyond}, beyond)}'
+    ]
+
+
+def domain_words(domain: Domain | None, keys: Iterable[str] = DOMAIN_KEYS) -> str:
+    """Display text: ``camera wing, place kmwh_04 (30.5 m wide), time of day 06:00 to 18:00``."""
+    if domain is None:
+        return 'unknown'
+    parts: list[str] = []
+    for field in (BY_KEY[key] for key in keys if key in domain and key != WIDTH):
+        if field.key in _WORDS:
+            text = f'{field.label} {", ".join(domain[field.key])}'
+        elif domain[field.key] == _OFFSETS.get(field.key):
+            text = 'the camera in its place'
+        else:
+            name = field.title if field.key in _OFFSETS else field.label
+            ends = dict.fromkeys(map(field.value_words, domain[field.key]))
+            text = f'{name} {" to ".join(ends)}'
+        if field is PLACE and WIDTH in domain:
+            text += f' ({" to ".join(dict.fromkeys(f"{end:.3g}" for end in domain[WIDTH]))} m wide)'
+        parts.append(text)
+    return ', '.join(dict.fromkeys(parts))
+
+
+def read_domain(top: Section) -> Domain | None:
+    """Read the optional key ``domain`` of a card or description.
+
+    Raises:
+        UsageError: an unknown key or a bad value.
+    """
+    if 'domain' not in top or top.take('domain', 'a domain') is None:
+        return None
+    given = top.section('domain', DOMAIN_KEYS)
+    found: dict[str, tuple[Any, ...]] = {}
+    for key in given:
+        words = given.take(key, 'a list of words')
+        if key in _STEPS:
+            found[key] = given.numbers(key, 2, -1e6, 1e6)
+        elif isinstance(words, list) and words and all(isinstance(one, str) for one in words):
+            found[key] = tuple(words)
+        else:
+            raise given.wrong(expected('a list of words', words), key)
+    return found
