@@ -484,7 +484,7 @@ def test_s5_every_shipped_program_is_accepted(program: str, client: Any) -> None
     path = shipped_folder() / f'{program}.scenic'
     assert client.ask(op='compile', program=str(path))['named'] == []
     assert client.ask(op='asked') == {'notes': [], 'sampler': {
-        'kind': None, 'params': {}, 'places': {}
+        'kind': None, 'params': {}, 'feedback': None, 'places': {}
     }}
 
 
