@@ -23,7 +23,7 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.reading import read_file, read_text
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file, read_text
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
@@ -163,7 +163,7 @@ def stored_text(files: Mapping[str, Path]) -> str:
 def _stored(path: Path) -> tuple[str, str]:
     """How a file is stored, '' for as it is, and its text then."""
     try:
-        data = read_file(path)
+        data = read_file(path, MAX_TEXT_BYTES if path.suffix in _SOURCES else None)
         if len(data) > _STORED_BYTES and path.suffix not in _SOURCES:
             return 'sha256', hashlib.sha256(data).hexdigest()
         if b'\0' not in data:

@@ -165,10 +165,11 @@ def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
         'param verifaiSamplerType = "ce",\\\n    verifaiSamplerParams = DotMap(alpha=0.95,\\\n'
         '        cont=DotMap(buckets=4, dist=None))\n'
     )
-    assert compiled(client, tmp_path, PLANE + text + EGO) == {}
+    assert compiled(client, tmp_path, PLANE + text + EGO)['named'] == []
     path = str(tmp_path / 'mine.scenic')
     assert client.ask(op='asked')['sampler'] == {
         'kind': 'ce', 'params': {'alpha': 0.95, 'cont': {'buckets': 4, 'dist': None}},
+        'feedback': None,
         'places': {'verifaiSamplerType': [path, 3], 'verifaiSamplerParams': [path, 3]},
     }
 
@@ -185,7 +186,7 @@ def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
 def test_s4_ranges_are_cut_as_the_program_says(
     client: Any, tmp_path: Path, text: str, ego: str, buckets: list[int]
 ) -> None:
-    assert compiled(client, tmp_path, PLANE + text + ego) == {}
+    assert compiled(client, tmp_path, PLANE + text + ego)['named'] == []
     choices = client.ask(op='space')['choices']
     assert [choice['dimension']['buckets'] for choice in choices] == buckets
 
@@ -217,7 +218,7 @@ def test_s4_the_external_sampler_that_scenic_has_itself_may_be_named(
         'from scenic.core.external_params import VerifaiSampler\n'
         'param externalSampler = VerifaiSampler\n'
     )
-    assert compiled(client, tmp_path, PLANE + text + EGO) == {}
+    assert compiled(client, tmp_path, PLANE + text + EGO)['named'] == []
 
 
 def test_s4_scenes_without_a_sampler_say_so(tmp_path: Path, monkeypatch: Any) -> None:
