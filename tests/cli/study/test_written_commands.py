@@ -142,7 +142,7 @@ def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
     region = Region(parts=(Interval(feature='distance_m', low=0.0, high=None),))
     rate = FoundRate(2, 2, 1.0, 0.2, 1.0)
     cause = Cause(region=region, rank=1, inside=rate, outside=rate, whole=rate, share=1.0,
-                  added=1.0, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
+                  added=1.0, associated=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
     folder = tmp_path / 'analysis'
     folder.mkdir()
     write_scenes_program(runs, cause_program(runs, cause), folder / program_name(cause))
