@@ -284,6 +284,10 @@ def bench(
         raise typer.Exit(run_processors(
             scenes=runs, duration_s=duration, old=compare, as_json=as_json,
         ))
+    if asks_for_study('rare', words, given, also=('seed',)):
+        from taxinet_ros.cli.bench.samplers import run_rare
+
+        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
     from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
 
     if asks_for_chaos(words, given):
@@ -298,10 +302,6 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_sequential
 
         raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('rare', words, given, also=('seed',)):
-        from taxinet_ros.cli.bench.samplers import run_rare
-
-        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
     if asks_for_study('searches', words, given):
         from taxinet_ros.cli.bench.samplers import run_searches
 

@@ -85,7 +85,8 @@ def test_given_words_then_there_are_json_and_a_table(monkeypatch, capsys):
         )
 
     monkeypatch.setattr('taxinet_ros.cli.bench.samplers.measure_rare', measured)
-    assert run_rare(['ring', 'half'], repeats=1, seed=7, as_json=True) == 0
+    words = ['bench', 'rare', 'ring', 'half', '--repeats', '1', '--seed', '7', '--json']
+    assert _exit_code(lambda: app(words, standalone_mode=False)) == 0
     found = json.loads(capsys.readouterr().out)
     assert [(one['landscape'], one['probability']) for one in found['rare']] == [
         ('half', 0.01), ('ring', 0.01),
