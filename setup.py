@@ -82,8 +82,6 @@ EXTRAS = {
     'foxglove': ['foxglove-sdk'],
     # --cluster: campaigns on the workers of a Dask cluster.
     'cluster': ['dask', 'distributed'],
-    # --store: bags in an S3-compatible store; other stores of fsspec need their own package.
-    'store': ['fsspec', 's3fs'],
     # taxinet camera compare --against mitsuba.
     'mitsuba': ['mitsuba', 'shapely>=2.1'],
     # taxinet run --camera xplane: pictures of X-Plane's window.
@@ -93,20 +91,16 @@ EXTRAS = {
         'colcon-ros',
         'dask',
         'distributed',
-        'flask',
-        'flask-cors',
         'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
         'mitsuba',
-        'moto',
         'mss',
         'playwright',
         'pybind11',
         'pytest',
         'pytest-timeout',
         'pytest-xdist',
-        's3fs',
         'websockets',
     ],
     # make docs.

@@ -10,7 +10,6 @@ import re
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
-from taxinet_ros.bag.store import STORED_NAME, bring_back
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.reading import UnfitFileError, check_regular
 
@@ -44,8 +43,13 @@ def run_folder(out: Path, run_id: str) -> Path:
 
 
 def holds_bag(folder: Path) -> bool:
-    """Whether a folder has a bag, here or far away."""
-    return any(folder.glob(f'*.{STORAGE_ID}')) or (folder / STORED_NAME).is_file()
+    """Whether a folder has a bag."""
+    return any(folder.glob(f'*.{STORAGE_ID}'))
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Files of a run's folder by name."""
+    return [path for path in sorted(folder.iterdir()) if path.is_file()]
 
 
 def mcap_path(folder: Path) -> Path:
@@ -58,14 +62,11 @@ def storage_files(path: Path) -> tuple[Path, ...]:
 
     The list of files in ``metadata.yaml`` is not used, because it could point anywhere.
 
-    A bag that is stored far away is brought back first.
-
     Raises:
-        UsageError: ``path`` does not exist, is a campaign's folder, or it is not in the store.
+        UsageError: ``path`` does not exist, or is a campaign's folder.
         BagEmpty: the folder contains no storage file.
         BagForeign: the folder contains a bag of another storage.
     """
-    bring_back(path if path.is_dir() else path.parent)
     if not path.is_dir() and path.exists():
         _check_regular(path)
         if path.name.endswith(f'.{STORAGE_ID}.zstd'):

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from taxinet_ros.bag.errors import BagCorrupt
-from taxinet_ros.bag.store import bring_back
 from taxinet_ros.errors import UsageError
 
 FREE_S = 20.0
@@ -50,8 +49,6 @@ def limited_reading(
     Raises:
         error: CPU time or memory exceeded the limit.
     """
-    for bag in bags:
-        bring_back(bag if bag.is_dir() else bag.parent)  # its size counts, and not the download
     alone = signal.getitimer(signal.ITIMER_VIRTUAL)[0] == 0.0
     if not alone or threading.current_thread() is not threading.main_thread():
         yield

@@ -16,9 +16,9 @@ from typing import Self
 
 from taxinet_ros.bag.check.compare import TopicComparison, compare_bags
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import made_on
-from taxinet_ros.bag.store import bag_files
 from taxinet_ros.campaign.options import AUDIT, AUDIT_FOLDER, LOOP
 from taxinet_ros.campaign.record.facts import FACTS_NAME
 from taxinet_ros.campaign.worker_pool import WorkerPool, encode_line, result_to_json

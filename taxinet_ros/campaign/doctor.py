@@ -31,7 +31,6 @@ from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.bag.store import STORED_NAME, stored_bag
 from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
@@ -174,8 +173,6 @@ def _places(folder: Path) -> Iterator[Path]:
 
 def _is_bag(folder: Path) -> bool:
     """Whether a folder is a bag; a stray bag file in a folder with records does not count."""
-    if (folder / STORED_NAME).is_file():
-        return True
     if not any(folder.glob(f'*.{STORAGE_ID}')):
         return False
     kinds = ('.jsonl', '.json', '.parquet')
@@ -302,9 +299,6 @@ def _check_bag(
         found.report(bag, f'is missing, but its run is {row.outcome}')
         return
     try:
-        if not any(bag.glob(f'*.{STORAGE_ID}')) and (stored := stored_bag(bag)) is not None:
-            found.count(f'of these bags in {stored.url.rpartition("/")[0]}, not read')
-            return
         if row.outcome.judged and (wrong := check_bag(bag).findings):
             more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
             found.report(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)

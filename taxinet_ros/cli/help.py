@@ -126,8 +126,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag recover': ('taxinet bag recover broken.mcap --out whole',),
     'bag export': ('taxinet bag export bags/found/RUN --out run.mp4',),
     'bag split': ('taxinet bag split recorded --out runs',),
-    'bag store': ('taxinet bag store bags/found s3://recordings/found',),
-    'bag fetch': ('taxinet bag fetch bags/found/RUN',),
     'bag render': ('taxinet bag render bags/found/RUN',),
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),

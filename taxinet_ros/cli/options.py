@@ -501,14 +501,6 @@ ShardOption = Annotated[
         'results; taxinet merge joins the shards',
     ),
 ]
-StoreOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar='URL',
-        help='upload each bag, verified, to s3://BUCKET/FOLDER or another address of fsspec, and '
-        'remove it here; read again, it comes back',
-    ),
-]
 BudgetOption = Annotated[
     float | None, typer.Option(metavar='MINUTES', help='start no new run after this time')
 ]

@@ -14,7 +14,7 @@ import typer.main
 
 from taxinet_ros.analysis import fault_localisation
 from taxinet_ros.analysis.campaign import folder as analysis_folder
-from taxinet_ros.bag import layout, store
+from taxinet_ros.bag import layout
 from taxinet_ros.bag.check import compare
 from taxinet_ros.campaign import experiment, learned_result
 from taxinet_ros.campaign.past_runs import localisation
@@ -103,7 +103,7 @@ def test_given_all_commands_then_the_options_that_write_a_file_are_known_and_che
 def test_given_the_names_of_records_then_all_are_known():
     names = {
         facts.FACTS_NAME, facts.LEDGER_NAME, table.CSV_NAME, table.PARQUET_NAME,
-        layout.METADATA_FILE, store.STORED_NAME, compare.STACK_FILE, pages.PAGES_NAME,
+        layout.METADATA_FILE, compare.STACK_FILE, pages.PAGES_NAME,
         learned_result.LEARNED_NAME, localisation.TRIALS_NAME, tuning.TRIALS_NAME,
         experiment.PAIRS_NAME, experiment.JSON_NAME, analysis_folder.JSON_NAME,
         fault_localisation.CSV_NAME, fault_localisation.PARQUET_NAME,

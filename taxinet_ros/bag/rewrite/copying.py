@@ -52,7 +52,7 @@ def copy_of(
         UsageError, BagWriteError: as :class:`BagWriter`.
     """
     words = info.metadata.get(RUN_METADATA, {})
-    attachments, metadata = besides_messages(info.path)
+    attachments, metadata = _besides_messages(info.path)
     with BagWriter(
         folder, topics, metadata=words, attachments={}, min_free_bytes=min_free_bytes,
         beside=words_beside(info.path, words),
@@ -104,7 +104,7 @@ def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicI
     return topic
 
 
-def besides_messages(source: Path) -> tuple[list[Attachment], list[Metadata]]:
+def _besides_messages(source: Path) -> tuple[list[Attachment], list[Metadata]]:
     """Intact attachments and metadata of the bag, except those that the writer creates.
 
     Names may be repeated: another recorder's may mean a sequence by that.

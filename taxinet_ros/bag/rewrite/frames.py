@@ -15,10 +15,9 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
 from taxinet_ros.bag.rewrite.copying import (
     NamedMessage,
-    besides_messages,
     copy_of,
     named_message,
     written_steps,
@@ -27,7 +26,6 @@ from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
@@ -116,26 +114,6 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
         raise BagWriteError(f'{folder}: {error}', path=folder, errno=error.errno or 0) from error
     finally:
         shutil.rmtree(draft.parent, ignore_errors=True)
-
-
-def only_frames_added(before: Path, now: Path) -> bool:
-    """Whether a bag holds all of another one, and nothing else but frames.
-
-    Args:
-        before: a bag.
-        now: the other, which may have been rendered from it.
-    """
-    words, other = (read_info(bag).metadata.get(RUN_METADATA) for bag in (before, now))
-    if words != other or besides_messages(before) != besides_messages(now):
-        return False
-    left = stored_messages(before)
-    wanted = next(left, None)
-    for message in stored_messages(now):
-        if message == wanted:
-            wanted = next(left, None)
-        elif message.topic.name != IMAGE:
-            return False
-    return wanted is None
 
 
 class _Frames:

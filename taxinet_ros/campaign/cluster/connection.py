@@ -136,7 +136,7 @@ class Cluster:
     """
 
     def __init__(
-        self, where: str, needs: Needs, *, out: Path | None, store: str = '',
+        self, where: str, needs: Needs, *, out: Path | None,
         tell: Tell = lambda line: None, limits: Limits = LIMITS,
     ) -> None:
         """Create it; nothing is contacted before the ``with``.
@@ -145,7 +145,6 @@ class Cluster:
             where: result of :func:`check_cluster`.
             needs: what a worker needs.
             out: folder of the campaign if workers write bags below it, else None.
-            store: address to which they upload bags instead, or ''.
             tell: called with lines on what happens to the cluster.
             limits: how long to wait.
         """
@@ -154,7 +153,7 @@ class Cluster:
         self.connection = 0
         self.job: Job
         self._where, self._needs, self._tell, self._limits = where, needs, tell, limits
-        self._out, self._store = None if out is None else out.absolute(), store
+        self._out = None if out is None else out.absolute()
         self._known: dict[str, _Worker] = {}
         self._client: Client | None = None
         self._local: LocalCluster | None = None
@@ -175,7 +174,7 @@ class Cluster:
             self._connect_first()
             needs = to_json(self._needs)
             self.job = Job(
-                campaign=self.name, needs=needs, here=to_json(describe(needs)), store=self._store,
+                campaign=self.name, needs=needs, here=to_json(describe(needs)),
                 probe=self._probe(left),
             )
             self._await_workers()

@@ -23,7 +23,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from taxinet_ros.bag.store import STORED_NAME
 from taxinet_ros.campaign.cluster.connection import LIMITS, Cluster, Limits, Tell
 from taxinet_ros.campaign.cluster.machine import Needs
 from taxinet_ros.campaign.cluster.task import PYTHON, run_task
@@ -34,7 +33,7 @@ from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.files.atomic import disk_error, write_atomically
+from taxinet_ros.files.atomic import disk_error
 
 if TYPE_CHECKING:
     from distributed import Future
@@ -63,7 +62,7 @@ class _Task:
 
 
 def campaign_cluster(
-    campaign: CampaignOptions, where: str, *, store: str = '', tell: Tell = lambda line: None,
+    campaign: CampaignOptions, where: str, *, tell: Tell = lambda line: None,
     limits: Limits = LIMITS,
 ) -> Cluster:
     """The cluster for a campaign, not yet connected.
@@ -71,7 +70,6 @@ def campaign_cluster(
     Args:
         campaign: the campaign, whose folder need not exist yet.
         where: result of :func:`.connection.check_cluster`.
-        store: result of :func:`.store.check_store`, if bags are uploaded by the workers, or ''.
         tell: called with lines on what happens to the cluster.
         limits: how long to wait.
     """
@@ -81,8 +79,7 @@ def campaign_cluster(
         graph=campaign.engine == GRAPH or (campaign.bags and campaign.audit_percent > 0),
     )
     return Cluster(
-        where, needs, out=campaign.out if campaign.bags and not store else None,
-        store=f'{store}/{campaign.out.resolve().name}' if store else '', tell=tell, limits=limits,
+        where, needs, out=campaign.out if campaign.bags else None, tell=tell, limits=limits,
     )
 
 
@@ -330,16 +327,13 @@ class ClusterPool:
     def _with_bag(
         self, request: RunRequest, result: RunResult, answer: Mapping[str, Any], stack: str
     ) -> RunResult:
-        """The result, once its bag, or the record of that, is in the campaign's folder."""
+        """The result, once its bag is in the campaign's folder."""
         result = dataclasses.replace(result, stack=stack)
         if result.kind == AUDIT:  # its text names the bag of the graph, beside that of the loop
             return result
         folder = self._out / request.run_id
         try:
-            if answer['stored']:
-                folder.mkdir()
-                write_atomically(folder / STORED_NAME, answer['stored'])
-            elif answer['bag']:
+            if answer['bag']:
                 _move(Path(answer['bag']), folder)
         except FileNotFoundError:
             detail = f'its bag is not at {answer["bag"]}'

@@ -26,9 +26,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.store import STORED_NAME, store_bag
 from taxinet_ros.campaign.cluster.machine import Machine, Needs, describe, difference
 from taxinet_ros.campaign.options import AUDIT
 from taxinet_ros.campaign.record.facts import FACTS_NAME
@@ -38,9 +35,7 @@ from taxinet_ros.campaign.worker_pool import (
     request_from_json,
     result_to_json,
 )
-from taxinet_ros.core.topics import RECORDER
-from taxinet_ros.core.verdict.outcome import RunResult
-from taxinet_ros.errors import InfraKind, RecordError, UsageError
+from taxinet_ros.errors import UsageError
 
 PYTHON, OUT = '@PYTHON@', '@OUT@'
 """Words in the command of a child for this machine's Python, and for the folder of its bags."""
@@ -60,7 +55,6 @@ class Job:
         here: text of the :class:`.Machine` on which the campaign is led.
         folder: where children make their folders, seen by all machines; '' for any local place.
         probe: file in a folder that all machines must see, with its content; ('', '') for none.
-        store: address to which bags are uploaded, or ''.
     """
 
     campaign: str
@@ -70,7 +64,6 @@ class Job:
     here: str
     folder: str = ''
     probe: Sequence[str] = ('', '')
-    store: str = ''
 
 
 def check_worker(job: str) -> str:
@@ -102,8 +95,7 @@ def _unseen(probe: Sequence[str]) -> str:
         if Path(name).read_text(encoding='utf-8') == text:
             return ''
     return (
-        f'does not see {Path(name).parent}, where the bags go; use an --out that all machines '
-        'share, or --store URL'
+        f'does not see {Path(name).parent}, where the bags go; use an --out that all machines share'
     )
 
 
@@ -116,7 +108,7 @@ def run_task(job: str, requests: str) -> str:
 
     Returns:
         JSON: as :func:`check_worker`; and ``answers``, for each run that was made, ``index``,
-        ``result``, ``bag`` (its folder, or '') and ``stored`` (record of its stored bag, or '').
+        ``result`` and ``bag`` (its folder, or '').
     """
     told = json.loads(check_worker(job))
     answers: list[dict[str, Any]] = []
@@ -187,10 +179,9 @@ class _Bench:
             self._kept = True
             where = f'{result.detail} (on {platform.node()})'
             result = dataclasses.replace(result, detail=where)
-        result, stored = self._stored(bag, result)
-        shared = self.job.folder and not stored and bag.is_dir()
+        shared = self.job.folder and bag.is_dir()
         return {
-            'index': request.index, 'result': result_to_json(result), 'stored': stored,
+            'index': request.index, 'result': result_to_json(result),
             'bag': str(bag) if shared else '',
         }
 
@@ -199,35 +190,6 @@ class _Bench:
         self._pool.__exit__(None, None, None)
         if not (self.job.folder or self._kept):
             shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _stored(self, bag: Path, result: RunResult) -> tuple[RunResult, str]:
-        """The result, and the record of the stored bag; a bag that is not stored has none."""
-        if not self.job.store or not bag.is_dir() or result.kind == AUDIT:
-            return result, ''
-        stored = ''
-        if result.outcome.judged:
-            try:
-                for wrong in check_bag(bag).findings:
-                    raise UsageError(f'{wrong.where}: {wrong.what}')
-                stored = _upload(bag, self.job.store)
-            except (BagError, RecordError, UsageError, OSError) as error:
-                detail = f'bag not stored: {error}'
-                result = dataclasses.replace(
-                    RunResult.infra_error(InfraKind.BAG, RECORDER, detail, result.last_seq),
-                    perception=result.perception, fingerprint=result.fingerprint,
-                )
-        shutil.rmtree(bag, ignore_errors=True)
-        return result, stored
-
-
-def _upload(bag: Path, url: str) -> str:
-    """Store a bag; return its record."""
-    try:
-        store_bag(bag, url)
-    except UsageError:
-        # A worker that was lost after its upload may have had another processor, which bags name.
-        store_bag(bag, f'{url}/{uuid.uuid4().hex}')
-    return (bag / STORED_NAME).read_text(encoding='utf-8')
 
 
 _STOPPED: set[str] = set()

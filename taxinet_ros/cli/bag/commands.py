@@ -257,46 +257,5 @@ def split(
         raise typer.Exit(run_split(bag, out))
 
 
-CampaignFolder = Annotated[
-    Path, typer.Argument(metavar='CAMPAIGN', help="a campaign's folder")
-]
-
-
-@bag_app.command()
-def store(
-    campaign: CampaignFolder,
-    url: Annotated[
-        str,
-        typer.Argument(
-            metavar='URL', help='s3://BUCKET/FOLDER, file:///FOLDER, or another of fsspec'
-        ),
-    ],
-    keep: Annotated[bool, typer.Option('--keep', help='do not remove the bags here')] = False,
-) -> None:
-    """Upload the bags of a campaign to a store far away.
-
-    Each bag of a run with a verdict is checked, uploaded, read back and compared, then removed
-    here; its folder says where it is, and every command brings it back when it reads it. Repeated,
-    it continues an interrupted upload, and removes bags that were brought back. Credentials come
-    from the environment (AWS_ACCESS_KEY_ID, ...). Exit code: 0 all are stored, 2 one cannot be,
-    4 the store failed.
-    """
-    from taxinet_ros.cli.bag.store import run_store
-
-    raise typer.Exit(run_store(campaign, url, keep=keep))
-
-
-@bag_app.command()
-def fetch(
-    bag: Annotated[
-        Path, typer.Argument(metavar='BAG|CAMPAIGN', help='folder of a run, or of a campaign')
-    ],
-) -> None:
-    """Bring stored bags back into their folders, verified."""
-    from taxinet_ros.cli.bag.store import run_fetch
-
-    raise typer.Exit(run_fetch(bag))
-
-
 for command in (render, replay, compare, golden):
     bag_app.command()(command)

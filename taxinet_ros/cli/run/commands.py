@@ -64,7 +64,6 @@ from taxinet_ros.cli.options import (
     ShardOption,
     SpecOption,
     StopOnOption,
-    StoreOption,
     UntilOption,
     WebOption,
     WorkersOption,
@@ -206,7 +205,6 @@ def falsify(
     until: UntilOption = None,
     budget: BudgetOption = None,
     shard: ShardOption = None,
-    store: StoreOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
@@ -257,9 +255,7 @@ def falsify(
             resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
             odd=odd,
         )
-    raise ended(
-        run_falsify(options, quiet=quiet, store=store, as_json=as_json, web=web), exit_zero,
-    )
+    raise ended(run_falsify(options, quiet=quiet, as_json=as_json, web=web), exit_zero)
 
 
 def estimate(

@@ -9,6 +9,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -26,7 +27,6 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.bag.store import check_store
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.cluster.connection import Cluster
 from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
@@ -58,7 +58,6 @@ from taxinet_ros.campaign.shrink.shrinking import (
     run_command,
     shrink_heading,
 )
-from taxinet_ros.campaign.stored_bags import BagUploads
 from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
@@ -131,15 +130,13 @@ class _Figures(ProgressColumn):
 
 
 def run_falsify(
-    options: SearchOptions, *, quiet: bool, store: str | None = None, as_json: bool = False,
-    web: bool = False,
+    options: SearchOptions, *, quiet: bool, as_json: bool = False, web: bool = False
 ) -> int:
     """Run the search and print the results.
 
     Args:
         options: options of the search.
         quiet: print warnings and the summary only.
-        store: address to which bags are uploaded, or None.
         as_json: print the summary as JSON; all else goes to standard error.
         web: serve a live page meanwhile; its address goes to standard error, also with ``quiet``.
 
@@ -148,16 +145,12 @@ def run_falsify(
 
     Raises:
         UsageError: bad input, or every scene was rejected.
-        RecordError: a bag could not be stored.
     """
     check_workers(options.workers)
     console = Console(highlight=False, stderr=as_json)
-    url = '' if store is None else check_store(store)
-    uploads = BagUploads(options.campaign.out, url) if url else None
     with (
-        _open_cluster(options, console, store=url) as cluster,
-        uploads or contextlib.nullcontext(),
-        open_search(options, console, quiet=quiet, uploads=uploads) as search,
+        _open_cluster(options, console) as cluster,
+        open_search(options, console, quiet=quiet) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
@@ -174,8 +167,6 @@ def run_falsify(
         learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
-    if uploads is not None:
-        console.print(uploads.finish(), soft_wrap=True, markup=False)
     if as_json:
         values = summary_json(search.rows, options.campaign, planned)
         print(json.dumps({**values, 'sampler': search.options.sampler}, allow_nan=False))
@@ -185,17 +176,10 @@ def run_falsify(
 
 
 @contextlib.contextmanager
-def open_search(
-    options: SearchOptions, console: Console, *, quiet: bool, uploads: BagUploads | None = None,
-) -> Iterator[Search]:
+def open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
-    def show(row: RunRow) -> None:
-        _print_row(row, console, quiet=quiet)
-        if uploads is not None:
-            uploads.add(row)
-
-    search = Search(options, PARTICIPANTS, show)
+    search = Search(options, PARTICIPANTS, partial(_print_row, console=console, quiet=quiet))
     with print_rows_if_lost(console, search.rows, shown=shown), search:
         yield search
 
@@ -207,7 +191,7 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 
 def _open_cluster(
-    options: SearchOptions | ShrinkOptions, console: Console, store: str = ''
+    options: SearchOptions | ShrinkOptions, console: Console
 ) -> contextlib.AbstractContextManager[Cluster | None]:
     """Context of the connected cluster of a search, or of None."""
     if not options.cluster:
@@ -216,7 +200,7 @@ def _open_cluster(
     def tell(line: str) -> None:
         console.print(plain_line(line), soft_wrap=True, markup=False)
 
-    return campaign_cluster(options.campaign, options.cluster, store=store, tell=tell)
+    return campaign_cluster(options.campaign, options.cluster, tell=tell)
 
 
 def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:

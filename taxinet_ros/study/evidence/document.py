@@ -393,8 +393,7 @@ def _campaign(sources: _Sources, name: str, one: CampaignInput) -> dict[str, Any
         'images': str(facts.get('images', '')),
         'scenes': {'runs': len(one.scenes), 'sha256': one.scenes_sha256},
         'bags': {
-            'runs': len(one.bags), 'sha256': one.bags_sha256 or None,
-            'elsewhere': len(one.stored), 'each': dict(one.bags),
+            'runs': len(one.bags), 'sha256': one.bags_sha256 or None, 'each': dict(one.bags),
         },
         'stacks': {
             key: {'sha256': digest_of(stack), 'versions': stack}
@@ -573,7 +572,7 @@ def _records_verdict(system: SystemFacts) -> tuple[Verdict, str]:
     """Whether every judged run has a bag here that was checked, and a sentence on it."""
     judged = _judged(system)
     read = sum(
-        row.run_id in one.bags and row.run_id not in one.stored
+        row.run_id in one.bags
         for one in system.inputs for row in one.recorded.judged
     )
     if not judged:

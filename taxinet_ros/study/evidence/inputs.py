@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.analysis.fault_localisation import Localisation, localisation_of
-from taxinet_ros.bag.store import bag_files, is_elsewhere, stored_bag
+from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, Trial
@@ -168,7 +168,6 @@ class CampaignInput:
         ledger_end: number of lines and link of the last: the head of the hash chain.
         scenes: number, run and SHA-256 of the scene of each run; '' if not recorded.
         bags: SHA-256 of each run's bag by run: of the lines ``SHA-256  NAME`` of its files.
-        stored: runs whose bags are in a store elsewhere; their hashes are those of its record.
     """
 
     folder: Path
@@ -178,7 +177,6 @@ class CampaignInput:
     ledger_end: JournalEnd
     scenes: tuple[tuple[int, str, str], ...]
     bags: Mapping[str, str]
-    stored: tuple[str, ...]
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -265,14 +263,14 @@ def read_campaign(
     if wrong := examine(folder, on_bag).findings:
         more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
         raise UsageError(f'{wrong[0].where}: {wrong[0].what}{more}; {_mend(folder)}')
-    bags, stored = _bags(folder, content.rows)
     shas = {
         line.event['index']: str(line.event.get('scenario_sha256', ''))
         for line in parsed.lines if line.event is not None and line.event.get('event') == 'intent'
     }
     names = (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
     return CampaignInput(
-        folder=folder, name=folder.resolve().name, recorded=recorded, bags=bags, stored=stored,
+        folder=folder, name=folder.resolve().name, recorded=recorded,
+        bags=_bags(folder, content.rows),
         files={name: file_sha256(folder / name) for name in names},
         ledger_end=parsed.end,
         scenes=tuple((row.index, row.run_id, shas.get(row.index, '')) for row in content.rows),
@@ -307,31 +305,16 @@ def _mend(folder: Path) -> str:
     return f'no evidence is written of damaged results: taxinet doctor {folder}'
 
 
-def _bags(folder: Path, rows: Sequence[RunRow]) -> tuple[dict[str, str], tuple[str, ...]]:
-    found: dict[str, str] = {}
-    stored: list[str] = []
-    for row in rows:
-        bag = folder / row.bag
-        if not row.bag or not bag.is_dir():
-            continue
-        far = stored_bag(bag)
-        if far is not None and is_elsewhere(bag):
-            stored.append(row.run_id)
-            found[row.run_id] = _files_sha256({name: sha for name, (_, sha) in far.files.items()})
-        else:
-            found[row.run_id] = bag_sha256(bag)
-    return found, tuple(stored)
+def _bags(folder: Path, rows: Sequence[RunRow]) -> dict[str, str]:
+    return {
+        row.run_id: bag_sha256(folder / row.bag) for row in rows
+        if row.bag and (folder / row.bag).is_dir()
+    }
 
 
 def bag_sha256(bag: Path) -> str:
     """SHA-256 of a bag: of the lines ``SHA-256  NAME`` of its files, as ``sha256sum`` has them."""
-    return _files_sha256({
-        path.name: file_sha256(path) for path in bag_files(bag)
-    })
-
-
-def _files_sha256(files: Mapping[str, str]) -> str:
-    return text_sha256(''.join(f'{files[name]}  {name}\n' for name in sorted(files)))
+    return text_sha256(''.join(f'{file_sha256(path)}  {path.name}\n' for path in bag_files(bag)))
 
 
 def read_campaigns(

@@ -338,10 +338,6 @@ def _of_bags(name: str, one: CampaignInput) -> Iterator[Limit]:
         yield Limit('no-bags', name, f'{lacking:,} of {len(ran):,} judged runs have '
                     'no bag: their scenes are known to nine decimals, which is not enough to '
                     'repeat them to the bit.')
-    if one.stored:
-        yield Limit('bags-elsewhere', name, f'The bags of {len(one.stored):,} runs '
-                    'are in a store elsewhere. Their hashes are those of its record; the bags were '
-                    'not read.')
 
 
 def limits_plain(limits: Sequence[Limit]) -> list[dict[str, str]]:

@@ -406,8 +406,7 @@ def _drive_again(
         one = again.inputs[name]
         why = not_repeatable(one, options.networks)
         here = [] if why else [
-            (name, row) for row in one.rows if row.outcome.judged
-            and row.run_id in one.bags and row.run_id not in one.stored
+            (name, row) for row in one.rows if row.outcome.judged and row.run_id in one.bags
         ]
         runs += here
         if not here:

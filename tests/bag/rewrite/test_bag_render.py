@@ -18,7 +18,6 @@ from taxinet_ros.bag.rewrite.frames import (
     IMAGE,
     frame_messages,
     missing_frames,
-    only_frames_added,
     restore_frames,
     restore_in_place,
 )
@@ -80,24 +79,6 @@ def test_given_a_bag_without_frames_when_rendered_then_all_else_is_as_before(bli
     assert info.complete
     assert missing_frames(info) == 0
     assert {**info.metadata, 'rosbag2': 0} == {**read_info(blind).metadata, 'rosbag2': 0}
-
-
-def test_given_bags_then_the_rendered_one_and_no_other_differs_by_frames_alone(
-    blind, rendered, tmp_path
-):
-    assert only_frames_added(blind, rendered)
-    assert only_frames_added(blind, blind)
-    assert not only_frames_added(rendered, blind)
-    assert only_frames_added(blind, altered(blind, tmp_path / 'same', unaltered))
-
-    def faster(stored, message):
-        if stored.topic.name == '/taxi_command':
-            message.speed += 1
-        return stored.topic.name == '/taxi_command'
-
-    other = altered(blind, tmp_path / 'other', faster)
-    assert not only_frames_added(blind, other)
-    assert not only_frames_added(other, rendered)
 
 
 def test_given_a_rendered_bag_when_checked_then_every_frame_is_right(rendered):

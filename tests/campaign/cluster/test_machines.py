@@ -119,8 +119,7 @@ def test_given_this_machine_then_it_describes_itself_and_misses_a_folder_or_a_ne
         asked = dataclasses.replace(job, probe=(str(probe), 'right'))
         told = json.loads(check_worker(json.dumps(dataclasses.asdict(asked))))
         assert told['unfit'] == ('' if seen else (
-            f'does not see {tmp_path}, where the bags go; use an --out that all machines share, '
-            'or --store URL'
+            f'does not see {tmp_path}, where the bags go; use an --out that all machines share'
         ))
     with pytest.raises(UsageError, match=r'gone\.safetensors'):
         describe(to_json(dataclasses.replace(NEEDS, perception='gone.safetensors')))

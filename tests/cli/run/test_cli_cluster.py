@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from pathlib import Path
 
 import pandas as pd
@@ -51,24 +50,6 @@ def test_given_a_cluster_then_table_and_bags_are_those_of_the_local_pool(here, t
     assert bags(out) == bags(here)
     assert {path.name for path in (out / 'logs').rglob('*')} == set()
     assert taxinet('doctor', out).returncode == 0
-
-
-def test_given_a_store_then_the_workers_upload_the_bags(here, tmp_path):
-    out, store = tmp_path / 'there', tmp_path / 'store'
-    done = taxinet(
-        'falsify', *SEARCH, '--cluster', 'local:2', '--store', f'file://{store}', '--out', out,
-        '--quiet', '--web',
-    )
-    assert done.returncode == 1
-    assert re.fullmatch(r'live page: http://127\.0\.0\.1:\d+/\S+/\n', done.stderr)
-    assert done.stdout.splitlines()[-1] == f'stored: 6 bags in file://{store}/there/'
-    pd.testing.assert_frame_equal(table(out), table(here))
-    assert bags(out) == {}
-    assert bags(store) == bags(here)
-    run = read_table(out)['run_id'].iloc[0]
-    shown = taxinet('bag', 'info', out / run)
-    assert (shown.returncode, shown.stderr) == (0, '')
-    assert bags(out).items() <= bags(here).items()
 
 
 def test_given_python_then_it_has_the_cluster_too(here, tmp_path):

@@ -18,7 +18,6 @@ from planted_evidence import FAIL, PASS, planted
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.analysis.report.pictures import DARK
-from taxinet_ros.bag.store import store_bag
 from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.pages import PLACE
@@ -351,23 +350,6 @@ def test_given_no_bags_then_runs_are_unclear_and_not_said_to_repeat(tmp_path):
     found = verified(made(tmp_path), sample=3)
     assert found.code == ExitCode.INCOMPLETE
     assert any('no run has its bag here' in line for line in found.unchecked)
-
-
-def test_given_bags_that_are_kept_beside_a_store_then_they_are_here_and_are_driven_again(
-    driven, tmp_path
-):
-    shutil.copytree(driven, tmp_path / 'found')
-    before = tx.evidence(tmp_path / 'found', tmp_path / 'before')
-    for bag in sorted(path.parent for path in (tmp_path / 'found').glob('*/metadata.yaml')):
-        store_bag(bag, f'file://{tmp_path}/store', keep=True)
-    after = tx.evidence(tmp_path / 'found', tmp_path / 'after')
-    assert after['campaigns'][0]['bags'] == before['campaigns'][0]['bags']
-    found = verified(tmp_path / 'after', sample=1)
-    assert (found.code, found.unchecked, found.different) == (ExitCode.OK, [], [])
-    for file in (tmp_path / 'found').glob('*/*.mcap'):
-        file.unlink()
-    away = tx.evidence(tmp_path / 'found', tmp_path / 'away')
-    assert away['campaigns'][0]['bags']['elsewhere'] == 3
 
 
 def test_given_a_perception_that_answers_by_chance_then_the_run_differs_with_code_4(tmp_path):
