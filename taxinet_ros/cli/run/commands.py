@@ -66,7 +66,6 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     StoreOption,
     UntilOption,
-    WebOption,
     WorkersOption,
     WorldOption,
     airport_place,
@@ -215,7 +214,6 @@ def falsify(
     free: FreeOption = False,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
-    web: WebOption = False,
     quiet: QuietOption = False,
     as_json: JsonSummaryOption = False,
     exit_zero: ExitZeroOption = False,
@@ -258,7 +256,7 @@ def falsify(
             odd=odd,
         )
     raise ended(
-        run_falsify(options, quiet=quiet, store=store, as_json=as_json, web=web), exit_zero,
+        run_falsify(options, quiet=quiet, store=store, as_json=as_json), exit_zero,
     )
 
 

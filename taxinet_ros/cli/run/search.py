@@ -67,7 +67,6 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.live_page import live_page_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.pages import add_page
@@ -132,7 +131,6 @@ class _Figures(ProgressColumn):
 
 def run_falsify(
     options: SearchOptions, *, quiet: bool, store: str | None = None, as_json: bool = False,
-    web: bool = False,
 ) -> int:
     """Run the search and print the results.
 
@@ -141,7 +139,6 @@ def run_falsify(
         quiet: print warnings and the summary only.
         store: address to which bags are uploaded, or None.
         as_json: print the summary as JSON; all else goes to standard error.
-        web: serve a live page meanwhile; its address goes to standard error, also with ``quiet``.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
@@ -166,10 +163,7 @@ def run_falsify(
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
-        with (
-            live_page_of(search) if web else contextlib.nullcontext(),
-            search_view(console, search, shown=console.is_terminal and not quiet),
-        ):
+        with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]

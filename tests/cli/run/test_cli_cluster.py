@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from pathlib import Path
 
 import pandas as pd
@@ -57,10 +56,9 @@ def test_given_a_store_then_the_workers_upload_the_bags(here, tmp_path):
     out, store = tmp_path / 'there', tmp_path / 'store'
     done = taxinet(
         'falsify', *SEARCH, '--cluster', 'local:2', '--store', f'file://{store}', '--out', out,
-        '--quiet', '--web',
+        '--quiet',
     )
-    assert done.returncode == 1
-    assert re.fullmatch(r'live page: http://127\.0\.0\.1:\d+/\S+/\n', done.stderr)
+    assert (done.returncode, done.stderr) == (1, '')
     assert done.stdout.splitlines()[-1] == f'stored: 6 bags in file://{store}/there/'
     pd.testing.assert_frame_equal(table(out), table(here))
     assert bags(out) == {}
