@@ -40,7 +40,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),
     'falsify': (
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
-        'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10 --web',
+        'taxinet falsify s_falsif --runs 1000 --engine loop --until failures=10',
         'taxinet falsify s_falsif --runs 50 --sampler coverage --odd s_falsif',
     ),
     'estimate': (

@@ -536,13 +536,6 @@ NominalOption = Annotated[
     ),
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]
-WebOption = Annotated[
-    bool,
-    typer.Option(
-        '--web', help='show rates, failures and a map of the search on a page that grows with the '
-        'campaign and closes with it: on 127.0.0.1 only, at an address that is printed',
-    ),
-]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
 PicturesArgument = Annotated[
     str | None, typer.Argument(

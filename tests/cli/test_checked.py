@@ -36,7 +36,8 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
     'aircraft show --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
-    'camera frame --out', 'camera sheet --out', 'camera show --out', 'check-node --log',
+    'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
+    'check-node --log',
     'forecast calibrate --out', 'forecast show --plot', 'gate --junit', 'learned --out',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
     'odd export --out', 'place show --out', 'train --out',
@@ -89,7 +90,7 @@ def test_given_all_commands_then_the_options_that_write_a_file_are_known_and_che
     paths = {
         f'{name} {max(param.opts, key=len)}' for name, command in COMMANDS.items()
         for param in command.params if max(param.opts, key=len) in (
-            '--out', '--plot', '--junit', '--log') and 'path' in str(
+            '--out', '--plot', '--junit', '--log', '--yaml') and 'path' in str(
             param.type_descriptor.annotation).lower()
     }
     checked = {

@@ -68,15 +68,15 @@ def write_report_page(
 
 def _html(report: Report, on_progress: Callable[[str], None]) -> str:
     runs = _read_runs(report, on_progress)
-    style = theme_style() + joined(_STYLES)
-    script = f"(() => {{\n'use strict';\n{joined(_SCRIPTS)}}})();\n"
-    return environment().get_template('page.html').render(
+    style = _theme_style() + _joined(_STYLES)
+    script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
+    return _environment().get_template('page.html').render(
         report=report, runs=runs, run_link=run_link, page_link=page_link,
         worst=_worst(report, runs), rho={clean(run): rho_words(rho)
                                          for run, rho in report.rho.items()},
         made_on=words(provenance()), pages=Markup(PLACE),
         sections=[_section(section, runs, on_progress) for section in report.sections],
-        policy=page_policy(style, script), style=Markup(style), script=Markup(script),
+        policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],
         ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
     )
@@ -95,7 +95,7 @@ def page_link(path: str) -> str:
     return quote(f'./{clean(path)}', safe='/')
 
 
-def environment() -> Environment:
+def _environment() -> Environment:
     """Jinja with the page's templates; everything is escaped, an unknown name is an error."""
     return Environment(
         loader=FileSystemLoader(_ASSETS), autoescape=True, undefined=StrictUndefined,
@@ -136,12 +136,12 @@ def _grounds(runs: _Runs) -> dict[str, Any]:
     }
 
 
-def joined(names: tuple[str, ...]) -> str:
+def _joined(names: tuple[str, ...]) -> str:
     """Text of some assets, one after the other."""
     return '\n'.join((_ASSETS / name).read_text(encoding='utf-8') for name in names)
 
 
-def theme_style() -> str:
+def _theme_style() -> str:
     """The colours shared by page and pictures, as CSS properties."""
     pairs = {
         name: (getattr(LIGHT, name), getattr(DARK, name))
@@ -151,10 +151,10 @@ def theme_style() -> str:
     return '\n'.join([':root {', *lines, '}', ''])
 
 
-def page_policy(style: str, script: str, *more: str) -> str:
-    """Content security policy that admits this style and script only, and what ``more`` adds."""
+def _policy(style: str, script: str) -> str:
+    """Content security policy that admits this style and script only."""
     return '; '.join([
-        "default-src 'none'", *more, 'img-src data:', f"style-src '{_digest(style)}'",
+        "default-src 'none'", 'img-src data:', f"style-src '{_digest(style)}'",
         f"script-src '{_digest(script)}'", "base-uri 'none'", "form-action 'none'",
     ])
 

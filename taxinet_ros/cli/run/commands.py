@@ -65,7 +65,6 @@ from taxinet_ros.cli.options import (
     SpecOption,
     StopOnOption,
     UntilOption,
-    WebOption,
     WorkersOption,
     WorldOption,
     airport_place,
@@ -213,7 +212,6 @@ def falsify(
     free: FreeOption = False,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
-    web: WebOption = False,
     quiet: QuietOption = False,
     as_json: JsonSummaryOption = False,
     exit_zero: ExitZeroOption = False,
@@ -255,7 +253,7 @@ def falsify(
             resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
             odd=odd,
         )
-    raise ended(run_falsify(options, quiet=quiet, as_json=as_json, web=web), exit_zero)
+    raise ended(run_falsify(options, quiet=quiet, as_json=as_json), exit_zero)
 
 
 def estimate(

@@ -66,7 +66,6 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.live_page import live_page_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.pages import add_page
@@ -129,16 +128,13 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(
-    options: SearchOptions, *, quiet: bool, as_json: bool = False, web: bool = False
-) -> int:
+def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -> int:
     """Run the search and print the results.
 
     Args:
         options: options of the search.
         quiet: print warnings and the summary only.
         as_json: print the summary as JSON; all else goes to standard error.
-        web: serve a live page meanwhile; its address goes to standard error, also with ``quiet``.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 infrastructure error, 130 interrupted.
@@ -159,10 +155,7 @@ def run_falsify(
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
-        with (
-            live_page_of(search) if web else contextlib.nullcontext(),
-            search_view(console, search, shown=console.is_terminal and not quiet),
-        ):
+        with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
     lines = [*search_summary(search), *learned]
