@@ -185,6 +185,8 @@ def _rounded(part: Part, frame: pd.DataFrame) -> Part:
 LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
 _ALIKE = 0.5
 """Share of the runs of two regions together above which, if both name them, they are one."""
+_BETWEEN = 0.01
+"""Most runs between two intervals, as a share of all, for which one begins where the other ends."""
 _TIMES_DENSER = 2.0
 """A region is narrowed if its failure rate rises by this factor within the narrower one."""
 _OF_ALL = 1.92
@@ -324,8 +326,8 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         deviance = scan.deviance(min(inside.sum(), beyond.sum())) if free else math.nan
         slack += deviance
         left = beyond
-        if any(_alike(within, cause.region.mask(frame)) for cause in found):
-            continue  # the rim of an earlier cause
+        if any(_is_rim(region, cause.region, frame) for cause in found):
+            continue
         found.append(Cause(
             region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
             outside=_rate(failed[beyond], deviance), whole=_rate(failed[within], deviance),
@@ -341,9 +343,31 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
     )
 
 
-def _alike(one: Mask, other: Mask) -> bool:
-    """Whether two regions mostly name the same runs."""
-    return bool((one & other).sum() > _ALIKE * (one | other).sum())
+def _is_rim(region: Region, earlier: Region, frame: pd.DataFrame) -> bool:
+    """Whether a region names the runs of an earlier cause, or lies around it in its features."""
+    one, other = region.mask(frame), earlier.mask(frame)
+    shared = (one & other).sum()
+    if shared > _ALIKE * (one | other).sum():
+        return True
+    parts = {part.feature: part for part in earlier.parts}
+    names = {part.feature for part in region.parts}
+    if names <= set(parts) and shared > _ALIKE * other.sum():
+        return True
+    return names == set(parts) and all(
+        _touch(part, parts[part.feature], frame) for part in region.parts
+    )
+
+
+def _touch(one: Part, other: Part, frame: pd.DataFrame) -> bool:
+    """Whether two parts of one feature have values in common, or next to each other."""
+    if not (isinstance(one, Interval) and isinstance(other, Interval)):
+        return type(one) is type(other) and one.names == other.names and bool(
+            (one.mask(frame) & other.mask(frame)).any())
+    values = frame[one.feature].to_numpy(dtype=np.float64)
+    within = one.mask(frame), other.mask(frame)
+    beyond = min(float(values[each].max()) for each in within if each.any())
+    before = max(float(values[each].min()) for each in within if each.any())
+    return float(((values > beyond) & (values < before)).mean()) <= _BETWEEN
 
 
 def _described(

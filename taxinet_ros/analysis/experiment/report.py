@@ -330,10 +330,12 @@ def _shift_words(
         f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
     )
     middle = _minus(f'{value:+.{digits}f}')
+    changed = shift.more + shift.less
+    of = '' if changed == shift.pairs else f' of these {changed}, the interval is of all'
     return (
         f'From {one.base} to {one.arm} {name} typically changes by {middle}{unit}'
         f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
-        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}{adjusted}).'
+        f'(Wilcoxon signed-rank test{of}: p = {_p(shift.p_value)}{adjusted}).'
     )
 
 

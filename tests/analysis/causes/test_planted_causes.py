@@ -204,6 +204,20 @@ def test_the_rim_of_a_cause_is_no_further_cause(tmp_path):
     assert causes.explained == pytest.approx(1 - failed[beyond].sum() / failed.sum())
 
 
+@pytest.mark.parametrize('rate', [
+    lambda t: np.clip((t['cross_track_m'].abs() - 3) / 5, 0.01, 0.98),
+    lambda t: 0.02 + 0.95 * np.exp(
+        -((t['distance_m'] - 1300) / 250)**2 - ((t['heading_deg'] - 5) / 10)**2),
+], ids=['ring', 'blob'])
+def test_what_lies_around_a_cause_in_its_own_features_is_no_further_cause(tmp_path, rate):
+    first, *others = causes_of(tmp_path, rate, runs=3000).found
+    named = {feature.name for feature in first.region.features}
+    assert [
+        one.region.words() for one in others
+        if {feature.name for feature in one.region.features} <= named
+    ] == []
+
+
 @pytest.mark.parametrize(('runs', 'failing', 'words'), [
     (12, 2, '12 runs, 2 failures: too few to find causes'),
     (300, 300, '300 runs, 300 failures: all runs fail, so causes cannot be distinguished'),
