@@ -154,14 +154,15 @@ def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: boo
 def judged_lines(judged: Judged) -> list[str]:
     """Lines on the alarms of a monitor."""
     passed, per_h = judged.runs - judged.failed, judged.false_per_h
-    reached = judged.failed - judged.unreached
+    reached, (in_time, late, missed) = judged.failed - judged.unreached, judged.left
     reasons = ', '.join(f'{name} {count}' for name, count in judged.reasons.items()) or 'none'
     return [
         f'{judged.runs:,} scenes; first alarms by check: {reasons}',
         f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
         f'{judged.late:,} later, {judged.missed:,} none',
-        f'{reached:,} of them left the 1.5 m: lead time before {_numbers(judged.lead_s)} s '
-        f'(10, 50, 90 %); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
+        f'{reached:,} of them left the 1.5 m, {in_time:,} with an alarm in time, {late:,} later, '
+        f'{missed:,} none: lead time before {_numbers(judged.lead_s)} s (10, 50, 90 % of all '
+        f'{reached:,}); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
         f'alarm after {_numbers(judged.unreached_alarm_s)} s',
         f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
         f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
@@ -219,7 +220,9 @@ def _share(share: Rate) -> str:
 
 
 def _numbers(values: tuple[float, ...]) -> str:
-    return ', '.join('-' if math.isnan(x) else f'{x:.2f}' for x in values)
+    return ', '.join(
+        '-' if math.isnan(x) else 'none' if math.isinf(x) else f'{x:.2f}' for x in values
+    )
 
 
 def _console() -> Console:

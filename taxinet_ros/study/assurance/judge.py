@@ -362,12 +362,13 @@ class Judged(FalseAlarms):
         satisfied, off: shares without monitor.
         failed: number of failed runs without monitor.
         in_time, late, missed: of these, those with an alarm in time, later, or never.
-        lead_s: quantiles 10, 50 and 90 % of the time from the alarm until it is due, over failed
-            runs with an alarm that were within the 1.5 m before; negative is late.
+        left: the same three counts of the failed runs that were within the 1.5 m before.
+        lead_s: quantiles 10, 50 and 90 % over these of the time from the alarm until it is due;
+            negative is late, minus infinity without alarm.
         unreached: failed runs that were not, and so never left them.
-        unreached_alarm_s: the same quantiles of their alarms since the start.
+        unreached_alarm_s: the same quantiles of their alarms since the start; infinity: none.
         off_missed: runs that leave the runway without an alarm before.
-        off_lead_s: the same quantiles before leaving the runway.
+        off_lead_s: as ``lead_s``, before leaving the runway, over all runs that do.
         reasons: alarms by check.
         with_fallback: by fallback.
         trade: alarms and false alarms by multiple of the thresholds.
@@ -381,6 +382,7 @@ class Judged(FalseAlarms):
     in_time: int
     late: int
     missed: int
+    left: tuple[int, int, int]
     lead_s: tuple[float, float, float]
     unreached: int
     unreached_alarm_s: tuple[float, float, float]
@@ -440,9 +442,9 @@ def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged
     failed = [one for one in plain if not one.satisfied]
     passed = [one for one in plain if one.satisfied]
     lost = [one for one in plain if one.left_runway]
-    alarmed = [one for one in failed if not math.isnan(one.alarm_s)]
-    in_time = sum(one.alarm_s <= one.due_s for one in alarmed)
+    left = [one for one in failed if one.reached]
     unreached = [one for one in failed if not one.reached]
+    in_time, late, missed = _in_time_late_missed(failed)
     reasons: dict[str, int] = {}
     for one in plain:
         if one.reason:
@@ -450,17 +452,15 @@ def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged
     others = dict.fromkeys(one.fallback for one in trials if one.fallback != WITHOUT)
     return Judged(
         runs=len(plain), satisfied=rate(len(passed), len(plain)), off=rate(len(lost), len(plain)),
-        rho_m=_quantiles([one.rho_m for one in plain]), failed=len(failed), in_time=in_time,
-        late=len(alarmed) - in_time, missed=len(failed) - len(alarmed),
+        rho_m=_quantiles([one.rho_m for one in plain]),
+        failed=len(failed), in_time=in_time, late=late, missed=missed,
         **_false_alarms(passed, [one.alarm_s for one in passed]),
-        lead_s=_quantiles([one.due_s - one.alarm_s for one in alarmed if one.reached]),
-        unreached=len(unreached), unreached_alarm_s=_quantiles([
-            one.alarm_s for one in unreached if not math.isnan(one.alarm_s)
-        ]),
-        off_missed=sum(not one.alarm_s <= one.off_s for one in lost),
-        off_lead_s=_quantiles([
-            one.off_s - one.alarm_s for one in lost if not math.isnan(one.alarm_s)
-        ]),
+        left=_in_time_late_missed(left),
+        lead_s=_quantiles([one.due_s - _raised_s(one) for one in left]),
+        unreached=len(unreached),
+        unreached_alarm_s=_quantiles([_raised_s(one) for one in unreached]),
+        off_missed=sum(_raised_s(one) > one.off_s for one in lost),
+        off_lead_s=_quantiles([one.off_s - _raised_s(one) for one in lost]),
         reasons=dict(sorted(reasons.items())),
         with_fallback={
             name: _guarded(plain, [one for one in trials if one.fallback == name])
@@ -468,6 +468,16 @@ def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged
         },
         trade=trade_of(plain, [alarms_s[one.scene] for one in plain]),
     )
+
+
+def _raised_s(one: Trial) -> float:
+    return math.inf if math.isnan(one.alarm_s) else one.alarm_s
+
+
+def _in_time_late_missed(failed: Sequence[Trial]) -> tuple[int, int, int]:
+    in_time = sum(_raised_s(one) <= one.due_s for one in failed)
+    missed = sum(math.isnan(one.alarm_s) for one in failed)
+    return in_time, len(failed) - in_time - missed, missed
 
 
 def _false_alarms(passed: Sequence[Trial], alarms_s: Sequence[float]) -> dict[str, Any]:
@@ -551,9 +561,16 @@ def per_hour(count: int, hours: float) -> Bounded:
 
 
 def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """10, 50 and 90 %; infinite where one of the values that it lies between is."""
     if not values:
         return math.nan, math.nan, math.nan
-    low, middle, high = np.quantile(np.array(values), (0.1, 0.5, 0.9))
+    shares = (0.1, 0.5, 0.9)
+    with np.errstate(invalid='ignore'):  # infinite from infinite
+        found = np.quantile(values, shares)
+    for method in ('lower', 'higher'):
+        beside = np.quantile(values, shares, method=method)
+        found = np.where(np.isinf(beside), beside, found)
+    low, middle, high = found
     return float(low), float(middle), float(high)
 
 
@@ -745,7 +762,7 @@ def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
 
 
 def plain_judged(judged: Judged) -> dict[str, Any]:
-    """How a monitor fares, for JSON; null is not known, or not bounded."""
+    """How a monitor fares, for JSON; null is not known, not bounded, or no alarm."""
     found: dict[str, Any] = json.loads(json.dumps(_finite(_plain(judged)), allow_nan=False))
     return found
 
@@ -760,7 +777,7 @@ def alarms_csv(driven: Sequence[Driven]) -> str:
 
 
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
-    """Options, results and provenance for JSON; null is not known, or not bounded."""
+    """Options, results and provenance for JSON; null is not known, not bounded, or no alarm."""
     told = dataclasses.asdict(options)
     told['out'] = str(options.out)
     told['fingerprints'] = dict(options.fingerprints)

@@ -188,7 +188,7 @@ def mostly_lower(first: np.ndarray, second: np.ndarray) -> Sides:
     """
     if min(len(first), len(second)) < 2:
         return NOTHING_KNOWN
-    apart = 1.0 / math.comb(len(first) + len(second), len(first))  # exact, by permutation
+    apart = 1 / math.comb(len(first) + len(second), len(first))  # exact, by permutation
     if first.max() < second.min():
         return Sides(apart, 1.0)
     if second.max() < first.min():

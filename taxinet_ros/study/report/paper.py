@@ -202,15 +202,15 @@ def _start(results: Results) -> Iterator[Question]:
          f'further away from the centreline (more than {FAR_M:g} m)'),
     ):
         there = (frame[column].abs() > least).to_numpy()
+        tested = failed[there & good], failed[~there & good]
         yield Question(
-            name=f'original_{name}', source=_DEBUGGING,
-            sides=more_often_by(failed[there], failed[~there], EVEN),
-            statement=f'starting {words} is a factor that leads to failures of the original '
-            f'network (at least {_percent(EVEN, 0)} points more often)',
-            evidence=f'of such starts {_fail(original, failed[there])}, of the others '
-            f'{_fail(original, failed[~there])}; from 9:30 to 12 h off the crossing '
-            f'{_fail(original, failed[there & good])}, of the others '
-            f'{_fail(original, failed[~there & good])}.',
+            name=f'original_{name}', source=_DEBUGGING, sides=more_often_by(*tested, EVEN),
+            statement=f'even at favourable times and places (9:30 to 12 h, off the crossing) '
+            f'starting {words} is a factor that leads to failures of the original network (at '
+            f'least {_percent(EVEN, 0)} points more often)',
+            evidence=f'then and there of such starts {_fail(original, tested[0])}, of the others '
+            f'{_fail(original, tested[1])}; at all times and places of such starts '
+            f'{_fail(original, failed[there])}, of the others {_fail(original, failed[~there])}.',
         )
 
 

@@ -112,7 +112,7 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
     assert (found.in_time, found.late, found.missed, found.false_alarms) == (1, 2, 2, 1)
     assert (found.settled_alarms, found.false_per_h.value) == (0, 0)
     assert found.off_missed == 1
-    assert found.off_lead_s == (5.0, 5.0, 5.0)
+    assert found.off_lead_s == (-math.inf,) * 3
     assert found.lead_s[1] == -3.0
     assert found.reasons == {'odd': 2, 'unseen': 2}
     guarded = found.with_fallback['stop']
@@ -143,10 +143,31 @@ def test_a_run_that_was_never_within_the_line_has_no_lead_before_leaving_it():
         trial(4, **bad, due_s=12.0, alarm_s=9.0), trial(5, **bad, due_s=20.0, alarm_s=19.0),
         trial(6, **bad, due_s=20.0), trial(7, **bad, due_s=10.0, reached=False),
     ])
-    assert found.lead_s == pytest.approx((1.2, 2.0, 2.8))
+    assert found.lead_s == pytest.approx((-math.inf, 1.0, 2.6))
     assert (found.unreached, found.in_time, found.missed) == (5, 6, 2)
-    assert found.unreached_alarm_s == pytest.approx((0.4, 0.4, 0.4))
-    assert '3 of them left the 1.5 m: lead time before 1.20, 2.00, 2.80 s' in judged_lines(found)[2]
+    assert found.unreached_alarm_s == pytest.approx((0.4, 0.4, math.inf))
+    told = judged_lines(found)[2]
+    assert '3 of them left the 1.5 m, 2 with an alarm in time, 0 later, 1 none: lead' in told
+    assert 'lead time before none, 1.00, 2.60 s (10, 50, 90 % of all 3)' in told
+    assert 'alarm after 0.40, 0.40, none s' in told
+    assert plain_judged(found)['lead_s'] == [None, pytest.approx(1.0), pytest.approx(2.6)]
+
+
+def test_a_failed_run_without_an_alarm_counts_in_the_lead_times_as_later_than_any():
+    """The least of 21 leads is no alarm, then 0 to 19 s: each tenth of 20 steps is a value."""
+    off = {'satisfied': False, 'rho_m': -9.0, 'due_s': 22.0, 'left_runway': True, 'off_s': 25.0}
+    alarms = [math.nan, *(22.0 - lead for lead in range(20))]
+    found = summarized([trial(k, **off, alarm_s=time_s) for k, time_s in enumerate(alarms)])
+    assert found.left == (20, 0, 1)
+    assert found.lead_s == (1.0, 9.0, 17.0)
+    assert found.off_missed == 1
+    assert found.off_lead_s == (4.0, 12.0, 20.0)
+    never = summarized([trial(k, **off) for k in range(3)])
+    assert never.left == (0, 0, 3)
+    assert never.lead_s == never.off_lead_s == (-math.inf,) * 3
+    assert 'lead time none, none, none s' in judged_lines(never)[3]
+    assert plain_judged(never)['off_lead_s'] == [None] * 3
+    assert math.isnan(summarized([trial(0)]).lead_s[0])
 
 
 @pytest.mark.parametrize(('runs', 'rate'), [(83, 0.05), (41, 0.1), (200, 0.1)])

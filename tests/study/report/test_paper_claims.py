@@ -57,16 +57,25 @@ def by_place(crossing: float, elsewhere: float, start: float | None = None):
     return chance
 
 
+def far(scenes: pd.DataFrame, column: str) -> np.ndarray:
+    """Starts at an extreme angle, or far from the centreline."""
+    return (scenes[column].abs() > {'heading_deg': 20, 'cross_track_m': 5}[column]).to_numpy()
+
+
+def favourable(scenes: pd.DataFrame) -> np.ndarray:
+    return at(scenes, 'time_of_day_h', 9.5, 12) & ~at(scenes, 'distance_m', 1200, 1600)
+
+
 def original_as_in_the_paper(scenes: pd.DataFrame) -> np.ndarray:
     chance = by_place(0.95, 0.1, 0.5)(scenes)
-    for column, least in (('heading_deg', 20), ('cross_track_m', 5)):
-        chance = np.minimum(chance + np.where(scenes[column].abs() > least, 0.4, 0.0), 1)
     chance = np.where(at(scenes, 'time_of_day_h', 6, 8), 0.9, chance)
     dry, clouds = (scenes['rain_percent'] == 0).to_numpy(), scenes['clouds'].to_numpy()
     chance = np.where(dry & at(scenes, 'time_of_day_h', 7, 9) & (clouds == 'clear'), 0.1, chance)
     chance = np.where(dry & at(scenes, 'time_of_day_h', 13, 15),
                       np.where(clouds == 'clear', 0.9, 0.1), chance)
-    return np.where(at(scenes, 'time_of_day_h', 9.5, 12), 0.01, chance)
+    both = far(scenes, 'heading_deg') & far(scenes, 'cross_track_m')
+    late = np.where(both & ~at(scenes, 'distance_m', 1200, 1600), 0.4, 0.0)
+    return np.where(at(scenes, 'time_of_day_h', 9.5, 12), late, chance)
 
 
 def original_the_other_way(scenes: pd.DataFrame) -> np.ndarray:
@@ -74,6 +83,8 @@ def original_the_other_way(scenes: pd.DataFrame) -> np.ndarray:
     chance = np.where(at(scenes, 'time_of_day_h', 6, 8), 0.1, chance)
     dry, clouds = (scenes['rain_percent'] == 0).to_numpy(), scenes['clouds'].to_numpy()
     chance = np.where(dry & at(scenes, 'time_of_day_h', 7, 9) & (clouds == 'clear'), 0.9, chance)
+    near = 0.5 * ~far(scenes, 'heading_deg') + 0.4 * ~far(scenes, 'cross_track_m')
+    chance = np.where(favourable(scenes), near, chance)
     return np.where(dry & at(scenes, 'time_of_day_h', 13, 15) & (clouds == 'stratus'), 0.95, chance)
 
 
@@ -127,13 +138,13 @@ def verdicts(results: Results) -> dict[str, Verdict]:
 def test_paper_given_a_statement_that_is_true_or_false_then_the_verdict_is_and_few_runs_say_nothing(
     name: str,
 ) -> None:
-    assert as_in_the_paper(20_000)[name] is Verdict.AGREES
+    assert as_in_the_paper(40_000)[name] is Verdict.AGREES
     assert the_other_way(4000)[name] is Verdict.DIFFERS
     assert as_in_the_paper(12)[name] is Verdict.UNCLEAR
 
 
 def test_paper_given_everything_then_no_statement_is_left_out() -> None:
-    assert tuple(sorted(as_in_the_paper(20_000))) == tuple(sorted(STATEMENTS))
+    assert tuple(sorted(as_in_the_paper(40_000))) == tuple(sorted(STATEMENTS))
 
 
 # What a sentence says, and not what stands beside it ---------------------------------------------
@@ -180,6 +191,22 @@ def test_paper_given_a_late_morning_better_than_the_early_one_but_bad_then_it_do
 
     found = verdicts(planted_study(4000, 4, {'original': chance}))
     assert (found['morning'], found['late_morning']) == (Verdict.AGREES, Verdict.DIFFERS)
+
+
+@pytest.mark.parametrize(('column', 'name'), [
+    ('heading_deg', 'original_angle'), ('cross_track_m', 'original_offset'),
+])
+def test_a_factor_that_leads_to_failures_is_one_at_favourable_times_and_places(
+    column: str, name: str,
+) -> None:
+    def only_there(scenes: pd.DataFrame) -> np.ndarray:
+        return np.where(favourable(scenes) & far(scenes, column), 0.6, 0.2)
+
+    def only_elsewhere(scenes: pd.DataFrame) -> np.ndarray:
+        return np.where(~favourable(scenes) & far(scenes, column), 0.6, 0.2)
+
+    for chance, verdict in ((only_there, Verdict.AGREES), (only_elsewhere, Verdict.DIFFERS)):
+        assert verdicts(planted_study(20_000, 6, {'original': chance}))[name] is verdict
 
 
 def test_paper_given_failures_that_stay_near_then_they_are_not_several_metres_away() -> None:
@@ -261,6 +288,8 @@ def test_paper_given_groups_that_lie_apart_then_the_lower_one_is_known() -> None
     assert mostly_lower(high, low).if_true < 1e-9
     assert mostly_lower(low, low.copy()).if_false > SIGNIFICANT
     assert mostly_lower(np.ones(9), np.ones(9)) == (1.0, 1.0)
+    many = np.arange(600.0)  # comb(1200, 600) is above the greatest float
+    assert mostly_lower(many, 1000 + many) == (0.0, 1.0)
 
 
 def test_paper_given_twenty_statements_of_nothing_then_one_that_is_just_significant_is_not_enough(
