@@ -32,6 +32,7 @@ from scenic.core.distributions import (
     Options,
     Range,
     RejectionException,
+    Samplable,
     TruncatedNormal,
     TupleDistribution,
     UniformDistribution,
@@ -100,13 +101,28 @@ class _Ordered(dict[Any, None]):
         super().update(dict.fromkeys(members))
 
 
+_NUMBER = '_taxinet_number'
+_numbers = itertools.count()
+
+
+def _number(value: Any) -> int:
+    """The number of a random value or object, in the order in which they are asked for theirs."""
+    kept = value.__dict__.get(_NUMBER)
+    if kept is None or kept[0] != id(value):  # a copy has that of its original
+        kept = value.__dict__[_NUMBER] = id(value), next(_numbers)
+    return int(kept[1])
+
+
 def keep_order() -> None:
     """Make Scenic draw what requirements depend on in the order in which they name it.
 
-    The order of its sets depends on addresses: it would give other scenes in each process.
+    The order of its sets depends on addresses: it would give other scenes in each process. So would
+    that of a program's own sets, whose members get numbers as hashes.
     """
     for module in (requirements, scenarios):
         module.set = _Ordered
+    for kind in (Samplable, Distribution):
+        kind.__hash__ = _number
 
 
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:

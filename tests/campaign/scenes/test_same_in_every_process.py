@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import random
 import subprocess
 import sys
 import tempfile
@@ -93,14 +95,26 @@ def test_choices_that_only_requirements_read_give_one_table_a_seed_and_have_name
     assert others == [first] * (ORDERS - 1)
 
 
+def test_sets_of_a_programs_own_random_values_have_the_order_in_which_they_were_filled(
+    tables: dict[str, list[Any]],
+) -> None:
+    numbers = tables['hashes']
+    assert len(numbers) == 60
+    assert numbers == sorted(set(numbers))
+
+
 def main() -> None:
     """Print the names and scenes of each program, hashed anew each time as by new addresses."""
-    from scenic.core.distributions import Distribution, Samplable
+    from scenic.core.distributions import Distribution, Range, Samplable
+    from scenic.core.object_types import Point
 
     from taxinet_ros.campaign.scenes.scenic_child import Programs
 
     programs = Programs(1, str(shipped_folder()))
-    found: dict[str, list[Any]] = {}
+    ranges = [Range(0, 1) for _ in range(20)]
+    some = [*ranges, *map(copy.copy, ranges), *(Point._with() for _ in range(20))]
+    random.Random(1).shuffle(some)
+    found: dict[str, list[Any]] = {'hashes': [hash(one) for one in some]}
     with tempfile.TemporaryDirectory() as scratch, warnings.catch_warnings():
         warnings.simplefilter('ignore')
         path = Path(scratch) / 'mine.scenic'
