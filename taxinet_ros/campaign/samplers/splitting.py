@@ -116,7 +116,11 @@ def least_mean(values: Floats, tail: float) -> float:
     for _ in range(32):
         middle = (low + high) / 2
         factors = 1 - BETS[:, None] + BETS[:, None] * values / math.exp(middle)
-        low, high = (middle, high) if factors.prod(axis=1).mean() >= 1 / tail else (low, middle)
+        # In logarithms, as the product of many values overflows; a stake may be lost to the last.
+        with np.errstate(divide='ignore'):
+            stakes = np.log(factors).sum(axis=1)
+        stake = float(np.logaddexp.reduce(stakes)) - math.log(len(BETS))
+        low, high = (middle, high) if stake >= -math.log(tail) else (low, middle)
     return math.exp(low)
 
 

@@ -180,6 +180,19 @@ def test_given_values_that_agree_when_bounded_then_the_lower_limit_of_their_mean
     assert least_mean(np.zeros(8), LOOK_TAIL) == 0
 
 
+@pytest.mark.parametrize(('values', 'least'), [
+    ([1e-4] * 36 + [0.0], 7.889e-5),
+    ([1e-4] * 88, 9.340e-5),
+    ([1e-4] * 87 + [0.0], 9.054e-5),
+    ([1e-9] * 300 + [0.0] * 10, 9.230e-10),
+])
+def test_the_lower_limit_of_many_islands_hardly_depends_on_their_order(values, least) -> None:
+    given = np.array(values)
+    one, other = least_mean(given, LOOK_TAIL), least_mean(given[::-1], LOOK_TAIL)
+    assert one == pytest.approx(other, rel=1e-6)
+    assert one == pytest.approx(least, rel=0.001)
+
+
 @pytest.mark.parametrize('share', [0.9, 0.5, 0.2, 0.05])
 def test_given_skewed_values_when_bounded_then_the_limit_is_seldom_above_their_mean(share) -> None:
     # Zero, or with this probability so great that their mean is 1: the law in which it is highest.
