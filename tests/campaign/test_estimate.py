@@ -132,6 +132,31 @@ def test_an_estimate_cut_off_amid_its_islands_counts_all_draws_and_the_islands_t
     assert found.state is State.UNCLEAR
 
 
+@pytest.mark.parametrize('plain', [True, False])
+def test_after_an_unclear_estimate_a_new_one_is_called_another_look(
+    plain, tmp_path, monkeypatch, capsys
+):
+    def flat(request: RunRequest) -> RunResult:
+        return dataclasses.replace(
+            toy.result(request, Outcome.PASS), robustness=exact_intervals({'phi_eventually': 1.0}))
+
+    def run(search: Search) -> None:
+        for _ in toy.answers(search, 1, toy.first, flat if plain else rarely):
+            pass
+
+    monkeypatch.setattr('taxinet_ros.cli.run.estimate.run_on_workers', run)
+    assert run_estimate(options(tmp_path / 'c'), quiet=True, as_json=False) == 3
+    said = capsys.readouterr().out.splitlines()[-1]
+    new = (
+        'a new estimate with more --runs narrows both ends, but is another look: tell both, as '
+        'each misses in up to 5 %'
+    )
+    assert said == f'next: {new}' if plain else said == (
+        'next: --resume with more --runs adds islands to the same draws, for the lower end, and '
+        f'keeps the 95 %; {new}'
+    )
+
+
 def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_same(tmp_path):
     # Amid the first draws, at their end, amid a level, near the end.
     killed = {number: tmp_path / f'killed{number}' for number in (3, 150, 200, 240)}

@@ -92,8 +92,14 @@ def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
     if search.interrupted or (search.stopped and not search.exhausted):
         lines.append('next: the same command with --resume continues it')
     elif found.state is State.UNCLEAR:
-        more = '' if found.plain else '; --resume with more --runs adds islands, for the lower one'
-        lines.append(f'next: a new estimate with more --runs narrows both ends{more}')
+        more = '' if found.plain else (
+            '--resume with more --runs adds islands to the same draws, for the lower end, and '
+            'keeps the 95 %; '
+        )
+        lines.append(
+            f'next: {more}a new estimate with more --runs narrows both ends, but is another look: '
+            'tell both, as each misses in up to 5 %'
+        )
     elif failed:
         worst = min(failed, key=lambda row: row.headline[1] if row.headline else 0.0)
         lines.append(
