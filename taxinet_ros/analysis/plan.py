@@ -139,8 +139,8 @@ class Planned:
         claim: the claim.
         fixed: plans with a fixed number of runs, by allowed failures.
         powered: the shortest plan with the wanted chance, if a true share is assumed.
-        any_look: runs without failure that ``gate`` takes without ``--planned``, as it keeps half
-            of its error for other looks.
+        any_look: runs without failure of a new campaign, their number fixed beforehand, that
+            ``gate`` takes without ``--planned``, as it keeps half of its error for other looks.
         by_sequential: further runs without a failure that ``gate --sequential`` takes.
         sequential: a test designed for the assumed share; None without one, or if it takes too
             long to compute.

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.analysis.search.rare import estimate_of, write_estimate
+from taxinet_ros.analysis.search.rare import estimate_of, unfinished_words, write_estimate
 from taxinet_ros.api.campaign import Campaign, open_campaign
 from taxinet_ros.api.run import CALLER, spec_texts, text_list
 from taxinet_ros.arguments import (
@@ -43,6 +43,7 @@ from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
 
 
@@ -167,7 +168,8 @@ def estimate(
         interval), ``.probability`` (of what was found), ``.plain``, ``.runs``, ``.curve``.
 
     Raises:
-        UsageError: bad input, in one line; or no scene could be run.
+        UsageError: bad input, in one line; no scene could be run; or it ended before its draws
+            did, so there is no interval yet, and ``resume=True`` continues.
     """
     check_perception(perception)
     check_controller(controller)
@@ -187,6 +189,8 @@ def estimate(
     )
     with _opened(search) as led:
         _execute(search, led)
+        if words := unfinished_words(search):
+            raise UsageError(words)
         found = estimate_of(search)
         write_estimate(found, search)
     exit_code(search.rows)

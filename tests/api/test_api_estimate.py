@@ -27,6 +27,18 @@ def test_given_a_program_when_estimated_then_the_folder_tells_the_same_and_resum
     assert (again.low, again.high, again.runs) == (found.low, found.high, found.runs)
 
 
+def test_an_estimate_that_ends_amid_its_draws_raises_and_claims_nothing(tmp_path, monkeypatch):
+    # As after three broken runs in a row: none of the draws has ended.
+    monkeypatch.setattr('taxinet_ros.api.search._execute', lambda search, led: None)
+    with pytest.raises(tx.UsageError) as raised:
+        tx.estimate('s_falsif', perception='truth', out=tmp_path / 'c')
+    assert str(raised.value) == (
+        '0 of 2,000 planned draws have ended: no interval before all have; the same with resume '
+        'continues it'
+    )
+    assert not (tmp_path / 'c' / 'estimate.json').exists()
+
+
 @pytest.mark.parametrize(('asked', 'words'), [
     ({'down_to': 0.7}, 'down_to 0.7: needs to be within'),
     ({'runs': 10}, 'runs 10: too few to look for'),

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,10 +16,13 @@ import pytest
 from taxinet_ros.analysis.search.rare import estimate_lines, estimate_of, write_estimate
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.rates import share_bounds
 from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
+from taxinet_ros.campaign.samplers.splitting import LOOK_TAIL, RareEstimate, State
+from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions, make_estimate_options
 from taxinet_ros.cli.main import _exit_code, app
+from taxinet_ros.cli.run.estimate import run_estimate
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -64,6 +68,93 @@ def estimated(
         if written:
             write_estimate(estimate_of(search), search)
         return repr(estimate_of(search))  # NaN is not equal to itself
+
+
+def run_until(end: Callable[[int], bool], *, broken: bool = False) -> Callable[[Search], None]:
+    """What runs a search until ``end`` of a run's number, which is the first not to be told."""
+    def judge(request: RunRequest) -> RunResult:
+        if broken and end(request.index):
+            return toy.result(request, Outcome.INFRA_ERROR)
+        return rarely(request)
+
+    def run(search: Search) -> None:
+        for request in toy.answers(search, 4, toy.first, judge):
+            if not broken and end(request.index + 1):
+                search.interrupt()  # of the others under way nothing is told
+                return
+
+    return run
+
+
+@pytest.mark.parametrize(('cut', 'broken', 'code', 'line'), [
+    (0, True, 4, '6 of 150 planned draws have ended (6 runs in a row were broken by the bench)'),
+    (1, False, 130, '1 of 150 planned draws have ended (interrupted)'),
+    (149, False, 130, '149 of 150 planned draws have ended (interrupted)'),
+])
+def test_an_estimate_that_ends_amid_its_draws_has_no_interval_and_says_how_many_there_are(
+    cut, broken, code, line, tmp_path, monkeypatch, capsys
+):
+    out = tmp_path / 'c'
+    end = run_until(lambda number: number >= cut, broken=broken)
+    monkeypatch.setattr('taxinet_ros.cli.run.estimate.run_on_workers', end)
+    assert run_estimate(options(out), quiet=True, as_json=True) == code
+    said = capsys.readouterr()
+    why = f'{line}: no interval before all have; the same with --resume continues it'
+    assert said.err.splitlines()[1:] == [why]
+    assert json.loads(said.out) == {'state': 'unfinished', 'low': None, 'high': None, 'why': why}
+    assert not (out / 'estimate.json').exists()
+
+
+def test_fewer_runs_than_draws_have_no_interval_and_name_the_number_that_suffices(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(
+        'taxinet_ros.cli.run.estimate.run_on_workers', run_until(lambda number: False))
+    assert run_estimate(options(tmp_path / 'c', runs=70), quiet=True, as_json=False) == 3
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        '70 of 150 planned draws have ended: no interval before all have; the same with --resume '
+        'and --runs 150 continues it'
+    ]
+
+
+@pytest.mark.parametrize('cut', [150, 230])
+def test_an_estimate_cut_off_amid_its_islands_counts_all_draws_and_the_islands_that_ended(
+    cut, tmp_path
+):
+    with toy.searching(options(tmp_path / 'c')) as search:
+        run_until(lambda number: number >= cut)(search)
+        found = estimate_of(search)
+        write_estimate(found, search)
+    # The toy rejects 12 of the 150. The islands that were cut off count as 0.
+    assert (found.drawn, found.drawn_failed, found.low) == (138, 1, 0.0)
+    assert found.high == share_bounds(1, 137, LOOK_TAIL)[1]
+    assert found.islands == (4 if cut == 230 else 0)
+    assert found.state is State.UNCLEAR
+
+
+@pytest.mark.parametrize('plain', [True, False])
+def test_after_an_unclear_estimate_a_new_one_is_called_another_look(
+    plain, tmp_path, monkeypatch, capsys
+):
+    def flat(request: RunRequest) -> RunResult:
+        return dataclasses.replace(
+            toy.result(request, Outcome.PASS), robustness=exact_intervals({'phi_eventually': 1.0}))
+
+    def run(search: Search) -> None:
+        for _ in toy.answers(search, 1, toy.first, flat if plain else rarely):
+            pass
+
+    monkeypatch.setattr('taxinet_ros.cli.run.estimate.run_on_workers', run)
+    assert run_estimate(options(tmp_path / 'c'), quiet=True, as_json=False) == 3
+    said = capsys.readouterr().out.splitlines()[-1]
+    new = (
+        'a new estimate with more --runs narrows both ends, but is another look: tell both, as '
+        'each misses in up to 5 %'
+    )
+    assert said == f'next: {new}' if plain else said == (
+        'next: --resume with more --runs adds islands to the same draws, for the lower end, and '
+        f'keeps the 95 %; {new}'
+    )
 
 
 def test_given_kills_at_any_moment_when_resumed_then_table_and_estimate_are_the_same(tmp_path):

@@ -23,11 +23,32 @@ from taxinet_ros.files.pages import add_page
 JSON_NAME = 'estimate.json'
 
 
+def unfinished_words(search: Search) -> str:
+    """Why an ended search by ``splitting`` has no interval yet, and what goes on; '' if it has."""
+    ended, planned = _splitting(search).draws()
+    if ended == planned:
+        return ''
+    why = 'interrupted' if search.interrupted else search.stopped
+    runs = f' and --runs {planned}' if search.options.campaign.runs < planned else ''
+    return (
+        f'{ended:,} of {planned:,} planned draws have ended{f" ({why})" if why else ""}: no '
+        f'interval before all have; the same with --resume{runs} continues it'
+    )
+
+
 def estimate_of(search: Search) -> RareEstimate:
-    """The estimate of an ended search by ``splitting`` whose Scenic child still runs."""
+    """The estimate of an ended search by ``splitting`` whose Scenic child still runs.
+
+    Raises:
+        ValueError: it has none yet, see :func:`unfinished_words`.
+    """
+    return _splitting(search).estimate()
+
+
+def _splitting(search: Search) -> Splitting:
     sampler = search.ended_sampler()
     assert isinstance(sampler, Splitting)
-    return sampler.estimate()
+    return sampler
 
 
 def estimate_values(found: RareEstimate, search: Search) -> dict[str, Any]:

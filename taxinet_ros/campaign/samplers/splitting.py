@@ -116,7 +116,11 @@ def least_mean(values: Floats, tail: float) -> float:
     for _ in range(32):
         middle = (low + high) / 2
         factors = 1 - BETS[:, None] + BETS[:, None] * values / math.exp(middle)
-        low, high = (middle, high) if factors.prod(axis=1).mean() >= 1 / tail else (low, middle)
+        # In logarithms, as the product of many values overflows; a stake may be lost to the last.
+        with np.errstate(divide='ignore'):
+            stakes = np.log(factors).sum(axis=1)
+        stake = float(np.logaddexp.reduce(stakes)) - math.log(len(BETS))
+        low, high = (middle, high) if stake >= -math.log(tail) else (low, middle)
     return math.exp(low)
 
 
@@ -145,18 +149,18 @@ def estimate(simulation: SubsetSimulation, drawn: Floats, runs: int) -> RareEsti
 
     Args:
         simulation: the simulation; islands without an end count as without a failure.
-        drawn: robustness of the draws of the program itself that it was told.
+        drawn: robustness of the planned draws of the program itself; all have ended.
         runs: number of runs spent.
     """
     islands = [one for one in simulation.islands if one.wave]
-    plain = bool(simulation.plain) or not islands
+    plain = bool(simulation.plain)
     values = np.array([one.failing or 0.0 for one in islands])
     failed = int((drawn <= 0).sum())
     low, high = _interval(values, failed, len(drawn), plain=plain)
     share = failed / len(drawn) if len(drawn) else 0.0
     return RareEstimate(
         state=State.ESTIMATED if high <= WIDE * low else State.UNCLEAR, low=low, high=high,
-        probability=share if plain else float(values.mean()), plain=simulation.plain,
+        probability=float(values.mean()) if islands else share, plain=simulation.plain,
         islands=len(islands), failing=int((values > 0).sum()), runs=runs,
         drawn=len(drawn), drawn_failed=failed, steps=_steps(islands),
         curve=_curve(islands, drawn, plain=plain),
@@ -191,7 +195,7 @@ def _curve(
     for rho in np.unique(np.append(np.quantile(values, np.linspace(0, 1, 100)), 0.0)):
         hits = int((drawn <= rho).sum())
         found = np.array([one.probability_below(float(rho)) for one in ended] + unended)
-        mean = hits / len(drawn) if plain else float(found.mean())
+        mean = float(found.mean()) if islands else hits / len(drawn)
         if mean:
             curve.append((float(rho), mean, *_interval(found, hits, len(drawn), plain=plain)))
     return tuple(curve)
@@ -225,7 +229,7 @@ class Splitting:
         self._run_at = np.array(self._batch.quantiles)
         self._places: list[int | None] = []
         self._attempt = 0
-        self._told: dict[int, float] = {}
+        self._told: dict[int, float | None] = {}
 
     def needed(self) -> int:
         """Number of results that the next run depends on: all, where a batch begins."""
@@ -262,8 +266,7 @@ class Splitting:
 
     def tell(self, index: int, rho: float | None) -> None:
         """Record a result."""
-        if rho is not None:
-            self._told[index] = rho
+        self._told[index] = rho
         place = self._places[index]
         if place is not None and index >= self._first:
             self._answers[place] = rho
@@ -279,12 +282,31 @@ class Splitting:
         """Empty: nothing is learned per dimension."""
         return {}
 
-    def estimate(self) -> RareEstimate:
-        """The estimate by the results so far; call it once all runs have ended."""
-        if self._batch is not None and self._next_place == len(self._batch.quantiles):
+    def draws(self) -> tuple[int, int]:
+        """How many of the planned draws have ended, and their number; call it after the last run.
+
+        Those without a result have ended, too. An interval needs all: it is one for a number that
+        was fixed beforehand, and whoever watches the runs could end them at the first failure.
+        """
+        # A batch is handed over whole: what an interrupt cut off is no move that was refused.
+        whole = len(self._told) == len(self._places)
+        if self._batch is not None and self._next_place == len(self._batch.quantiles) and whole:
             self._begin_batch()
-        counted = self._plan.draws * (2 if self.simulation.plain else 1)
-        drawn = [rho for index, rho in self._told.items() if index < counted]
+        planned = self._plan.draws * (2 if self.simulation.plain else 1)
+        return sum(index < planned for index in self._told), planned
+
+    def estimate(self) -> RareEstimate:
+        """The estimate by the results so far; call it after the last run.
+
+        Raises:
+            ValueError: planned draws have not ended, see :meth:`draws`.
+        """
+        ended, planned = self.draws()
+        if ended < planned:
+            raise ValueError(f'no interval: {ended} of {planned} planned draws have ended')
+        drawn = [
+            rho for index, rho in self._told.items() if index < planned and rho is not None
+        ]
         return estimate(self.simulation, np.array(drawn), len(self._places))
 
     def _take(self) -> Point:

@@ -212,7 +212,7 @@ class SubsetSimulation:
         self.plain = _plain(drawn[1])
         if self.plain:
             yield from self._draw(plan.draws)
-            self.ended = 'all plain draws are made; a new estimate with more --runs makes more'
+            self.ended = 'all plain draws are made'
             return
         parts = _parts(*drawn, plan.islands + 1)
         yield from self._wave(parts[:1])

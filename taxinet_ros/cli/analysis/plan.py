@@ -98,8 +98,8 @@ def _print(console: Console, planned: Planned) -> None:
         f'(--sampler random): {_gate(claim)} --planned', soft_wrap=True,
     )
     console.print(
-        f'if you may look again: {planned.any_look:,} runs, without a failure: {_gate(claim)}',
-        soft_wrap=True,
+        f'if you may look again: {planned.any_look:,} runs of a new campaign, a number fixed '
+        f'beforehand, without a failure: {_gate(claim)}', soft_wrap=True,
     )
     if planned.sequential is not None:
         one = planned.sequential
@@ -161,8 +161,9 @@ def _print_further(
         'failure'
     )
     console.print(
-        f'as you have looked, and may look again: {_gate(claim)}{alone}. A new campaign takes the '
-        'numbers above, by itself', soft_wrap=True,
+        'these count on from the runs that you have seen, and you may look again: '
+        f'{_gate(claim)}{alone}. The numbers before "so far" are for a new campaign, by itself',
+        soft_wrap=True,
     )
 
 

@@ -12,6 +12,7 @@ from taxinet_ros.analysis.search.rare import (
     estimate_lines,
     estimate_of,
     estimate_values,
+    unfinished_words,
     write_estimate,
 )
 from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
@@ -33,8 +34,8 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
         as_json: print the result as JSON, and all else on standard error.
 
     Returns:
-        Exit code: 0 estimated, 3 a wide interval, 4 runs without a result ended it, 130
-        interrupted.
+        Exit code: 0 estimated, 3 a wide interval, or none as too few runs were asked for, 4 runs
+        without a result ended it, 130 interrupted.
 
     Raises:
         UsageError: bad input.
@@ -51,8 +52,13 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
             console.print(requirement, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search)
+        if unfinished := unfinished_words(search):
+            if as_json:
+                none = {'state': 'unfinished', 'low': None, 'high': None, 'why': unfinished}
+                print(json.dumps(none, indent=2))
+            console.print(unfinished, soft_wrap=True, markup=False)
+            return _exit_code(search, ExitCode.INCOMPLETE)
         found = estimate_of(search)
-        whole = search.exhausted or not search.interrupted
         table, picture = write_estimate(found, search)
         values = estimate_values(found, search)
         told = estimate_lines(found, search)
@@ -63,11 +69,17 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
     console.print(files, soft_wrap=True, markup=False)
     for line in _next_lines(found, search):
         console.print(line, soft_wrap=True, markup=False)
-    if not whole:
+    estimated = found.state is State.ESTIMATED
+    return _exit_code(search, ExitCode.OK if estimated else ExitCode.INCOMPLETE)
+
+
+def _exit_code(search: Search, otherwise: ExitCode) -> ExitCode:
+    """What ended the search before its end, or the code of its result."""
+    if search.exhausted:
+        return otherwise
+    if search.interrupted:
         return ExitCode.INTERRUPTED
-    if not search.exhausted and search.stopped:
-        return ExitCode.INFRA
-    return ExitCode.OK if found.state is State.ESTIMATED else ExitCode.INCOMPLETE
+    return ExitCode.INFRA if search.stopped else otherwise
 
 
 def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
@@ -80,8 +92,14 @@ def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
     if search.interrupted or (search.stopped and not search.exhausted):
         lines.append('next: the same command with --resume continues it')
     elif found.state is State.UNCLEAR:
-        more = '' if found.plain else '; --resume with more --runs adds islands, for the lower one'
-        lines.append(f'next: a new estimate with more --runs narrows both ends{more}')
+        more = '' if found.plain else (
+            '--resume with more --runs adds islands to the same draws, for the lower end, and '
+            'keeps the 95 %; '
+        )
+        lines.append(
+            f'next: {more}a new estimate with more --runs narrows both ends, but is another look: '
+            'tell both, as each misses in up to 5 %'
+        )
     elif failed:
         worst = min(failed, key=lambda row: row.headline[1] if row.headline else 0.0)
         lines.append(

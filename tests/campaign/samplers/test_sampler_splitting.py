@@ -16,8 +16,15 @@ from taxinet_ros.campaign.samplers.splitting import (
     RareEstimate,
     Splitting,
     State,
+    estimate,
     least_mean,
     particles_for,
+)
+from taxinet_ros.campaign.samplers.subset_simulation import (
+    Island,
+    Level,
+    Plan,
+    SubsetSimulation,
 )
 
 SPACE = Space((
@@ -123,11 +130,57 @@ def test_given_a_cliff_without_slope_when_estimated_then_the_interval_holds() ->
     assert all(one.low <= 1e-3 <= one.high for one in found)
 
 
-@pytest.mark.parametrize('runs', [300, 700])
+@pytest.mark.parametrize('runs', [500, 700])
 def test_given_too_few_runs_when_estimated_then_the_islands_cut_off_found_nothing(runs) -> None:
     found = run(corner(1e-4), 1, runs=runs, draws=500)[0]
-    assert (found.low, found.drawn) == (0.0, min(runs, 500))
+    assert (found.low, found.drawn) == (0.0, 500)
     assert found.high == pytest.approx(1 - LOOK_TAIL ** (1 / found.drawn))
+
+
+@pytest.mark.parametrize(('share', 'told', 'draws'), [
+    (1e-4, 0, (0, 500)), (1e-4, 499, (499, 500)), (0.02, 500, (500, 1000)),
+    (0.02, 999, (999, 1000)),
+])
+def test_an_interval_needs_all_draws_that_were_planned(share, told, draws) -> None:
+    sampler = make_sampler('splitting', SPACE, 1, 1000, draws=500, particles=40)
+    for _ in range(told):
+        index, point = sampler.next()
+        # A run without a result has ended, too.
+        sampler.tell(index, None if index == 7 else corner(share)(point))
+    ended = sampler.ended()
+    assert isinstance(ended, Splitting)
+    assert ended.draws() == draws
+    with pytest.raises(ValueError, match=f'{draws[0]} of {draws[1]} planned draws have ended'):
+        ended.estimate()
+
+
+def test_islands_that_were_cut_off_count_as_without_a_failure() -> None:
+    simulation = SubsetSimulation(SPACE, 1, Plan(draws=500, particles=40))
+    plain = Level(below=np.inf, probability=1.0, rho=(0.1, 0.2))
+    simulation.islands += [Island(wave=1, levels=[plain], failing=1e-4) for _ in range(8)]
+    ended = estimate(simulation, np.ones(500), 900)
+    assert ended.low == least_mean(np.full(8, 1e-4), LOOK_TAIL) > 0
+    simulation.islands += [Island(wave=2, levels=[plain]) for _ in range(8)]
+    cut = estimate(simulation, np.ones(500), 1000)
+    assert cut.low == least_mean(np.repeat([1e-4, 0.0], 8), LOOK_TAIL)
+    assert 0 < cut.low < ended.low
+    assert cut.high == ended.high
+
+
+def test_a_move_that_an_interrupt_cut_off_is_not_taken_for_one_that_was_refused() -> None:
+    sampler = make_sampler('splitting', SPACE, 1, 400, draws=60, particles=20, islands=2)
+    for _ in range(60):
+        index, point = sampler.next()
+        sampler.tell(index, corner(1e-4)(point))
+    batch = []
+    while sampler.ready:
+        batch.append(sampler.next())
+    for index, point in batch[:-1]:
+        sampler.tell(index, corner(1e-4)(point))
+    ended = sampler.ended()
+    assert isinstance(ended, Splitting)
+    assert (ended.estimate().drawn, ended.estimate().low) == (60, 0.0)
+    assert [len(one.known) for one in ended.simulation.islands] == [1]
 
 
 def test_given_runs_without_a_result_when_estimated_then_the_rest_still_counts() -> None:
@@ -178,6 +231,19 @@ def test_given_values_that_agree_when_bounded_then_the_lower_limit_of_their_mean
     assert least_mean(3 * ones, LOOK_TAIL) == pytest.approx(3 * least_mean(ones, LOOK_TAIL))
     assert least_mean(np.array([0.0, 0, 0, 8]), LOOK_TAIL) < 0.05
     assert least_mean(np.zeros(8), LOOK_TAIL) == 0
+
+
+@pytest.mark.parametrize(('values', 'least'), [
+    ([1e-4] * 36 + [0.0], 7.889e-5),
+    ([1e-4] * 88, 9.340e-5),
+    ([1e-4] * 87 + [0.0], 9.054e-5),
+    ([1e-9] * 300 + [0.0] * 10, 9.230e-10),
+])
+def test_the_lower_limit_of_many_islands_hardly_depends_on_their_order(values, least) -> None:
+    given = np.array(values)
+    one, other = least_mean(given, LOOK_TAIL), least_mean(given[::-1], LOOK_TAIL)
+    assert one == pytest.approx(other, rel=1e-6)
+    assert one == pytest.approx(least, rel=0.001)
 
 
 @pytest.mark.parametrize('share', [0.9, 0.5, 0.2, 0.05])

@@ -39,8 +39,8 @@ def test_given_the_claim_of_the_rule_of_three_then_its_numbers_are_printed(taxin
     code, said, _ = taxinet('plan', '--min-satisfaction', 0.999)
     assert code == 0
     assert '       0  2,995\n       1  4,742\n' in said
-    assert ('if you may look again: 3,688 runs, without a failure: taxinet gate '
-            '--min-satisfaction 0.999\n') in said
+    assert ('if you may look again: 3,688 runs of a new campaign, a number fixed beforehand, '
+            'without a failure: taxinet gate --min-satisfaction 0.999\n') in said
     assert 'chance' not in said
 
 
@@ -104,6 +104,15 @@ def test_a_plan_of_another_confidence_prints_a_gate_of_that_confidence(taxinet):
     gates = [line for line in said.splitlines() if 'taxinet gate' in line]
     assert len(gates) == 3
     assert all('--min-satisfaction 0.9 --confidence 0.8' in line for line in gates)
+
+
+def test_a_plan_says_which_numbers_are_for_a_new_campaign_and_which_count_on(taxinet):
+    _, said, _ = taxinet('plan', '--min-satisfaction', 0.9, '--so-far', '36:0')
+    before, after = said.split('\nso far 0 of 36 runs failed')
+    assert 'if you may look again: 36 runs of a new campaign, a number fixed beforehand' in before
+    assert '\n8 more runs, without a failure\n' in after
+    assert 'these count on from the runs that you have seen, and you may look again: ' in after
+    assert after.endswith('The numbers before "so far" are for a new campaign, by itself\n')
 
 
 def test_given_a_campaign_then_only_what_the_program_itself_drew_counts():
