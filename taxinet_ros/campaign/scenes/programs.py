@@ -38,6 +38,8 @@ _LIBRARIES = (
 _STORED_BYTES = 1 << 20
 """Largest file that is stored whole, as every run's bag has the text; of others, the digest is."""
 _HEAD = re.compile(r'^# --- (.+?)(?: \((base64|sha256)\))? ---\n', re.MULTILINE)
+_LIKE_HEAD = re.compile(r'^#(\\*)( --- .+ ---)$', re.MULTILINE)
+"""A line of a file that would be taken for a head; each backslash says that it is none."""
 NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
 """A file of a document as a program names it, in quotes; its path is the second group."""
 
@@ -156,7 +158,8 @@ def stored_text(files: Mapping[str, Path]) -> str:
     parts = []
     for name, path in files.items():
         encoding, text = _stored(path)
-        parts.append(f'# --- {name}{encoding and f" ({encoding})"} ---\n{text.rstrip()}\n')
+        parts.append(f'# --- {name}{encoding and f" ({encoding})"} ---\n')
+        parts.append(_LIKE_HEAD.sub(r'#\1\\\2', f'{text.rstrip()}\n'))
     return ''.join(parts)
 
 
@@ -168,7 +171,10 @@ def _stored(path: Path) -> tuple[str, str]:
             return 'sha256', hashlib.sha256(data).hexdigest()
         if b'\0' not in data:
             with contextlib.suppress(UnicodeDecodeError):
-                return '', read_text(path).removeprefix('\ufeff')  # a byte order mark
+                text = read_text(path).removeprefix('\ufeff')  # a byte order mark
+                # Of a source, line ends and the last ones say nothing; of data, every byte may.
+                if path.suffix in _SOURCES or f'{text.rstrip()}\n'.encode() == data:
+                    return '', text
         return 'base64', base64.encodebytes(data).decode()
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
@@ -185,8 +191,12 @@ def stored_files(text: str) -> dict[str, bytes | None]:
 def _parts(text: str) -> dict[str, tuple[str | None, bytes]]:
     """Encoding and stored content of each file by name."""
     words = _HEAD.split(text)[1:]
-    bodies = (body.encode() for body in words[2::3])
+    bodies = (_LIKE_HEAD.sub(_unmarked, body).encode() for body in words[2::3])
     return dict(zip(words[::3], zip(words[1::3], bodies, strict=True), strict=True))
+
+
+def _unmarked(line: re.Match[str]) -> str:
+    return f'#{line[1][1:]}{line[2]}'
 
 
 def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

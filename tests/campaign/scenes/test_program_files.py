@@ -20,6 +20,7 @@ from taxinet_ros.campaign.scenes.programs import (
     find_program,
     known_programs,
     stored_files,
+    stored_text,
     write_program,
 )
 from taxinet_ros.campaign.scenes.source import (
@@ -226,3 +227,38 @@ def test_a_document_whose_name_is_put_together_by_chance_is_refused(tmp_path: Pa
     })
     with pytest.raises(UsageError, match=r'camera [ab]\.yaml: this name is put together by chance'):
         sample_scenarios(program, 1, 1)
+
+
+SECTIONS = '# --- world ---\nA = 1\n#\\ --- pose ---\nB = 2\n# --- far.txt (base64) ---\nC = 3\n'
+
+
+@pytest.mark.parametrize('name', ['main.scenic', 'lib.py', 'notes.txt'])
+def test_a_line_of_a_file_that_looks_like_the_head_of_one_is_none(
+    name: str, tmp_path: Path
+) -> None:
+    bodies = {'main.scenic': 'model runway_world\n', 'lib.py': 'A = 0\n', 'notes.txt': 'no\n'}
+    write(tmp_path, **{**bodies, name: SECTIONS})
+    files = {file: tmp_path / file for file in bodies}
+    text = stored_text(files)
+    assert stored_files(text) == {
+        file: path.read_bytes() for file, path in files.items()
+    }, 'each file whole, and no other'
+    (tmp_path / name).write_text(SECTIONS.replace('B = 2', 'B = 4'))
+    with pytest.raises(UsageError, match=rf'another text of {re.escape(name)}; put'):
+        check_same_files('x', *(
+            {'program': 'main.scenic', 'program_text': one} for one in (text, stored_text(files))))
+
+
+@pytest.mark.parametrize('data', [
+    b'overcast', b'overcast\n', b'overcast\n\n', b'overcast \n', b'', b'\n', b'a\r\nb\r\n',
+    b'\xef\xbb\xbfa\n',
+])
+def test_a_data_file_is_kept_to_the_byte(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / 'sky.txt').write_bytes(data)
+    assert stored_files(stored_text({'sky.txt': tmp_path / 'sky.txt'})) == {'sky.txt': data}
+
+
+def test_a_source_without_its_last_line_end_is_stored_as_with_it(tmp_path: Path) -> None:
+    program = write(tmp_path, **{'main.scenic': 'model runway_world'})
+    text = stored_text({'main.scenic': program})
+    assert text == '# --- main.scenic ---\nmodel runway_world\n'
