@@ -216,10 +216,10 @@ def _check_requirements_fit(files: Mapping[str, bytes | None]) -> None:
         UsageError: its scenario is in a module, or as :func:`_setup_block`.
     """
     (_, own), *others = ((name, (data or b'').decode(errors='replace'))
-                         for name, data in files.items() if name.endswith(SUFFIX))
+                         for name, data in files.items())
     if not _setup_block(own) and not _EGO.search(own):
         for name, source in others:
-            if _SCENARIO.search(source):
+            if name.endswith(SUFFIX) and _SCENARIO.search(source):
                 raise UsageError(
                     f'the scenario of their program is in {name}, to which requirements cannot be '
                     'added'
