@@ -7,11 +7,14 @@ the region, whatever sampler chose the analysed runs.
 
 from __future__ import annotations
 
+import io
 import re
+import tokenize
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
@@ -46,6 +49,9 @@ _VALUES = {
 _SCENE = re.compile(r'\bscene_(\w+)')
 _STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
 _PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
+_SCENARIO = re.compile(r'^scenario\b', re.MULTILINE)
+_EGO = re.compile(r'^ego\b', re.MULTILINE)
+_NO_WORDS = (tokenize.NL, tokenize.COMMENT, tokenize.INDENT, tokenize.DEDENT)
 _SWITCHES = {'on': True, 'off': False}
 
 
@@ -66,6 +72,7 @@ def why_no_program(runs: CampaignRuns) -> str:
             return 'the text of their program is not recorded'
         if lost := [name for name, data in files.items() if data is None]:
             return f'{lost[0]} is too large to be recorded with their program'
+        _check_requirements_fit(files)
         scenes_program(runs)
         fresh_settings(runs)
     except UsageError as error:
@@ -73,7 +80,9 @@ def why_no_program(runs: CampaignRuns) -> str:
     return ''
 
 
-def scenes_program(runs: CampaignRuns, requirements: Sequence[str] = ()) -> str:
+def scenes_program(
+    runs: CampaignRuns, requirements: Sequence[str] = (), source: str = ''
+) -> str:
     """Source of a program that draws scenes as those of the runs.
 
     It has the runs' overrides as its own, so the command that runs it needs no option for them.
@@ -81,6 +90,7 @@ def scenes_program(runs: CampaignRuns, requirements: Sequence[str] = ()) -> str:
     Args:
         runs: runs with a program, see :func:`why_no_program`.
         requirements: statements to add.
+        source: source of the program itself; that of the runs if empty.
 
     Raises:
         UsageError: a document is known by its digest only.
@@ -88,7 +98,7 @@ def scenes_program(runs: CampaignRuns, requirements: Sequence[str] = ()) -> str:
     overrides = overrides_statement(_recorded_settings(runs).values)
     said = (f'# Of every scene, as --set said it of the runs of {runs.label}.', overrides)
     return '\n'.join([
-        _source(runs).rstrip(), '', *requirements, *(said if overrides else ()),
+        (source or _source(runs)).rstrip(), '', *requirements, *(said if overrides else ()),
     ])
 
 
@@ -100,10 +110,18 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str:
         cause: the cause.
     """
     required = [f'require {_condition(part)}' for part in cause.region.parts]
-    return scenes_program(runs, [
-        f'# Only scenes of cause {cause.rank} of {runs.label}: {cause.region.words()}.',
-        *_adapted(required, _source(runs), _recorded_settings(runs).values), '',
-    ])
+    source = _source(runs)
+    lines = _adapted(required, source, _recorded_settings(runs).values)
+    about = f'# Only scenes of cause {cause.rank} of {runs.label}: {cause.region.words()}.'
+    if block := _setup_block(source):
+        # Its parameters and ego are not yet set at the end of the module.
+        imports = [line for line in lines if line.startswith('from ')]
+        rest = (about, *(line for line in lines if line not in imports))
+        rows = source.split('\n')
+        last = block[-1].last_row
+        rows[last:last] = [f'{block[0].indent}{line}' for line in rest]
+        return scenes_program(runs, imports, '\n'.join(rows))
+    return scenes_program(runs, [about, *lines, ''])
 
 
 def write_scenes_program(runs: CampaignRuns, source: str, path: Path) -> None:
@@ -181,6 +199,73 @@ def _source(runs: CampaignRuns) -> str:
     """Source of the program itself."""
     data = next(iter(stored_files(_program_text(runs)).values()))
     return (data or b'').decode()
+
+
+class _Line(NamedTuple):
+    """A line of a program's statements, which may have several rows, counted from 1."""
+
+    indent: str
+    words: Sequence[str]
+    last_row: int
+
+
+def _check_requirements_fit(files: Mapping[str, bytes | None]) -> None:
+    """Check that requirements can be added to a program.
+
+    Raises:
+        UsageError: its scenario is in a module, or as :func:`_setup_block`.
+    """
+    (_, own), *others = ((name, (data or b'').decode(errors='replace'))
+                         for name, data in files.items())
+    if not _setup_block(own) and not _EGO.search(own):
+        for name, source in others:
+            if name.endswith(SUFFIX) and _SCENARIO.search(source):
+                raise UsageError(
+                    f'the scenario of their program is in {name}, to which requirements cannot be '
+                    'added'
+                )
+
+
+def _setup_block(source: str) -> Sequence[_Line]:
+    """The lines of ``setup`` of the scenario that a program runs; none if it has no scenario.
+
+    Raises:
+        UsageError: the scenario is in one line.
+    """
+    if not _SCENARIO.search(source):
+        return []
+    lines = _lines(source)
+    heads = [at for at, line in enumerate(lines)
+             if line.words[0] == 'scenario' and not line.indent]
+    mains = [at for at in heads if lines[at].words[1] == 'Main']
+    if not heads:  # in a text
+        return []
+    body = _block(lines, (mains or heads)[0])
+    setups = [at for at, line in enumerate(body) if line.words[:2] == ['setup', ':']]
+    block = _block(body, setups[0]) if setups else body
+    if not block:
+        raise UsageError(
+            'the scenario of their program is in one line, to which requirements cannot be added')
+    return block
+
+
+def _lines(source: str) -> list[_Line]:
+    lines: list[_Line] = []
+    words: list[tokenize.TokenInfo] = []
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.NEWLINE:
+            indent = words[0].line[:words[0].start[1]]
+            lines.append(_Line(indent, [word.string for word in words], token.start[0]))
+            words = []
+        elif token.type not in _NO_WORDS:
+            words.append(token)
+    return lines
+
+
+def _block(lines: Sequence[_Line], head: int) -> Sequence[_Line]:
+    """The lines after one that are deeper than it."""
+    depth = len(lines[head].indent)
+    return list(takewhile(lambda line: len(line.indent) > depth, lines[head + 1:]))
 
 
 def _parameters(source: str) -> list[str]:

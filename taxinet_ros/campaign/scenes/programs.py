@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
+import io
 import os
 import re
 import sys
@@ -23,7 +24,8 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file, read_text
+from taxinet_ros.files.plain_values import MAX_BYTES, parse_yaml
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
@@ -38,6 +40,10 @@ _LIBRARIES = (
 _STORED_BYTES = 1 << 20
 """Largest file that is stored whole, as every run's bag has the text; of others, the digest is."""
 _HEAD = re.compile(r'^# --- (.+?)(?: \((base64|sha256)\))? ---\n', re.MULTILINE)
+_LIKE_HEAD = re.compile(r'^#(\\*)( --- .+ ---)$', re.MULTILINE)
+"""A line of a file that would be taken for a head; each backslash says that it is none."""
+_BASE = re.compile(rb'\bbase["\']?\s*:')
+"""What a document that names another as its base has: others are not parsed, which takes long."""
 NAMED_FILE = re.compile(r'(["\'])([^"\'\n]+\.(?:ya?ml|json))\1', re.IGNORECASE)
 """A file of a document as a program names it, in quotes; its path is the second group."""
 
@@ -121,6 +127,9 @@ def files_of_program(
     Returns:
         Names are relative to the program's or the shipped folder, so that they are the same
         wherever the program lies; a document from elsewhere has the name that the program gives.
+
+    Raises:
+        UsageError: a file cannot be read, or two have one name.
     """
     files = {_name(program, path): Path(path) for path in loaded if _is_of_program(path)}
     sources = [path for path in (program, *files.values()) if path.suffix in _SOURCES]
@@ -128,9 +137,35 @@ def files_of_program(
     for name in sorted({*named, *quoted}):
         path = beside(program, name)
         if os.path.isfile(path):
-            files.setdefault(_name(program, path) or name, path)
+            key = _name(program, path) or name
+            _add_base(program, files, key, files.setdefault(key, path))
     others = {name: path for name, path in sorted(files.items()) if name}
     return {program.name: program, **others}
+
+
+def _add_base(program: Path, files: dict[str, Path], name: str, document: Path) -> None:
+    """Add the camera that a document moves, if it moves one."""
+    base = _base(name, _content(document))
+    path, key = document.parent / base, _beside(name, base)
+    if base and os.path.isfile(path) and not files.setdefault(key, path).samefile(path):
+        raise UsageError(
+            f'{document}: its base has the name of another file of {program}, {key}; rename one'
+        )
+
+
+def _base(name: str, data: bytes) -> str:
+    """The file that a document names as the camera that it moves; '' for none."""
+    if name.lower().endswith(('.yaml', '.yml')) and len(data) <= MAX_BYTES and _BASE.search(data):
+        with contextlib.suppress(UsageError):  # said where it is read as a camera
+            values = parse_yaml(Path(name), data)
+            base = str(values.get('base', '')) if isinstance(values, Mapping) else ''
+            return base if is_document_file(base) else ''
+    return ''
+
+
+def _beside(name: str, base: str) -> str:
+    """Name of a document's base, which the document names from its own folder."""
+    return os.path.normpath(os.path.join(os.path.dirname(name), base))
 
 
 def _is_of_program(path: str) -> bool:
@@ -156,20 +191,28 @@ def stored_text(files: Mapping[str, Path]) -> str:
     parts = []
     for name, path in files.items():
         encoding, text = _stored(path)
-        parts.append(f'# --- {name}{encoding and f" ({encoding})"} ---\n{text.rstrip()}\n')
+        parts.append(f'# --- {name}{encoding and f" ({encoding})"} ---\n')
+        parts.append(_LIKE_HEAD.sub(r'#\1\\\2', f'{text.rstrip()}\n'))
     return ''.join(parts)
 
 
 def _stored(path: Path) -> tuple[str, str]:
     """How a file is stored, '' for as it is, and its text then."""
+    data = _content(path)
+    if len(data) > _STORED_BYTES and path.suffix not in _SOURCES:
+        return 'sha256', hashlib.sha256(data).hexdigest()
+    if b'\0' not in data:
+        with contextlib.suppress(UnicodeDecodeError):
+            text = io.StringIO(data.decode('utf-8-sig'), newline=None).read()
+            # Of a source, line ends and the last ones say nothing; of data, every byte may.
+            if path.suffix in _SOURCES or f'{text.rstrip()}\n'.encode() == data:
+                return '', text
+    return 'base64', base64.encodebytes(data).decode()
+
+
+def _content(path: Path) -> bytes:
     try:
-        data = read_file(path, MAX_TEXT_BYTES if path.suffix in _SOURCES else None)
-        if len(data) > _STORED_BYTES and path.suffix not in _SOURCES:
-            return 'sha256', hashlib.sha256(data).hexdigest()
-        if b'\0' not in data:
-            with contextlib.suppress(UnicodeDecodeError):
-                return '', read_text(path).removeprefix('\ufeff')  # a byte order mark
-        return 'base64', base64.encodebytes(data).decode()
+        return read_file(path, MAX_TEXT_BYTES if path.suffix in _SOURCES else None)
     except OSError as error:
         raise UsageError(f'{path}: {error.strerror}') from error
 
@@ -185,8 +228,12 @@ def stored_files(text: str) -> dict[str, bytes | None]:
 def _parts(text: str) -> dict[str, tuple[str | None, bytes]]:
     """Encoding and stored content of each file by name."""
     words = _HEAD.split(text)[1:]
-    bodies = (body.encode() for body in words[2::3])
+    bodies = (_LIKE_HEAD.sub(_unmarked, body).encode() for body in words[2::3])
     return dict(zip(words[::3], zip(words[1::3], bodies, strict=True), strict=True))
+
+
+def _unmarked(line: re.Match[str]) -> str:
+    return f'#{line[1][1:]}{line[2]}'
 
 
 def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -212,34 +259,101 @@ def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any
 def write_program(path: Path, source: str, text: str) -> None:
     """Write a program that was made of a stored one, with all that it runs beside it.
 
+    Documents from outside the stored program's folder are written beside it as well; the sources
+    and documents that name them are made to name them there.
+
     Args:
         path: file of the program, in an existing folder.
-        source: its source; files from outside the stored program's folder, which are written
-            beside it as well, are renamed in it.
+        source: its source.
         text: text of the stored program (:func:`stored_text`).
 
     Raises:
-        UsageError: a file is too large to be stored, or another one of its name exists there;
-            nothing is written.
+        UsageError: a file is too large to be stored, another one of its name exists there, or
+            nothing names a document as it is stored; nothing is written.
         OSError: a file cannot be written.
     """
-    model = _stored(shipped_folder() / f'{MODEL}{SUFFIX}')[1].rstrip()
-    files: dict[Path, bytes] = {}
-    for name, data in list(stored_files(text).items())[1:]:
-        if name == f'{MODEL}{SUFFIX}' and data is not None and data.decode().rstrip() == model:
-            continue
-        within = not (os.path.isabs(name) or name.startswith(os.pardir))
-        file = path.parent / (name if within else Path(name).name)
-        source = source if within else source.replace(name, file.name)
-        if data is None:
-            raise UsageError(f'{path}: cannot be written: {name} is too large to be stored with it')
+    stored = _others(path, text)
+    places = _places(stored)
+    moved = {name: place for name, place in places.items() if place != name}
+    sources = [data for name, data in stored.items() if name.endswith(_SOURCES)]
+    bases = {_beside(name, base) for name, data in stored.items() if (base := _base(name, data))}
+    for name in moved.keys() - bases:
+        if not any(_quoted([name]).search(data) for data in (source.encode(), *sources)):
+            raise UsageError(
+                f'{path}: cannot be written: no source has the name {name} as it is, to replace it '
+                f'by {moved[name]}'
+            )
+    files = {
+        path.parent / places[name]: _with_places(path, name, data, places)
+        for name, data in stored.items()
+    }
+    for file, data in files.items():
         if file.exists() and file.read_bytes() != data:
             raise UsageError(f'{path}: cannot be written: beside it, {file.name} is another file')
-        files[file] = data
     for file, data in files.items():
         make_folder(file.parent)
         write_atomically(file, data)
-    write_atomically(path, source)
+    write_atomically(path, _renamed(source.encode(), moved))
+
+
+def _others(path: Path, text: str) -> dict[str, bytes]:
+    """The stored files that are to be written beside a program by name."""
+    model = _stored(shipped_folder() / f'{MODEL}{SUFFIX}')[1].rstrip()
+    others: dict[str, bytes] = {}
+    for name, data in list(stored_files(text).items())[1:]:
+        if data is None:
+            raise UsageError(f'{path}: cannot be written: {name} is too large to be stored with it')
+        if name != f'{MODEL}{SUFFIX}' or data.decode().rstrip() != model:
+            others[name] = data
+    return others
+
+
+def _places(stored: Mapping[str, bytes]) -> dict[str, str]:
+    """Where each file is written: by name, its path within the program's new folder."""
+    outside = [name for name in stored if os.path.isabs(name) or name.startswith(os.pardir)]
+    places = {name: name for name in stored if name not in outside}
+    taken = {name: _whole(name, stored) for name in places}
+    for name in outside:
+        whole = _whole(name, stored)
+        place = Path(name).name
+        if taken.setdefault(place, whole) != whole:
+            place = f'{hashlib.sha256(whole).hexdigest()[:8]}-{place}'
+        places[name] = place
+    return places
+
+
+def _whole(name: str, stored: Mapping[str, bytes]) -> bytes:
+    """A file with what it names: documents alike may name other files."""
+    base = _base(name, stored[name])
+    return stored[name] + (stored.get(_beside(name, base), b'') if base else b'')
+
+
+def _with_places(path: Path, name: str, data: bytes, places: Mapping[str, str]) -> bytes:
+    """A stored file that names the others where they are written."""
+    if name.endswith(_SOURCES):
+        return _renamed(data, places)
+    if not (base := _base(name, data)):
+        return data
+    if (key := _beside(name, base)) not in places:
+        raise UsageError(f'{path}: cannot be written: {base}, base of {name}, is not stored')
+    place = os.path.relpath(places[key], os.path.dirname(places[name]) or os.curdir)
+    if place != os.path.normpath(base):
+        data = data.replace(base.encode(), place.encode())
+        if _base(name, data) != place:
+            raise UsageError(f'{path}: cannot be written: {base} cannot be replaced in {name}')
+    return data
+
+
+def _quoted(names: Iterable[str]) -> re.Pattern[bytes]:
+    words = b'|'.join(re.escape(name.encode()) for name in names)
+    return re.compile(rb'(?<=["\'])(?:' + words + rb')(?=["\'])')
+
+
+def _renamed(source: bytes, places: Mapping[str, str]) -> bytes:
+    """A source that names files by their places."""
+    if not places:
+        return source
+    return _quoted(places).sub(lambda found: places[found[0].decode()].encode(), source)
 
 
 def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str]) -> str:

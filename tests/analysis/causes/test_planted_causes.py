@@ -583,6 +583,57 @@ def test_given_a_program_in_the_papers_names_then_a_causes_program_speaks_them(t
             assert values['time_of_day_h'] >= (18.5 if overrides else 10.5)
 
 
+IN_SETUP = """model runway_world
+scenario Other():
+    setup:
+        ego = new Plane at (0, 9)
+scenario Main():
+    '''Drawn
+in setup.'''
+    setup:
+        # of the paper
+        param cloud_type = Uniform(0, 1, 2, 3, 4)
+        param rain_percent = 0
+        ego = new Plane at (Range(-8, 8), 400),
+            facing Range(-5, 5) deg
+AFTER = 3
+"""
+
+
+@pytest.mark.parametrize('text', [
+    IN_SETUP,
+    'model runway_world\nscenario Only():\n  param clouds = Uniform("overcast", "clear")\n'
+    '  ego = new Plane at (Range(-8, 8), 400)',
+])
+def test_given_a_scenario_with_setup_then_a_causes_program_requires_it_there(tmp_path, text):
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    runs.facts.update(FACTS, program_text=f'# --- mine.scenic ---\n{text}',
+                      overrides={'slope_percent': '1'})
+    cause = cause_of(Kinds(feature='clouds', kinds=('overcast', 'stratus')),
+                     Interval(feature='cross_track_m', low=0.0, high=None))
+    assert why_no_program(runs) == ''
+    program = tmp_path / program_name(cause)
+    program.write_text(cause_program(runs, cause))
+    for scene in sample_scenarios(program, 5, 6):
+        values = scene.to_human()
+        assert values['clouds'] in ('overcast', 'stratus')
+        assert values['cross_track_m'] >= 0
+        assert values['slope_percent'] == 1
+
+
+@pytest.mark.parametrize(('text', 'why'), [
+    ('# --- mine.scenic ---\nscenario Main():\n    setup: ego = new Plane at (0, 4)\n',
+     'in one line'),
+    ('# --- mine.scenic ---\nfrom lib import Main\n# --- lib.scenic ---\nscenario Main():\n'
+     '    setup:\n        ego = new Plane at (0, 4)\n', 'in lib.scenic'),
+])
+def test_given_a_scenario_to_which_nothing_can_be_added_then_it_is_said(tmp_path, text, why):
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    runs.facts.update(FACTS, program_text=text)
+    assert why_no_program(runs) == (
+        f'the scenario of their program is {why}, to which requirements cannot be added')
+
+
 def test_given_a_place_of_ones_own_then_a_causes_program_knows_it(tmp_path):
     mine = tmp_path / 'mine.yaml'
     mine.write_text((Path(catalogue.__file__).parent / 'shipped' / 'bikf_10.yaml').read_text())

@@ -20,6 +20,7 @@ from taxinet_ros.campaign.scenes.programs import (
     find_program,
     known_programs,
     stored_files,
+    stored_text,
     write_program,
 )
 from taxinet_ros.campaign.scenes.source import (
@@ -226,3 +227,100 @@ def test_a_document_whose_name_is_put_together_by_chance_is_refused(tmp_path: Pa
     })
     with pytest.raises(UsageError, match=r'camera [ab]\.yaml: this name is put together by chance'):
         sample_scenarios(program, 1, 1)
+
+
+SECTIONS = '# --- world ---\nA = 1\n#\\ --- pose ---\nB = 2\n# --- far.txt (base64) ---\nC = 3\n'
+
+
+@pytest.mark.parametrize('name', ['main.scenic', 'lib.py', 'notes.txt'])
+def test_a_line_of_a_file_that_looks_like_the_head_of_one_is_none(
+    name: str, tmp_path: Path
+) -> None:
+    bodies = {'main.scenic': 'model runway_world\n', 'lib.py': 'A = 0\n', 'notes.txt': 'no\n'}
+    write(tmp_path, **{**bodies, name: SECTIONS})
+    files = {file: tmp_path / file for file in bodies}
+    text = stored_text(files)
+    assert stored_files(text) == {
+        file: path.read_bytes() for file, path in files.items()
+    }, 'each file whole, and no other'
+    (tmp_path / name).write_text(SECTIONS.replace('B = 2', 'B = 4'))
+    with pytest.raises(UsageError, match=rf'another text of {re.escape(name)}; put'):
+        check_same_files('x', *(
+            {'program': 'main.scenic', 'program_text': one} for one in (text, stored_text(files))))
+
+
+@pytest.mark.parametrize('data', [
+    b'overcast', b'overcast\n', b'overcast\n\n', b'overcast \n', b'', b'\n', b'a\r\nb\r\n',
+    b'\xef\xbb\xbfa\n',
+])
+def test_a_data_file_is_kept_to_the_byte(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / 'sky.txt').write_bytes(data)
+    assert stored_files(stored_text({'sky.txt': tmp_path / 'sky.txt'})) == {'sky.txt': data}
+
+
+def test_a_source_without_its_last_line_end_is_stored_as_with_it(tmp_path: Path) -> None:
+    program = write(tmp_path, **{'main.scenic': 'model runway_world'})
+    text = stored_text({'main.scenic': program})
+    assert text == '# --- main.scenic ---\nmodel runway_world\n'
+
+
+def test_documents_of_one_name_from_outside_are_written_as_two_files(tmp_path: Path) -> None:
+    (tmp_path / 'out').mkdir()
+    program = write(tmp_path / 'there', **{
+        'main.scenic': 'model runway_world\nfrom lib import SECOND, THIRD\n'
+                       "param camera = Uniform('../A/cam.yaml', SECOND, THIRD)\n"
+                       'ego = new Plane at (0, 400)\n',
+        'lib.py': "SECOND, THIRD = '../B/cam.yaml', '../there/../B/cam.yaml'\n",
+        '../A/cam.yaml': _CAMERA.format(name='one', pitch=-3),
+        '../B/cam.yaml': _CAMERA.format(name='two', pitch=-4),
+    })
+    copy = tmp_path / 'out' / 'scenes.scenic'
+    with SceneSource(program, seed=3) as source:
+        cameras = [source.scene(index).camera for index in range(8)]
+        text = source.text
+    write_program(copy, program.read_text(), text)
+    for name in 'AB':
+        (tmp_path / name / 'cam.yaml').unlink()
+    assert len({*cameras}) == 2
+    with SceneSource(copy, seed=3) as source:
+        assert [source.scene(index).camera for index in range(8)] == cameras
+    assert len([*(tmp_path / 'out').glob('*cam.yaml')]) == 2
+
+
+def test_a_document_whose_name_no_source_has_is_not_written(tmp_path: Path) -> None:
+    text = '# --- main.scenic ---\nx = 1\n# --- ../A/cam.yaml ---\nname: one\n'
+    source = "FOLDER = '../A'\nparam camera = FOLDER + '/cam.yaml'\n"
+    with pytest.raises(UsageError, match=r'no source has the name \.\./A/cam\.yaml as it is'):
+        write_program(tmp_path / 'scenes.scenic', source, text)
+    assert not list(tmp_path.iterdir())
+
+
+MOVED = 'base: {base}\ndz_m: -0.1\n'
+MOVED_ONES = {
+    'beside': ('moved.yaml', 'base.yaml', 'base.yaml'),
+    'in a folder': ('rig/moved.yaml', '../base.yaml', 'base.yaml'),
+    'of another folder': ('rig/moved.yaml', '../../A/base.yaml', '../A/base.yaml'),
+    'outside': ('../A/moved.yaml', 'base.yaml', '../A/base.yaml'),
+}
+
+
+@pytest.mark.parametrize('case', MOVED_ONES)
+def test_the_camera_that_a_document_moves_is_of_the_program(case: str, tmp_path: Path) -> None:
+    document, base, stored = MOVED_ONES[case]
+    (tmp_path / 'out').mkdir()
+    program = write(tmp_path / 'there', **{
+        'main.scenic': f"model runway_world\nparam camera = '{document}'\n"
+                       'ego = new Plane at (0, 400)\n',
+        document: MOVED.format(base=base),
+        stored: _CAMERA.format(name='mine', pitch=-3),
+    })
+    with SceneSource(program, seed=0) as source:
+        text, camera = source.text, source.scene(0).camera
+    assert {*stored_files(text)} == {'main.scenic', document, stored, _WORLD}
+    copy = tmp_path / 'out' / 'scenes.scenic'
+    write_program(copy, program.read_text(), text)
+    (program.parent / document).unlink()
+    (program.parent / stored).unlink()
+    (scene,) = sample_scenarios(copy, 0, 1)
+    assert scene.camera == camera
+    assert find_camera(camera).name == 'mine'
