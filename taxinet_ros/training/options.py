@@ -12,6 +12,7 @@ from pathlib import Path
 from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
+from taxinet_ros.training.data.dataset_folder import REQUEST
 from taxinet_ros.training.data.portions import Portion
 from taxinet_ros.version import __version__
 
@@ -27,6 +28,8 @@ _LIMITS: dict[str, tuple[float, float]] = {
 }
 _WITHOUT_EFFECT = ('out', 'workers', 'overwrite', 'resume')
 """Options on which the weights do not depend."""
+_KEPT = ('.json', '.jsonl', '.pt')
+"""Suffixes of the files of an unfinished training."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -142,6 +145,11 @@ class TrainOptions:
         """Folder of the pictures and of the last epoch, until the training has ended."""
         return self.out.with_suffix('.part')
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether there is a training to go on with; a folder without its request is none."""
+        return (self.unfinished / REQUEST).is_file()
+
     def request(self, sources: Sequence[Source], start: str) -> dict[str, str]:
         """All that the weights depend on, by name.
 
@@ -195,11 +203,17 @@ class TrainOptions:
             raise UsageError(f'train: --out {out}: {out.parent} is not a folder; make it first')
         if not os.access(out.parent, os.W_OK | os.X_OK):
             raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
-        if out.is_dir() or (out.exists() and not self.overwrite):
+        ours = self.resume and self.interrupted  # stopped while these files were written
+        if out.is_dir() or (out.exists() and not (self.overwrite or ours)):
             raise UsageError(
                 f'train: --out {out}: already exists; choose another file or use --overwrite'
             )
-        if self.unfinished.exists() and not (self.resume or self.overwrite):
+        if not self.interrupted and _holds_others(self.unfinished):
+            raise UsageError(
+                f'train: --out {out}: would also make the folder {self.unfinished}, which is there '
+                'with something else; choose another name, or move that away'
+            )
+        if self.interrupted and not (self.resume or self.overwrite):
             raise UsageError(
                 f'train: {self.unfinished}: an interrupted training; add --resume to go on with '
                 'it, or --overwrite to begin anew'
@@ -207,8 +221,16 @@ class TrainOptions:
         others = {'its card': card_path(out), 'learning curves': self.curves_path,
                   'the table of them': self.history_path}
         for what, path in others.items():
-            if path.is_dir() or (path.exists() and not out.exists()):  # of no earlier training
+            # Without weights, they are of no earlier training.
+            if path.is_dir() or (path.exists() and not (out.exists() or ours)):
                 raise UsageError(
                     f'train: --out {out}: would also write {path} ({what}), which exists; choose '
                     'another name, or move that away'
                 )
+
+
+def _holds_others(folder: Path) -> bool:
+    """Whether something is there that no training has left."""
+    if not folder.is_dir():
+        return folder.exists()
+    return any(path.suffix not in _KEPT for path in folder.iterdir())

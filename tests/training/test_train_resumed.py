@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from training_samples import foreign_folder
 
+from taxinet_ros.core.perception import weights
 from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.journal import Journal
 from taxinet_ros.training import fit as fitting
 from taxinet_ros.training import train as training
@@ -68,6 +70,60 @@ def test_an_interrupted_training_ends_with_the_same_weights_to_the_bit(
     stage, done = moments[-1]
     assert len(rendered) == (16 - done if stage == IMAGES else 0)
     assert epochs == list(range(1 if stage == IMAGES else done + 1, 5))
+
+
+@pytest.mark.parametrize(('last', 'overwrite'), [
+    ('.json', False), ('.json', True), ('.safetensors', False), ('.png', False),
+])
+def test_a_training_that_was_killed_while_its_result_was_written_is_resumed(
+    last: str, overwrite: bool, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / 'net.safetensors'
+
+    def killed(path: Path = Path('after.png'), data: bytes = b'') -> None:
+        if data:
+            write_atomically(path, data)
+        if path.suffix == last:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(weights, 'write_atomically', killed)
+    monkeypatch.setattr(training, 'history_csv', lambda history: killed())
+    with pytest.raises(KeyboardInterrupt):
+        train(options(out))
+    monkeypatch.undo()
+    assert out.with_suffix(last).exists()
+    with pytest.raises(UsageError, match='begun with seed 7, not 8'):
+        train(options(out, resume=True, seed=8, overwrite=overwrite))
+    monkeypatch.setattr(fitting._Trainer, 'epoch', None)
+    train(options(out, resume=True, overwrite=overwrite))
+    for suffix in ('.safetensors', '.json', '.csv', '.png'):
+        assert out.with_suffix(suffix).read_bytes() == undisturbed.with_suffix(suffix).read_bytes()
+    assert not (tmp_path / 'net.part').exists()
+
+
+def test_an_unfinished_folder_without_its_request_is_no_interrupted_training(
+    tmp_path: Path
+) -> None:
+    out, folder = tmp_path / 'net.safetensors', tmp_path / 'net.part'
+    folder.mkdir()
+    (folder / 'epochs.pt').write_bytes(b'of another')
+    with pytest.raises(UsageError, match='so there is nothing to resume; leave --resume out'):
+        train(options(out, resume=True))
+    with pytest.raises(KeyboardInterrupt):
+        train(options(out), at(IMAGES, 1))
+    assert {path.name for path in folder.iterdir()} == {'pictures.jsonl', 'request.json'}
+
+
+def test_a_folder_of_something_else_in_the_place_of_the_unfinished_one_is_kept(
+    tmp_path: Path
+) -> None:
+    own = tmp_path / 'net.part' / 'notes.txt'
+    own.parent.mkdir()
+    own.write_text('mine')
+    for overwrite in (False, True):
+        with pytest.raises(UsageError, match=r'folder .*net\.part, which is there with something'):
+            train(options(tmp_path / 'net.safetensors', overwrite=overwrite))
+    assert own.read_text() == 'mine'
 
 
 def test_a_training_that_patience_has_ended_does_not_go_on(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 from taxinet_ros.core.control_step import last_step
@@ -74,7 +75,7 @@ _RIGHT_ANGLE_RAD = 1.58
 
 
 class Contradiction(UsageError):  # noqa: N818 (is a usage error)
-    """An override contradicts another value that the program has drawn."""
+    """An override, or an offset of the camera, contradicts another value of the program."""
 
 
 def check_overrides(overrides: Mapping[str, str]) -> None:
@@ -202,6 +203,34 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
         f'override clouds={clouds}: {where} has {rain:.0f} % rain, '
         f'which needs clouds {"/".join(RAIN_CLOUDS)}; set {RAIN.key}=0 as well'
     )
+
+
+def check_offsets(values: Mapping[str, Any], where: str) -> None:
+    """Check that no offset is given to a camera that has an offset of its own there, even one of 0.
+
+    Args:
+        values: of a scene, by key, in human units.
+        where: program and scene, as a prefix of errors.
+
+    Raises:
+        Contradiction: an offset is given twice.
+    """
+    given = [field.key for field in CAMERA_OFFSETS if field.key in values]
+    if not given or CAMERA.key not in values:
+        return
+    name = str(values[CAMERA.key])
+    try:
+        camera = CATALOGUES[CAMERA.key].typed(name)
+    except UsageError:
+        return  # no such camera, which the scenario tells
+    if camera.base is None:
+        return
+    for field, offset in zip(CAMERA_OFFSETS, camera.offsets, strict=True):
+        if offset and field.key in given:
+            shown = camera.name if name.startswith('{') else Path(name).name
+            raise Contradiction(
+                f'{where}: {field.key}: the camera {shown} has an offset of its own; leave one out'
+            )
 
 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:

@@ -20,6 +20,7 @@ from taxinet_ros.campaign.scenes.overrides import (
     WEATHER,
     Contradiction,
     apply_overrides,
+    check_offsets,
     check_overrides,
     contradicting_keys,
     impossible_keys,
@@ -45,6 +46,8 @@ from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     BY_PLACE,
     BY_TRACK,
+    CAMERA,
+    CAMERA_OFFSETS,
     CATALOGUES,
     DURATION,
     HUMAN_KEYS,
@@ -177,7 +180,7 @@ class SceneSource:
             compiled = self._ask({'op': 'compile', 'program': str(self.program)})
             self._read_asked(**self._ask({'op': 'asked'}))
             self._read_files(**compiled)
-            self._probe_weather()
+            self._probe()
         except BaseException:
             self._stop()
             raise
@@ -281,9 +284,11 @@ class SceneSource:
         if 'values' in answer:
             self.refused = answer['refused']
             try:
-                return our_values(self._with_own_files(answer['values']), self._values)
+                values = our_values(self._with_own_files(answer['values']), self._values)
             except UsageError as error:
                 raise UsageError(f'{where}: {error}') from error
+            check_offsets({**values, **self._values}, where)  # no draw would mend it
+            return values
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)
         tries = answer['rejected']
@@ -315,9 +320,11 @@ class SceneSource:
             return impossible <= drawn & set(HUMAN_KEYS)
         return bool(drawn & contradicting_keys(values))
 
-    def _probe_weather(self) -> None:
+    def _probe(self) -> None:
         # Otherwise scenes would be rejected for an override that the user can correct.
-        if sum(key in self._values for key in WEATHER) != 1:
+        moved = any(field.key in self._values for field in CAMERA_OFFSETS)
+        cameras = moved and CAMERA.key not in self._values  # the program's, drawn by chance
+        if sum(key in self._values for key in WEATHER) != 1 and not cameras:
             return
         for index in range(_PROBED_SCENES):
             try:

@@ -259,6 +259,8 @@ def _checking_weights(initialise: Callable[..., None]) -> Callable[..., None]:
 
 
 def _checked_weights(weights: Iterable[Any]) -> tuple[Any, ...]:
+    if isinstance(weights, str) or not isinstance(weights, Iterable):
+        raise ValueError(f'the weights are {weights!s:.80}; they have to be a list of numbers')
     given = tuple(weights)
     numbers = all(isinstance(weight, Real) and float(weight) >= 0 for weight in given)
     if not numbers or not 0 < sum(given) < math.inf:

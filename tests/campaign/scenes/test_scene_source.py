@@ -428,3 +428,34 @@ def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
     rows = [rejected_row(options, index, f'scene {index}: beside the runway') for index in (0, 1)]
     with pytest.raises(UsageError, match='was rejected; the first: scene 0: beside the runway'):
         exit_code(rows)
+
+
+_LOW = 'camera_dz_m: the camera low.yaml has an offset of its own; leave one out'
+
+
+@pytest.mark.parametrize(('camera', 'lines', 'overrides'), [
+    ("'low.yaml'", '', {'camera_dz_m': '0'}), ("'low.yaml'", '', {'camera_dz_m': '0.05'}),
+    ("'low.yaml'", 'param camera_dz_m = 0\n', {}),
+    ("'low.yaml'", 'param camera_dz_m = Range(0, 0.1)\n', {}),
+    ("'low.yaml'", "param overrides = {'camera_dz_m': 0}\n", {}),
+    ("Uniform('wing', 'low.yaml')", '', {'camera_dz_m': '0'}),
+])
+def test_an_offset_that_a_moved_camera_of_the_program_has_itself_is_refused_by_name(
+    tmp_path: Path, camera: str, lines: str, overrides: dict[str, str],
+) -> None:
+    (tmp_path / 'low.yaml').write_text('{base: wing, dz_m: -0.1}')
+    path = write(tmp_path, PLANE + (
+        f'param camera = {camera}\nparam camera_dpitch_deg = Range(-2, 2)\n{lines}'))
+    with pytest.raises(UsageError, match=rf'^mine.scenic: scene \d+: {_LOW}'):
+        sample_scenarios(path, 1, 1, overrides)
+
+
+def test_offsets_that_a_moved_camera_of_the_program_has_not_are_added_to_its_own(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / 'low.yaml').write_text('{base: wing, dz_m: -0.1}')
+    path = write(tmp_path, PLANE + (
+        "param camera = 'low.yaml'\nparam camera_dpitch_deg = Range(-2, 2)\n"))
+    (scene,) = sample_scenarios(path, 1, 1, {'camera_dx_m': '0.05'})
+    assert (scene.camera_dx_m, scene.camera_dz_m) == (0.05, -0.1)
+    assert scene.camera_dpitch_rad != 0
