@@ -34,7 +34,7 @@ def learn(client: Any, tmp_path: Path) -> Learn:
     def learn_text(text: str, probabilities: dict[str, list[float]], origin: str = 'Me.') -> str:
         path = tmp_path / 'mine.scenic'
         path.write_text(text)
-        assert client.ask(op='compile', program=str(path)) == {}
+        assert client.ask(op='compile', program=str(path))['named'] == []
         space = SearchSpace.from_json(client.ask(op='space'))
         return learned_program(path, space, probabilities, origin)[0]
 
@@ -47,7 +47,7 @@ def draw(client: Any, tmp_path: Path) -> Callable[..., list[dict[str, Any]]]:
     def draw_text(text: str, n: int = N) -> list[dict[str, Any]]:
         path = tmp_path / 'learned.scenic'
         path.write_text(text)
-        assert client.ask(op='compile', program=str(path)) == {}
+        assert client.ask(op='compile', program=str(path))['named'] == []
         return [client.ask(op='scene', index=index)['values'] for index in range(n)]
 
     return draw_text
@@ -234,7 +234,7 @@ def test_s8_given_a_choice_that_cannot_be_written_then_the_others_are_and_it_is_
     path = tmp_path / 'mine.scenic'
     path.write_text(f'{WORLD}param rain = Range(0, Range(1, 2))\nego = new Plane in '
                     'CircularRegion((0, 400), 5), facing Normal(0, 3) deg\n')
-    assert client.ask(op='compile', program=str(path)) == {}
+    assert client.ask(op='compile', program=str(path))['named'] == []
     space = SearchSpace.from_json(client.ask(op='space'))
     text, left = learned_program(
         path, space, {choice.dimension.name: LEARNED for choice in space.choices}, 'Me.'

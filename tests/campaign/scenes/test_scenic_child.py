@@ -69,7 +69,7 @@ def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
 ) -> None:
     path = tmp_path / 'mine.scenic'
     path.write_text(text)
-    assert client.ask(op='compile', program=str(path)) == {}
+    assert client.ask(op='compile', program=str(path))['named'] == []
     error = client.ask(op='scene', index=0)['error']
     assert (error['file'], error['line']) == (str(path), line)
     assert error['message'].startswith(message)
@@ -85,7 +85,7 @@ def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
         'param rain = numpy.float32(0.5)\nparam shadows = False\nparam clouds = "clear"\n'
         'param duration = 5\nparam verifaiSamplerType = "halton"\n'
     )
-    assert client.ask(op='compile', program=str(path)) == {}
+    assert client.ask(op='compile', program=str(path))['named'] == []
     values = client.ask(op='scene', index=0)['values']
     assert values.pop('heading_deg') == pytest.approx(-10)
     assert values == {'cross_track_m': 0.0, 'distance_m': 400.0, 'rain_percent': 0.5,
