@@ -18,7 +18,6 @@ import falsify_samples as toy
 import pytest
 import yaml
 from dask_processes import DaskProcesses, Wire, kill
-from distributed import Security
 
 import taxinet_ros
 from taxinet_ros.campaign import search as search_module
@@ -42,6 +41,9 @@ pytestmark = [
 ]
 TOY = Path(__file__).with_name('toy_worker.py')
 SCALING = Path(__file__).parents[3] / 'docs' / 'scaling.md'
+# Key and certificate, signed by itself, for these tests only:
+# openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 36500
+CERTIFICATE = Path(__file__).parents[2] / 'data' / 'tls.pem'
 RUNS = 40
 Acts = dict[int, Callable[[Search], object]]
 LIMITS = Limits(silence_s=2.0, patience_s=60.0)
@@ -331,13 +333,9 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(process
 def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_takes_part(
     here, tmp_path
 ):
-    """As docs/scaling.md has it, with a certificate for all three."""
-    keys = Security.temporary()
-    files = {'ca-file': tmp_path / 'ca.pem', 'cert': tmp_path / 'cert.pem',
-             'key': tmp_path / 'key.pem'}
-    contents = (keys.tls_ca_file, keys.tls_client_cert, keys.tls_client_key)
-    for file, content in zip(files.values(), contents, strict=True):
-        file.write_text(content)
+    """As docs/scaling.md has it, with one certificate for all three."""
+    for name in ('ca.pem', 'cert.pem', 'key.pem'):
+        shutil.copy(CERTIFICATE, tmp_path / name)
     text = re.findall(r'```yaml\n(distributed:.*?)```', SCALING.read_text(), re.DOTALL)
     assert len(text) == 1
     configured = re.sub(r'/etc/dask/(\w+\.pem)', rf'{tmp_path}/\1', text[0])
