@@ -1,8 +1,10 @@
-"""Parts of a run, each alone in this process: network, flight dynamics, samplers."""
+"""Parts of a run, each alone in this process: making cameras, network, physics, samplers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from taxinet_ros import registry
@@ -12,13 +14,52 @@ from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.ground.atlas import ground_atlas, make_ground_atlas
+from taxinet_ros.core.camera.ground.pavement import standard_style
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+
+
+def camera_subjects() -> list[Subject]:
+    """The making of cameras, of a lens with faults that no other one has, and of textures."""
+    runway = default_runway()
+    ground_atlas(runway)  # loaded in every process that renders; its cost is measured separately
+    noon, rain = SCENES['noon'].scenario, SCENES['rain'].scenario
+    return [
+        Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
+        Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
+        Subject(name='camera/new, lens faults', run=partial(_new_lens, itertools.count())),
+        Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
+    ]
+
+
+def _new_lens(seeds: Iterator[int]) -> None:
+    """A camera whose spots no other one has drawn before."""
+    seed = float(next(seeds))
+    Camera(dataclasses.replace(SCENES['lens-faults'].scenario, fault_seed=seed))
+
+
+def _discard(made: object) -> None:
+    del made
+
+
+def _make_textures() -> None:
+    """Make the textures that every process makes once."""
+    runway = default_runway()
+    make_ground_atlas(standard_style(runway), runway)
+
+
+def _make_taxiway() -> None:
+    """Make what the first run along a track makes in a process."""
+    runway = default_runway()
+    make_ground_atlas(standard_style(runway), runway, SCENES['taxiway'].scenario.line)
 
 
 def inference_subjects() -> list[Subject]:

@@ -1,9 +1,9 @@
 """Timings beside those of ``taxinet bench``, measured in turns on one core.
 
-inference, physics, samplers: parts of a run. monitor: online and offline, with ``--peers`` those of
-others too. start-up: until a command's first step is on disk, and until a node is seen. campaign:
-wall time of a run by number of workers. graph: parts of a control step, and the composed graph with
-rclpy's executor, with pictures, and without a recorder.
+camera: making cameras and textures. inference, physics, samplers: parts of a run. monitor: online
+and offline, with ``--peers`` those of others too. start-up: until a command's first step is on
+disk, and until a node is seen. campaign: wall time of a run by number of workers. graph: parts of a
+control step, and the composed graph with rclpy's executor, with pictures, and without a recorder.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from rich.console import Console
 from taxinet_ros.bench.measure import Subject, machine_facts
 from taxinet_ros.bench.report import find_ratios, make_report
 from taxinet_ros.bench.run import Maker, measure_all
-from taxinet_ros.cli.bench.subjects import print_report, print_table, time_text
+from taxinet_ros.cli.bench.commands import print_report, print_table, time_text
 from taxinet_ros.cli.progress import stage_bars
 
 ALONE: dict[str, Callable[[], list[Subject]]] = {
+    'camera': components.camera_subjects,
     'inference': components.inference_subjects,
     'physics': components.physics_subjects,
     'samplers': components.sampler_subjects,
@@ -40,7 +41,7 @@ PEERS = 'monitor'
 
 
 def measure_subjects(
-    words: Sequence[str], repeats: int, progress: Callable[[int, int], object],
+    words: Sequence[str], repeats: int, progress: Callable[[int, int], None],
     peers: str | None = None,
 ) -> dict[str, Any]:
     """Measure subjects in turns.

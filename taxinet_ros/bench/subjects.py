@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 from taxinet_ros.bench.measure import Subject
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.camera.ground.atlas import ground_atlas, make_ground_atlas
-from taxinet_ros.core.camera.ground.pavement import standard_style
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception.perception import Perception, make_perception
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import NS_PER_S, AircraftState
@@ -111,43 +106,8 @@ SUM = 'sum of stages'
 
 
 def camera_subjects() -> list[Subject]:
-    """Whole frames, their stages, and the creation of cameras and textures."""
-    runway = default_runway()
-    ground_atlas(runway)  # loaded in every process that renders; its cost is measured separately
-    found = []
-    for name, scene in SCENES.items():
-        found += _frame(name, scene)
-    noon, rain = SCENES['noon'].scenario, SCENES['rain'].scenario
-    return [
-        *found,
-        Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
-        Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
-        Subject(name='camera/new, lens faults', run=partial(_new_lens, itertools.count())),
-        Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
-        Subject(name='camera/textures, taxiway', run=_make_taxiway, warm_ups=0, most=3),
-    ]
-
-
-def _new_lens(seeds: Iterator[int]) -> None:
-    """A camera whose spots no other one has drawn before."""
-    seed = float(next(seeds))
-    Camera(dataclasses.replace(SCENES['lens-faults'].scenario, fault_seed=seed))
-
-
-def _discard(made: object) -> None:
-    del made
-
-
-def _make_textures() -> None:
-    """Make the textures that every process makes once."""
-    runway = default_runway()
-    make_ground_atlas(standard_style(runway), runway)
-
-
-def _make_taxiway() -> None:
-    """Make what the first run along a track makes in a process."""
-    runway = default_runway()
-    make_ground_atlas(standard_style(runway), runway, SCENES['taxiway'].scenario.line)
+    """Whole frames and their stages."""
+    return [subject for name, scene in SCENES.items() for subject in _frame(name, scene)]
 
 
 def _frame(name: str, scene: Scene) -> list[Subject]:

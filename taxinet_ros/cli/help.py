@@ -112,7 +112,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
     'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
-    'bench': ('taxinet bench', 'taxinet bench processors --json'),
+    'bench': ('taxinet bench camera loop', 'taxinet bench graph --guard'),
 }
 """Lines to copy, by command; the tests parse each."""
 

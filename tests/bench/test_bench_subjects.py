@@ -27,7 +27,7 @@ def figures(*words: str, repeats: int = 3) -> dict[str, dict[str, float]]:
 
 
 def test_given_the_camera_when_measured_then_every_scene_has_its_stages_and_their_sum() -> None:
-    found = figures('camera', repeats=5)
+    found = figures('camera', repeats=2)
 
     stages: set[str] = set()
     for name in SCENES:
@@ -38,8 +38,6 @@ def test_given_the_camera_when_measured_then_every_scene_has_its_stages_and_thei
         stages |= of_it - {SUM}
         assert found[f'{whole}/{SUM}']['min_s'] > 0
     assert stages == set(STAGES)
-    assert found['camera/textures']['repeats'] <= 3
-    assert found['camera/new, dry']['repeats'] == 5
 
 
 def test_given_the_loop_when_measured_then_there_are_real_time_factors() -> None:

@@ -136,6 +136,12 @@ def test_given_physics_and_monitor_when_measured_then_each_has_its_figures(monke
     assert step['real_time_factor'] == pytest.approx(0.1 / step['median_s'])
 
 
+def test_given_a_camera_when_made_then_textures_are_made_a_few_times_only() -> None:
+    found = figures('camera', repeats=4)
+    assert found['camera/textures']['repeats'] == 3
+    assert found['camera/new, dry']['repeats'] == 4
+
+
 def test_given_network_and_samplers_when_measured_then_each_has_its_figure(capsys) -> None:
     assert timings.main(['samplers', 'inference', '--repeats', '1', '--json']) == 0
     found = json.loads(capsys.readouterr().out)['figures']
