@@ -42,7 +42,7 @@ SHOWS = frozenset({
 })
 """Attributes of a scenario that the scene shows; the others have to have their defaults."""
 
-NOT_INSTALLED = 'mitsuba is not installed; pip install taxinet_ros[mitsuba]'
+NOT_INSTALLED = "mitsuba is not installed; pip install mitsuba 'shapely>=2.1'"
 
 _VARIANT = 'scalar_rgb'
 _REACH_M = 20_000.0

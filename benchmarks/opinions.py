@@ -22,9 +22,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mitsuba_scene import Coverage, MitsubaScene
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.camera.mitsuba_scene import Coverage, MitsubaScene
 from taxinet_ros.core.camera.airframe import drawing
 from taxinet_ros.core.camera.camera import Camera, pose
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas

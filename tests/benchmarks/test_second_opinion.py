@@ -12,17 +12,13 @@ from dataclasses import replace
 from functools import partial
 
 import cv2
+import mitsuba_scene
 import numpy as np
+import opinions
 import pytest
+import second_opinion
+from opinions import compare_light, compare_scene, find_edges, light_scenes, scenes
 
-from taxinet_ros.analysis.camera import mitsuba_scene, second_opinion
-from taxinet_ros.analysis.camera.second_opinion import (
-    compare_light,
-    compare_scene,
-    find_edges,
-    light_scenes,
-    scenes,
-)
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import scenario_light
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -30,6 +26,7 @@ from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
 SIZE = 60, 80
 FAR = np.full(SIZE, 20.0)
 FREE = np.zeros(SIZE, bool)
@@ -116,12 +113,12 @@ def test_given_places_cameras_and_poses_then_edges_of_paint_are_within_a_pixel_o
 
 
 def test_given_a_camera_that_looks_aside_by_a_pixel_then_it_is_told(mitsuba, monkeypatch):
-    scenario = scenario_from_human({**second_opinion.SCENES[1], 'camera': SMALL})
+    scenario = scenario_from_human({**opinions.SCENES[1], 'camera': SMALL})
     model = scenario.camera_model
     pixel_rad = math.atan(1 / model.focal_px[0])
     # To the left, so the picture moves to the right.
     turned = replace(model, yaw_rad=model.yaw_rad + pixel_rad, document='{}')
-    monkeypatch.setattr(second_opinion, 'Camera', partial(Camera, model=turned))
+    monkeypatch.setattr(opinions, 'Camera', partial(Camera, model=turned))
     found = compare_scene(scenario)
     assert found.markings.summary()['offset_u_px'] == pytest.approx(1.0, abs=0.3)
 
@@ -139,7 +136,7 @@ def test_given_an_airports_pavement_and_lines_then_they_are_where_mitsuba_has_th
 
 def test_given_the_afternoon_sun_then_the_shadow_lies_where_mitsuba_has_it(mitsuba):
     """It is larger than the outline by up to a pixel on each side, as OpenCV fills polygons."""
-    found = compare_scene(scenario_from_human(second_opinion.SCENES[0]))
+    found = compare_scene(scenario_from_human(opinions.SCENES[0]))
     assert found.shadow is not None
     figures = found.shadow.summary()
     assert figures['measured'] > 100
@@ -169,7 +166,7 @@ def test_given_places_dates_and_hours_then_the_sun_is_where_mitsuba_has_it(mitsu
 def test_given_a_clear_day_then_ground_and_paint_are_as_bright_and_shade_as_dark_as_mitsubas(
     mitsuba, monkeypatch,
 ):
-    monkeypatch.setattr(second_opinion, 'HOURS', (3.0, 7.5, 10.0, 12.5, 16.5))
+    monkeypatch.setattr(opinions, 'HOURS', (3.0, 7.5, 10.0, 12.5, 16.5))
     curves = compare_light(light_scenes({}))
     assert [hour.hour for hour in curves.hours] == [7.5, 10.0, 12.5, 16.5]
     for surface in ('pavement', 'paint', 'ground'):
@@ -187,7 +184,7 @@ def test_given_a_clear_day_then_ground_and_paint_are_as_bright_and_shade_as_dark
 def test_given_a_scene_when_rendered_three_times_then_all_are_equal_to_the_bit(mitsuba):
     """With any number of threads."""
     drjit = pytest.importorskip('drjit')
-    scenario = scenario_from_human({**second_opinion.SCENES[0], 'camera': SMALL})
+    scenario = scenario_from_human({**opinions.SCENES[0], 'camera': SMALL})
     state = Aircraft(scenario).state
     found, threads = [], drjit.thread_count()
     try:
@@ -231,7 +228,38 @@ def test_given_a_mitsuba_that_does_not_work_here_then_one_line_says_so(monkeypat
         mitsuba_scene.check_installed()
 
 
-def test_given_no_mitsuba_then_the_extra_is_named(monkeypatch):
+def test_given_no_mitsuba_then_the_packages_are_named(monkeypatch):
     monkeypatch.setattr(mitsuba_scene.importlib.util, 'find_spec', lambda name: None)
-    with pytest.raises(UsageError, match=r'pip install taxinet_ros\[mitsuba\]'):
+    with pytest.raises(UsageError, match="pip install mitsuba 'shapely"):
         compare_scene(scenario_from_human({}))
+
+
+def test_given_the_script_then_there_are_tables_a_figure_and_an_exit_code(
+    mitsuba, monkeypatch, capsys, tmp_path,
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(opinions, 'HOURS', (9.0, 12.0))
+    monkeypatch.setattr(opinions, 'SCENES', opinions.SCENES[1:2])
+    assert second_opinion.main(['mitsuba', '--set', 'distance=950']) == 0
+    out, err = capsys.readouterr()
+    assert err == ''
+    assert 'kmwh_04 wing  paint ' in out
+    assert '1 scenes, 0 with more than 1 px' in out
+    assert out.endswith('figure: second-opinion-mitsuba.png\n')
+    assert cv2.imread('second-opinion-mitsuba.png').shape == (900, 1400, 3)
+    monkeypatch.setattr(opinions, 'AIM_PX', 0.01)
+    assert second_opinion.main(['mitsuba', '--json', '--out', 'f.png']) == 1
+    values = json.loads(capsys.readouterr().out)
+    assert (values['against'], values['missed_aim']) == ('mitsuba', 1)
+    assert values['scenes'][0]['markings']['measured'] > 100
+    assert [hour['hour'] for hour in values['light']['hours']] == [9, 12]
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['--set', 'camera=nose'], 'camera nose: its lens dis'),
+    (['--set', 'clouds=broken'], 'clouds is broken'),
+    (['--set', 'time_of_day=9'], 'varies over the comparison'),
+])
+def test_given_a_mistake_then_it_is_refused_before_anything_is_rendered(words, message, mitsuba):
+    with pytest.raises(UsageError, match=message):
+        second_opinion.main(['mitsuba', *words])

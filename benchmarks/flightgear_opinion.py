@@ -3,7 +3,7 @@
 FlightGear paints its runways with textures of its own, so its paint is surveyed first: pictures
 from 40 m straight above are put together to a map in the runway frame. From that map our camera
 model tells how much of each pixel of a pose is paint, by its own geometry and on level ground; how
-far from there FlightGear has it, is measured as in :mod:`.second_opinion`. FlightGear's part is the
+far from there FlightGear has it, is measured as in :mod:`opinions`. FlightGear's part is the
 position and attitude of the eye, its projection and its terrain.
 
 An error of the eye's position that is the same above and at the pose cancels; there FlightGear's
@@ -20,16 +20,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+from mitsuba_scene import check_values
 from numpy.typing import NDArray
+from opinions import Floats, LightCurves, LightHour, SceneOpinion, find_edges
 
-from taxinet_ros.analysis.camera.mitsuba_scene import check_values
-from taxinet_ros.analysis.camera.second_opinion import (
-    Floats,
-    LightCurves,
-    LightHour,
-    SceneOpinion,
-    find_edges,
-)
 from taxinet_ros.core.camera.camera import Camera, pose, project
 from taxinet_ros.core.camera.light import GAMMA, LUMINANCE, linear_exposure, scenario_light
 from taxinet_ros.core.motion.aircraft import Aircraft

@@ -8,22 +8,22 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
+import flightgear_opinion
 import numpy as np
 import pytest
+import second_opinion
 
-from taxinet_ros.analysis.camera import flightgear_opinion
-from taxinet_ros.cli.main import main
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.simulators.flightgear import camera as flightgear_camera
 from taxinet_ros.simulators.flightgear import client
 from taxinet_ros.simulators.flightgear.scene import weather_of
 from tests.simulators.flightgear.flightgear_peer import FlightGearPeer, serving
 
+pytestmark = pytest.mark.nightly
 SCENES = flightgear_opinion.SCENES
 WING, ROLLED = SCENES[0], SCENES[2]
 
@@ -100,34 +100,22 @@ def test_given_what_is_not_compared_then_it_is_refused_by_name(settings, words):
         flightgear_opinion.scenes(settings)
 
 
-def told(monkeypatch, capsys, *words):
-    monkeypatch.setenv('COLUMNS', '80')
-    monkeypatch.setattr(sys, 'argv', ['taxinet', 'camera', 'compare', *words])
-    with pytest.raises(SystemExit) as left:
-        main()
-    return left.value.code, *capsys.readouterr()
-
-
-def test_given_nobody_there_then_one_line_says_how_to_start_it(monkeypatch, capsys, tmp_path):
+def test_given_nobody_there_then_it_is_said_how_to_start_it_and_nothing_is_written(
+    monkeypatch, tmp_path,
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(client.ADDRESS, '127.0.0.1:1')
-    code, out, err = told(monkeypatch, capsys, '--against', 'flightgear')
-    assert (code, out) == (4, '')
-    (line,) = err.strip().splitlines()
-    assert 'nobody answers at 127.0.0.1:1' in line
-    assert line.count('start it with: taxinet flightgear start') == 1
+    with pytest.raises(InfraError, match='start it with: taxinet flightgear start'):
+        second_opinion.main(['flightgear'])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_it_runs_then_there_are_tables_and_a_figure(peer, monkeypatch, capsys, tmp_path):
+def test_given_it_runs_then_there_are_values_and_a_figure(peer, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(flightgear_opinion, 'HOURS', (13.5,))
     monkeypatch.setattr(flightgear_opinion, 'SCENES', (WING,))
-    code, out, err = told(
-        monkeypatch, capsys, '--against', 'flightgear', '--json', '--out', 'f.png'
-    )
-    assert (code, err.strip()) == (0, 'figure: f.png')
-    values = json.loads(out)
+    assert second_opinion.main(['flightgear', '--json', '--out', 'f.png']) == 0
+    values = json.loads(capsys.readouterr().out)
     assert (values['against'], values['missed_aim'], values['unclear']) == ('flightgear', 0, 0)
     assert values['scenes'][0]['markings']['p95_beyond_8_m_px'] < 1
     assert values['light']['hours'][0]['theirs']['paint'] > 0.5
