@@ -10,6 +10,8 @@ from searches import LANDSCAPES, Landscape, Search, count_distinct, search
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, prior_point
 
+pytestmark = pytest.mark.nightly
+
 
 def means(landscape: str, word: str, seeds: int, runs: int = 200) -> Search:
     done = [search(landscape, word, seed, runs) for seed in range(seeds)]

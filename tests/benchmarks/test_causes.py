@@ -8,6 +8,8 @@ from causes import Landscape, measure, searched
 
 from taxinet_ros.analysis.causes.scan import SearchScan
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.mark.parametrize(('landscape', 'least'), [
     ('either, not both', 0.25), ('night over midnight', 0.25),

@@ -14,6 +14,8 @@ from scipy.special import ndtri
 from taxinet_ros.campaign.rates import share_bounds
 from taxinet_ros.campaign.samplers.splitting import LOOK_TAIL
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.mark.parametrize('name', LANDSCAPES)
 @pytest.mark.parametrize('probability', [0.1, 0.01])

@@ -149,6 +149,7 @@ def test_given_a_process_that_ends_when_watched_then_what_was_seen_is_told(monke
     assert found.verdict == UNSETTLED
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 def test_given_a_few_runs_when_soaked_then_a_report_of_them_and_nothing_left(
     capfd, tmp_path: Path, monkeypatch

@@ -18,6 +18,7 @@ from searches import RUNS, search
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 
+@pytest.mark.nightly
 def test_t7_given_words_when_searched_then_each_sampler_has_its_line_for_each_landscape(
     capsys,
 ) -> None:
@@ -89,6 +90,7 @@ def test_given_a_few_searches_then_there_is_a_table_and_json(monkeypatch, capsys
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('word', ['mab', 'ce'])
 def test_t2_t3_given_known_rates_then_intervals_hold_them_and_gate_passes_seldom(word):
     found = measure_intervals(
