@@ -40,7 +40,7 @@ _NETWORKS = (
 )
 _SAMPLERS = (
     'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
-    'tpe', 'cmaes', 'splitting', 'screening',
+    'tpe', 'cmaes', 'splitting',
 )
 
 

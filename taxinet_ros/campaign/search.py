@@ -18,7 +18,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from taxinet_ros.campaign.looks import Looker, check_can_look
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import ODD, UNTIL, campaign_facts, extension_facts
@@ -33,11 +32,8 @@ from taxinet_ros.campaign.samplers.registry import (
     drawn_share,
     make_covering_sampler,
     make_sampler,
-    make_screening_sampler,
 )
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Lagged, Probabilities, Sampler
-from taxinet_ros.campaign.samplers.screening import NAME as SCREENING
-from taxinet_ros.campaign.samplers.screening import Screening, Way
 from taxinet_ros.campaign.samplers.space import Branch, Point, Space
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
@@ -93,7 +89,6 @@ class Search:
         check: result of checking the requirements; only within the ``with``.
         book: the search on disk.
         covering: the sampler that covers an ODD, or None.
-        screening: the sampler that looks at scenes, or None.
     """
 
     def __init__(
@@ -115,14 +110,12 @@ class Search:
         self.exhausted = False
         self.interrupted = False
         self.covering: Covering | None = None
-        self.screening: Screening | None = None
         self._campaign = options.campaign
         self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._source = SceneSource(
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
         )
-        self._looker: Looker | None = None
         self._headline = self._campaign.judging.headline
         self._points: dict[int, Point] = {}
         self._refused: dict[int, int] = {}
@@ -140,8 +133,6 @@ class Search:
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
             self._prepare()
-            if self._looker is not None:
-                opened.enter_context(self._looker)
             opened.enter_context(self.book)
             asked = self._asked_facts()
             self._earlier = read_earlier_runs(self._campaign.out, asked)
@@ -357,14 +348,6 @@ class Search:
     def _make_sampler(self, space: Space) -> Lagged:
         options, campaign, odd = self.options, self._campaign, self.options.odd
         names: dict[str, Any] = dict(options.sampler_options)
-        if options.sampler == SCREENING:
-            check_can_look(campaign, options.cluster)
-            every = int(check_sampler(SCREENING, names)['every'])
-            self._looker = Looker(campaign, lambda: self.book.facts, every)
-            sampler, self.screening = make_screening_sampler(
-                space, campaign.seed, self._look, **names
-            )
-            return sampler
         if odd is None:
             return make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
         strength = int(check_sampler(options.sampler, names)['strength'])
@@ -386,15 +369,6 @@ class Search:
             space, campaign.seed, odd.feasible(strength), cells, **names
         )
         return sampler
-
-    def _look(self, point: Point) -> float | None:
-        """Forecast of the robustness at a point for the next run, or None."""
-        assert self._looker is not None
-        try:
-            scenario = self._source.scene(self._asked, point)
-        except Rejected:
-            return None
-        return self._looker.look(self._asked, scenario)
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
@@ -480,7 +454,7 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']
     lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
-    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search), *_look_lines(search)]
+    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
     lines.append(table_line(rows, campaign))
     if search.options.shard is not None:
         lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
@@ -527,19 +501,6 @@ def _worst_line(rows: Sequence[RunRow]) -> list[str]:
         return []
     worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
     return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']
-
-
-def _look_lines(search: Search) -> list[str]:
-    """How much was looked at, and which runs came of it."""
-    screening = search.screening
-    if screening is None:
-        return []
-    looks = 'look' if screening.looks == 1 else 'looks'
-    chosen = screening.chosen
-    return [
-        f'{screening.looks:,} {looks} at scenes chose {chosen[Way.LOOKS]} runs; '
-        f'{chosen[Way.RESULTS]} were chosen by results alone'
-    ]
 
 
 _COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}

@@ -229,8 +229,7 @@ def bench(
         bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
     ] = False,
     runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default 1000); '
-    'processors: of scenes (default 40); screening: budget of a search (default 100, of a network '
-    '20)')] = None,
+    'processors: of scenes (default 40)')] = None,
     duration: Annotated[
         float | None,
         typer.Option(help='soak, processors: simulated length of each run (default 3) [s]'),
@@ -266,9 +265,6 @@ def bench(
 
     `taxinet bench searches` searches landscapes with known failure regions and reports how many of
     them each sampler finds in 200 runs.
-
-    `taxinet bench screening` compares samplers at equal budgets, in which looks of `screening`
-    count by their cost, on landscapes and, with the name of a network, in closed loops.
 
     `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
     the results with undisturbed campaigns; exit code 4 if any differs.
@@ -306,10 +302,6 @@ def bench(
         from taxinet_ros.cli.bench.samplers import run_searches
 
         raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('screening', words, given, also=('runs',)):
-        from taxinet_ros.cli.bench.samplers import run_screening
-
-        raise typer.Exit(run_screening(words[1:], repeats=repeats, runs=runs, as_json=as_json))
     from taxinet_ros.cli.bench.soak import asks_for_soak, run_soak
 
     if asks_for_soak(words, given):

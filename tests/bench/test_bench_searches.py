@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bench.intervals import LANDSCAPES, measure_intervals
-from taxinet_ros.bench.screening import BUDGET, LOOKS, search_landscape, search_network
 from taxinet_ros.bench.searches import RUNS, search
-from taxinet_ros.campaign.samplers.screening import LOOK_COST
 from taxinet_ros.cli.bench.samplers import run_intervals
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.cli.options import asks_for_study
@@ -98,40 +96,3 @@ def test_given_a_few_searches_then_there_is_a_table_and_json(monkeypatch, capsys
     assert [line.split()[:4] for line in lines if line.startswith('random')] == [
         ['random', '50', '%', '20'], ['random', '50', '%', '40'],
     ]
-
-
-def test_given_words_when_samplers_are_compared_at_a_budget_then_each_has_its_lines(capsys):
-    words = ['screening', 'corner', 'random', 'screening', '--repeats', '2']
-    code, out, err = call(capsys, *words, '--json')
-    assert (code, err) == (0, '')
-    lines = json.loads(out)['lines']
-    assert [(one['sampler'], one['looks']) for one in lines] == [
-        ('random', ''), *(('screening', quality) for quality in LOOKS),
-    ]
-    for one in lines:
-        assert len(one['searches']) == 2
-        assert one['low'] <= one['distinct_mean'] <= one['high']
-        assert one['runs'] + LOOK_COST * one['made'] <= one['budget'] == BUDGET
-    both = [search_landscape('corner', 'good', 'screening', seed) for seed in (0, 1)]
-    assert lines[1]['distinct_mean'] == sum(len(each.distinct) for each in both) / 2
-
-
-def test_given_a_mistake_when_samplers_are_compared_then_one_line_says_what(capsys):
-    code, out, err = call(capsys, 'screening', 'truth')
-    assert (code, out) == (2, '')
-    assert "sampler, landscape or network 'truth' is unknown; known: " in err
-    assert call(capsys, 'screening', '--repeats', '0')[0] == 2
-
-
-def test_given_a_budget_when_samplers_are_compared_then_it_is_that_of_each_search(capsys):
-    code, out, _ = call(
-        capsys, 'screening', 'corner', 'random', '--repeats', '1', '--runs', '7', '--json')
-    (line,) = json.loads(out)['lines']
-    assert (code, line['budget'], line['runs']) == (0, 7, 7)
-    assert call(capsys, 'searches', 'corner', '--runs', '7')[0] == 2
-
-
-def test_given_a_network_then_its_runs_are_closed_loops_that_keep_to_the_budget():
-    drawn = search_network('original', 'random', 0, 2.0)
-    assert (drawn.runs, drawn.looks) == (2, 0)
-    assert drawn.run_s > drawn.look_s == 0

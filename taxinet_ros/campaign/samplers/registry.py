@@ -24,7 +24,6 @@ from taxinet_ros.campaign.samplers.sampler import (
     WithDrawn,
     parse_options,
 )
-from taxinet_ros.campaign.samplers.screening import NAME, Look, Screening
 from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 from taxinet_ros.campaign.samplers.space_filling import Grid
 from taxinet_ros.campaign.samplers.splitting import make_splitting
@@ -266,26 +265,6 @@ SPLITTING = SamplerKind(
 )
 
 
-_MOST_LOOKS = Option(
-    meaning='most looks before a run', default=24, low=1, high=1000, whole=True,
-)
-SCREENING = proposer_kind(
-    'active search on cheap looks; runs what looks like a failure',
-    lambda space, seed, runs, values: Screening(
-        space, seed, None, radius=values['radius'], most=int(values['looks'])
-    ),
-    floor=0.25,
-    options={
-        **{name: option for name, option in ACTIVE.options.items() if name == 'radius'},
-        'looks': _MOST_LOOKS,
-        'every': Option(
-            meaning='control steps from one picture of a look to the next', default=10, low=2,
-            high=1000, whole=True,
-        ),
-    },
-)
-
-
 class PluginSampler(Sampler):
     """A package's sampler; its errors become one-line usage errors that name the package."""
 
@@ -410,29 +389,6 @@ def make_covering_sampler(
     space = Space(dimensions)
     covering = Covering(space, seed, wanted, cells)
     return Lagged(WithDrawn(covering, space, seed, values['floor'])), covering
-
-
-def make_screening_sampler(
-    dimensions: Iterable[Dimension], seed: int, look: Look, /, **options: str | float
-) -> tuple[Lagged, Screening]:
-    """Make the sampler ``screening`` of a campaign with its looks.
-
-    Args:
-        dimensions: the dimensions to search.
-        seed: seed of the campaign, 0 or more.
-        look: forecasts the robustness of a point's scene.
-        options: sampler options, as numbers or text.
-
-    Returns:
-        The sampler of the campaign, and the one inside that knows of its looks.
-
-    Raises:
-        UsageError: an unknown option or invalid value.
-    """
-    values = check_sampler(NAME, options)
-    space = Space(dimensions)
-    screening = Screening(space, seed, look, radius=values['radius'], most=int(values['looks']))
-    return Lagged(WithDrawn(screening, space, seed, values['floor'])), screening
 
 
 def drawn_share(name: str, options: Mapping[str, str | float]) -> float:

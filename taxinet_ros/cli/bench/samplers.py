@@ -1,4 +1,4 @@
-"""``taxinet bench intervals``, ``rare``, ``sequential``, ``searches`` and ``screening``."""
+"""``taxinet bench intervals``, ``rare``, ``sequential`` and ``searches``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from rich.table import Table
 from taxinet_ros.bench.intervals import measure_intervals
 from taxinet_ros.bench.rare import LANDSCAPES as RARE
 from taxinet_ros.bench.rare import METHODS, measure_rare
-from taxinet_ros.bench.screening import measure_screening
 from taxinet_ros.bench.searches import APART, LANDSCAPES, measure_searches
 from taxinet_ros.bench.sequential import measure_sequential
-from taxinet_ros.campaign.samplers.screening import LOOK_COST
 from taxinet_ros.cli.progress import run_with_progress
 from taxinet_ros.errors import UsageError
 
@@ -207,51 +205,3 @@ def _print_searches(found: dict[str, Any], console: Console) -> None:
     )
     for name in dict.fromkeys(one['landscape'] for one in found['searches']):
         console.print(f'{name}: {LANDSCAPES[name].meaning}', style='dim', soft_wrap=True)
-
-
-def run_screening(
-    words: Sequence[str], *, repeats: int, runs: int | None, as_json: bool
-) -> int:
-    """Measure and print.
-
-    Args:
-        words: samplers, landscapes and networks; without samplers or places the default ones.
-        repeats: searches for each line.
-        runs: budget of each search [full runs]; None for the default one.
-        as_json: print JSON.
-
-    Returns:
-        Exit code 0.
-
-    Raises:
-        UsageError: an unknown word, or ``repeats`` below 1.
-    """
-    return run_with_progress(
-        partial(measure_screening, words, repeats, runs), _print_screening, as_json=as_json
-    )
-
-
-def _print_screening(found: dict[str, Any], console: Console) -> None:
-    console.print(f'{found["repeats"]} searches for each line; a look counts as {LOOK_COST:g} runs')
-    table = Table(box=None, pad_edge=False)
-    for heading in ('place', 'sampler', 'looks'):
-        table.add_column(heading, no_wrap=True)
-    for heading in ('budget', 'distinct', '95 %', 'failures', 'regions', 'first', 'runs', 'looks'):
-        table.add_column(heading, justify='right', no_wrap=True)
-    last = ''
-    for one in found['lines']:
-        table.add_row(
-            '' if one['place'] == last else one['place'], one['sampler'], one['looks'],
-            f'{one["budget"]:g}', f'{one["distinct_mean"]:.1f}',
-            '' if one['low'] is None else f'{one["low"]:.1f}..{one["high"]:.1f}',
-            f'{one["failures"]:.1f}',
-            '' if one['regions'] is None else f'{one["regions"]:.0%}',
-            'none' if one['first'] is None else f'{one["first"]:.0f}',
-            f'{one["runs"]:.0f}', f'{one["made"]:.0f}',
-        )
-        last = one['place']
-    console.print(table)
-    console.print(
-        f'distinct: failures that differ in category, or by {APART:g} of a dimension, within the '
-        'budget of full runs; first: median cost until a failure', style='dim', soft_wrap=True,
-    )
