@@ -20,14 +20,18 @@ import numpy as np
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import ODD, UNTIL, campaign_facts, extension_facts
+from taxinet_ros.campaign.record.facts import (
+    ODD,
+    UNTIL,
+    campaign_facts,
+    extension_facts,
+    planned_runs,
+)
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
 from taxinet_ros.campaign.samplers.covering import Covering
 from taxinet_ros.campaign.samplers.registry import (
     SAMPLERS,
-    DependsOn,
     check_sampler,
     drawn_share,
     make_covering_sampler,
@@ -49,7 +53,6 @@ from taxinet_ros.campaign.search_options import (
     COVERAGE,
     FAILURES,
     SearchOptions,
-    check_can_be_sharded,
     with_sampler,
 )
 from taxinet_ros.campaign.summary import (
@@ -175,8 +178,6 @@ class Search:
                     return request
         except Exhausted as error:
             self.stopped, self.exhausted = str(error), True
-            if self.options.shard is not None:
-                self.book.add_facts({EXHAUSTED: self._asked})
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
@@ -236,18 +237,8 @@ class Search:
         return ''
 
     def _choose(self, index: int) -> RunRequest | None:
-        """The run at the sampler's next point; None if it is rejected, done, or another shard's."""
-        if self.options.shard is not None and index not in self.options.shard:
-            self._pass_over(index)
-            return None
+        """The run at the sampler's next point; None if it is rejected or done."""
         return None if self._replay(index) else self._draw(index)
-
-    def _pass_over(self, index: int) -> None:
-        """Leave a run to another shard; its refused points may determine those that follow."""
-        if SAMPLERS[self.options.sampler].depends_on is DependsOn.REFUSALS:
-            with contextlib.suppress(Rejected):
-                accepted_scene(self._source, index, self._points[index], self._sampler.again)
-        del self._points[index]
 
     def _replay(self, index: int) -> bool:
         row = self._earlier.rows.get(index)
@@ -323,8 +314,6 @@ class Search:
         options, campaign = self.options, self._campaign
         space = self._source.space()
         self.notes = (*self._source.notes, *([whose] if whose else []))
-        if options.shard is not None:
-            check_can_be_sharded(options.sampler)
         self._sampler = self._make_sampler(space)
         if self._source.feedback is not None and not self._sampler.hears_refusals:
             self.notes += (f'{REJECTION_FEEDBACK} has no effect on {options.sampler}, which does '
@@ -389,7 +378,6 @@ class Search:
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
-            **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
             **({ODD: json.loads(self.options.odd.text)} if self.options.odd is not None else {}),
             **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
@@ -408,19 +396,13 @@ def search_heading(options: SearchOptions) -> str:
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     workers = f'cluster {options.cluster}' if options.cluster else workers
-    part = '' if options.shard is None else f', {shard_words(options)}'
     verb = 'resuming' if options.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers}'
     return (
-        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs{part}, sampler '
+        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
         f'{options.sampler}, seed {campaign.seed}, '
         f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
     )
-
-
-def shard_words(options: SearchOptions) -> str:
-    """Which part of the whole search a shard is."""
-    return f'shard {options.shard} ({options.runs} of the {options.campaign.runs} runs)'
 
 
 def space_lines(space: SearchSpace) -> list[str]:
@@ -456,10 +438,7 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
     lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
     lines.append(table_line(rows, campaign))
-    if search.options.shard is not None:
-        lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
-    else:
-        lines += next_line(rows, campaign)
+    lines += next_line(rows, campaign)
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'

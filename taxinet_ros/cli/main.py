@@ -59,7 +59,6 @@ from taxinet_ros.cli.run.commands import (
     falsify,
     flightgear_app,
     learned,
-    merge,
     place_app,
     plugins,
     run,
@@ -171,7 +170,7 @@ app = _App(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, estimate, merge, learned, why, shrink, analyze, localize, explain,
+    run, up, check_node, falsify, estimate, learned, why, shrink, analyze, localize, explain,
     fork, compare, bisect, experiment, gate, check, plan, plugins, doctor, monitor, spec, demo,
     train, dataset, evaluate, case_study, improve, tune,
 ):

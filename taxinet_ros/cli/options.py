@@ -492,14 +492,6 @@ UntilOption = Annotated[
         ),
     ),
 ]
-ShardOption = Annotated[
-    str | None,
-    typer.Option(
-        '--shard', metavar='I/N',
-        help='run only every N-th run, from the I-th on (1/N to N/N), with a sampler that ignores '
-        'results; taxinet merge joins the shards',
-    ),
-]
 BudgetOption = Annotated[
     float | None, typer.Option(metavar='MINUTES', help='start no new run after this time')
 ]

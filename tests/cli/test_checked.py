@@ -47,7 +47,7 @@ OUTPUT_FOLDERS = {
     'bag replay --out', 'bag split --out', 'bisect --out', 'case-study --out', 'compare --out',
     'dataset --out', 'demo --out', 'estimate --out', 'evidence write --out', 'experiment --out',
     'explain --out', 'falsify --out', 'fork --out', 'gate --out', 'improve --out',
-    'localize --out', 'merge --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
+    'localize --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
     'why --out',
 }
 

@@ -40,7 +40,6 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.programs import check_same_files
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
@@ -441,7 +440,7 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     check_same_files(f'--resume: {out}', before, now)
-    for name in dict.fromkeys((*now, SHARD, ODD)):  # the whole is no shard and has no such fact
+    for name in dict.fromkeys((*now, ODD)):
         if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '

@@ -200,6 +200,12 @@ def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
 
 
+def planned_runs(facts: Mapping[str, Any]) -> range | None:
+    """Indices of the runs planned before the first one; None if not recorded."""
+    planned = facts.get('first_runs', facts.get('runs'))
+    return None if planned is None else range(int(planned))
+
+
 def recorded_rules(facts: Mapping[str, Any]) -> tuple[str, ...]:
     """Stop rules of all sessions of a search, as typed after ``--until``."""
     told = facts.get(UNTIL)

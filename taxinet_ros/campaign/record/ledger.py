@@ -17,7 +17,6 @@ from typing import Any
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_present_keys
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -62,7 +61,7 @@ EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, a
 
 _IDENTITY = (
     'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
-    'controller_sha256', 'specs', SHARD,
+    'controller_sha256', 'specs',
 )
 """Facts that are constant over the sessions of a campaign."""
 

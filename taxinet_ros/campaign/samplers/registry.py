@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import TypeVar
 
 from taxinet_ros import registry
@@ -42,17 +41,6 @@ def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
     )}
 
 
-class DependsOn(StrEnum):
-    """What the point of a run depends on, besides space, seed, options and number of runs."""
-
-    INDEX = 'index'
-    """The run's index, and how many of its own points were refused."""
-    REFUSALS = 'refusals'
-    """The same, and how many points of earlier runs were refused."""
-    RESULTS = 'results'
-    """Results of earlier runs."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SamplerKind:
     """A sampler of the table that reports for each run whether it was drawn from the prior.
@@ -64,7 +52,8 @@ class SamplerKind:
         meaning: description in one line.
         make: factory; takes space, seed, number of runs and option values.
         options: the sampler's options by name.
-        depends_on: what its points depend on; a search by their results cannot be run in shards.
+        learns: whether its points depend on results of earlier runs; if not, any number of them
+            may be in flight.
         batched: whether a run may depend on the result of the one before it
             (:class:`.sampler.Batched`), not only on those up to ``LAG`` before.
     """
@@ -72,7 +61,7 @@ class SamplerKind:
     meaning: str
     make: Callable[[Space, int, int, Values], Sampler]
     options: Mapping[str, Option] = field(default_factory=dict)
-    depends_on: DependsOn = DependsOn.RESULTS
+    learns: bool = True
     batched: bool = False
 
 
@@ -88,7 +77,7 @@ def _check_make(where: str, make: Callable[..., object]) -> None:
 
 def proposer_kind(
     meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
-    options: Mapping[str, Option] | None = None, depends_on: DependsOn = DependsOn.RESULTS,
+    options: Mapping[str, Option] | None = None, learns: bool = True,
 ) -> SamplerKind:
     """The table row of a sampler that only proposes: a share of prior draws is mixed in.
 
@@ -99,14 +88,14 @@ def proposer_kind(
         floor: default of the option ``floor``, the share of prior draws. With 0 there is no rate,
             and the sampler's sequence is unchanged.
         options: its own options.
-        depends_on: see :attr:`SamplerKind.depends_on`.
+        learns: see :attr:`SamplerKind.learns`.
 
     Raises:
         UsageError: the factory takes other arguments.
     """
     _check_make('proposer_kind', make)
     return SamplerKind(
-        meaning=meaning, depends_on=depends_on, options={**(options or {}), **_floor_option(floor)},
+        meaning=meaning, learns=learns, options={**(options or {}), **_floor_option(floor)},
         make=lambda space, seed, runs, values: WithDrawn(
             make(space, seed, runs, values), space, seed, values['floor']
         ),
@@ -121,22 +110,22 @@ _STARTUP = Option(
 RANDOM = SamplerKind(
     meaning='independent draws from the program',
     make=lambda space, seed, runs, values: space_filling.Random(space, seed),
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 HALTON = proposer_kind(
     'evenly spread points (Halton, scrambled)',
     lambda space, seed, runs, values: space_filling.halton(space, seed), floor=0.0,
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 SOBOL = proposer_kind(
     'evenly spread points (Sobol, scrambled); best with 2^n runs',
     lambda space, seed, runs, values: space_filling.sobol(space, seed), floor=0.0,
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 GRID = proposer_kind(
     'all combinations of even steps and categories, widely spaced ones first',
     lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
-    floor=0.0, depends_on=DependsOn.REFUSALS,
+    floor=0.0, learns=False,
     options={
         'points': Option(
             meaning='steps of each continuous dimension; 0: as many as fit into the runs',

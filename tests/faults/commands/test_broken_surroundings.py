@@ -43,7 +43,7 @@ DOES_NOTHING = {
     'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
     'fork': ['nowhere', '--at', '1'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
-    'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'],
+    'monitor': ['nowhere'],
     'network': ['see', 'nowhere'], 'node': ['nothing'],
     'odd': ['show', 'nowhere'],
     'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],
