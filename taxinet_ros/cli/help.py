@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 SECTIONS = {
     'Run scenes': ('demo', 'run', 'up', 'node', 'check-node'),
-    'Search for failures': ('falsify', 'estimate', 'learned'),
+    'Search for failures': ('falsify', 'estimate'),
     'Find the causes': (
         'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
     ),
@@ -46,7 +46,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'estimate': (
         'taxinet estimate s_falsif --perception taxinet --runs 4000 --workers 2 --engine loop',
     ),
-    'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),
     'why': ('taxinet why bags/found', 'taxinet why bags/found/RUN'),
     'analyze': ('taxinet analyze bags/found',),
     'localize': ('taxinet localize bags/found --workers 2',),

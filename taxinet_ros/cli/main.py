@@ -58,7 +58,6 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     flightgear_app,
-    learned,
     place_app,
     plugins,
     run,
@@ -170,7 +169,7 @@ app = _App(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, check_node, falsify, estimate, learned, why, shrink, analyze, localize, explain,
+    run, up, check_node, falsify, estimate, why, shrink, analyze, localize, explain,
     fork, compare, bisect, experiment, gate, check, plan, plugins, doctor, monitor, spec, demo,
     train, dataset, evaluate, case_study, improve, tune,
 ):

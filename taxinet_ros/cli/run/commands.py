@@ -324,28 +324,6 @@ def estimate(
     raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
 
 
-def learned(
-    folders: Annotated[
-        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of searches with ce or '
-        'mab')
-    ],
-    within: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='DIMENSION=LOW:HIGH', help='print the probability of such values; repeatable'
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar='FILE.png', writable=True, dir_okay=False, help='picture to write'),
-    ] = None,
-) -> None:
-    """Combine the learned distributions of searches with different seeds."""
-    from taxinet_ros.cli.run.learned import show_learned
-
-    show_learned(folders, within or (), out)
-
-
 def shrink(
     run: FailedRunArgument,
     nominal: NominalOption = None,

@@ -42,7 +42,7 @@ DOES_NOTHING = {
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
     'fork': ['nowhere', '--at', '1'],
-    'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
+    'gate': ['nowhere'], 'improve': ['nothing'], 'localize': ['nowhere'],
     'monitor': ['nowhere'],
     'network': ['see', 'nowhere'], 'node': ['nothing'],
     'odd': ['show', 'nowhere'],
