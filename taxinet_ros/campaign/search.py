@@ -69,7 +69,6 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA, DATAREFS, TRAFFIC
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -384,11 +383,7 @@ class Search:
 
 
 def _digest(scenario: Scenario) -> str:
-    values = scenario.to_human()
-    for field in (TRAFFIC, CAMERA, DATAREFS):  # as in searches from before there was such a key
-        if getattr(scenario, field.attribute) == field.absent:
-            del values[field.key]
-    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
 
 
 def search_heading(options: SearchOptions) -> str:

@@ -128,7 +128,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
-    'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
     'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
     'bench': ('taxinet bench', 'taxinet bench processors --json'),

@@ -38,7 +38,7 @@ OUTPUT_FILES = {
     'aircraft show --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
     'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
     'check-node --log',
-    'forecast calibrate --out', 'forecast show --plot', 'gate --junit', 'learned --out',
+    'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
     'odd export --out', 'place show --out', 'train --out',
 }
@@ -81,7 +81,7 @@ def campaign(tmp_path, monkeypatch):
     shutil.copytree(BAGS / 'learn-ce-2', 'c')
     run = tmp_path / 'c' / 'run'
     shutil.copytree(BAG, run)
-    (tmp_path / 'c' / 'ledger-of-may').write_text('{"chain":"00","event":"campaign"}\n')
+    (tmp_path / 'c' / 'ledger-of-may').write_text('{"sum":"00","event":"campaign"}\n')
     write_sealed(tmp_path / 'c' / 'forecast', {'a': 1})
     return tmp_path / 'c'
 

@@ -162,6 +162,4 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list
 
 def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
     kept = {key: before[key] for key in (*of_graph, ARMS) if key in before}
-    # Older searches recorded only their last plan.
-    planned = before.get('first_runs', before.get('runs'))
-    return kept if planned is None else {**kept, 'first_runs': planned}
+    return {**kept, 'first_runs': before['first_runs']} if 'first_runs' in before else kept

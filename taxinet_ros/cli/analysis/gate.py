@@ -271,12 +271,9 @@ def _record_notes(content: LedgerContent) -> Iterator[str]:
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: started but has no result'
-    if content.never_begun:
-        yield f'run {ranges(content.never_begun)}: has a result but no record of its start'
     for timing in sorted({row.timing for row in content.rows if row.timing}):
         again = ', so their verdicts are not reproducible' if is_free(timing) else ''
         yield f'timing of the runs: {timing}{again}'
-    yield from content.lost
 
 
 def _words(
