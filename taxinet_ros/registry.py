@@ -39,7 +39,7 @@ _NETWORKS = (
     'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
-    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
+    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',
     'tpe', 'cmaes', 'splitting',
 )
 

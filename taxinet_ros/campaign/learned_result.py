@@ -109,7 +109,7 @@ class LearnedResult:
             )
         except FileNotFoundError as error:
             raise UsageError(
-                f'{path}: no such file; name the --out of a search with ce, ce-verifai or mab'
+                f'{path}: no such file; name the --out of a search with ce or mab'
             ) from error
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise UsageError(f'{path}: cannot be read; rewrite it with --resume') from error

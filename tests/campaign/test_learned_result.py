@@ -120,7 +120,7 @@ def test_t14_given_no_failures_or_no_weights_then_no_share_is_claimed() -> None:
 
 
 def searched(
-    seed: int, runs: int, fails: Sequence[float], sampler: str = 'ce', **options: float
+    seed: int, runs: int, fails: Sequence[float], sampler: str = 'ce', **options: str | float
 ) -> LearnedResult:
     """A search in which the bins of ``x`` fail with these probabilities.
 
@@ -196,9 +196,9 @@ def test_given_a_search_that_draws_nothing_from_the_program_then_its_shares_have
 ) -> None:
     """Five searches by the paper's rule missed a share of 50 % in one case of four."""
     fails = [0.05] * 4 + [0.9] + [0.05] * 4 + [0.5]
-    rule = [searched(seed, 100, fails, 'ce-verifai') for seed in range(2)]
+    rule = [searched(seed, 100, fails, rule='verifai') for seed in range(2)]
     shares = bins(rule[0].choices[0], *rule)
     assert {(share.low, share.high) for share in shares} == {(0.0, 1.0)}
     assert sum(share.share for share in shares) == pytest.approx(1)
-    with_floor = searched(0, 100, fails, 'ce-verifai', floor=0.3)
+    with_floor = searched(0, 100, fails, rule='verifai', floor=0.3)
     assert bins(with_floor.choices[0], with_floor)[4].low > 0

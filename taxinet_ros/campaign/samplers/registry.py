@@ -56,6 +56,7 @@ class SamplerKind:
             may be in flight.
         batched: whether a run may depend on the result of the one before it
             (:class:`.sampler.Batched`), not only on those up to ``LAG`` before.
+        rules: variants with options of their own, by the word of the option ``rule``.
     """
 
     meaning: str
@@ -63,6 +64,7 @@ class SamplerKind:
     options: Mapping[str, Option] = field(default_factory=dict)
     learns: bool = True
     batched: bool = False
+    rules: Mapping[str, SamplerKind] = field(default_factory=dict)
 
 
 def _check_make(where: str, make: Callable[..., object]) -> None:
@@ -161,19 +163,7 @@ COVERAGE = proposer_kind(
         ),
     },
 )
-CE = SamplerKind(
-    meaning='cross-entropy with importance weights: learns where failures are',
-    make=lambda space, seed, runs, values: CrossEntropy(
-        space, seed, floor=values['floor'], every=int(values['every'])
-    ),
-    options={
-        **_floor_option(0.3, low=0.01),
-        'every': Option(
-            meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
-        ),
-    },
-)
-CE_VERIFAI = SamplerKind(
+_VERIFAI_RULE = SamplerKind(
     meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
     make=lambda space, seed, runs, values: VerifaiRule(
         space, seed, alpha=values['alpha'], floor=values['floor']
@@ -185,6 +175,19 @@ CE_VERIFAI = SamplerKind(
             default=0.9, low=0.5, high=0.99999,
         ),
     },
+)
+CE = SamplerKind(
+    meaning='cross-entropy with importance weights: learns where failures are',
+    make=lambda space, seed, runs, values: CrossEntropy(
+        space, seed, floor=values['floor'], every=int(values['every'])
+    ),
+    options={
+        **_floor_option(0.3, low=0.01),
+        'every': Option(
+            meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
+        ),
+    },
+    rules={'verifai': _VERIFAI_RULE},
 )
 MAB = SamplerKind(
     meaning='multi-armed bandit over buckets (upper confidence bound)',
@@ -343,7 +346,8 @@ def make_sampler(
         UsageError: unknown name or option (the known ones are listed), an invalid value, a negative
             seed, or dimensions that form no valid space.
     """
-    values = check_sampler(name, options)
+    kind, given = _variant(name, options)
+    values = parse_options(name, kind.options, given)
     if seed < 0:
         raise UsageError(f'seed is {seed}; it has to be 0 or more')
     space = Space(dimensions)
@@ -352,7 +356,7 @@ def make_sampler(
             f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
             'draws as it does'
         )
-    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
+    return Lagged(kind.make(space, seed, runs, values))
 
 
 def make_covering_sampler(
@@ -392,7 +396,21 @@ def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
         UsageError: unknown name or option (the known ones are listed), or a value that is not
             allowed.
     """
-    kind = SAMPLERS.get(name)
+    kind, given = _variant(name, options)
+    return parse_options(name, kind.options, given)
+
+
+def _variant(
+    name: str, options: Mapping[str, str | float]
+) -> tuple[SamplerKind, dict[str, str | float]]:
+    """The sampler with the rule that its options name, and the other options."""
+    kind, given = SAMPLERS.get(name), dict(options)
     if kind is None:
         raise UsageError(f'sampler {name!r} is unknown; known: {registry.known(registry.SAMPLERS)}')
-    return parse_options(name, kind.options, options)
+    if not kind.rules or 'rule' not in given:
+        return kind, given
+    rule = given.pop('rule')
+    if rule not in kind.rules:
+        known = ', '.join(kind.rules)
+        raise UsageError(f'sampler {name}: rule={rule}: unknown; known: {known}, or leave it out')
+    return kind.rules[str(rule)], given

@@ -44,7 +44,8 @@ def test_given_weights_that_are_not_known_then_there_is_no_evidence():
 
 
 @pytest.mark.parametrize(('sampler', 'options', 'heaviest'), [
-    ('ce-verifai', {}, None), ('ce-verifai', {'floor': 0.5}, 2.0), ('mab', {}, 10.0),
+    ('ce', {'rule': 'verifai'}, None), ('ce', {'rule': 'verifai', 'floor': 0.5}, 2.0),
+    ('mab', {}, 10.0),
     ('mab', {'floor': '0.2'}, 5.0),
 ])
 def test_given_a_share_of_draws_by_the_program_then_it_bounds_the_weights(
