@@ -41,8 +41,8 @@ _NETWORKS = (
     'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
-    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
-    'tpe', 'cmaes', 'splitting', 'screening',
+    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',
+    'tpe', 'cmaes', 'splitting',
 )
 
 

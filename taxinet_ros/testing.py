@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, make_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
@@ -145,8 +145,8 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     [0, 1) within the space that depend only on seed, options and results, in each process. The
     weight of a run must be positive or None, and learned values must be probabilities. A run
     without a result must be accepted, and a sampler that learns must be copyable
-    (:func:`copy.deepcopy`). Points of one whose kind says that they do not depend on results
-    (``depends_on``), so that searches can be run in shards, must not.
+    (:func:`copy.deepcopy`). Points of one whose kind says that it does not learn must not depend
+    on results.
 
     Args:
         name: name of the sampler.
@@ -169,8 +169,10 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
             other = _sample(name, number, 2, runs, options)
             complain.unless(points != other, 'different seeds give equal points')
             against = _sample(name, number, 1, runs, options, -1.0)
-            free = kind is None or kind.depends_on is DependsOn.RESULTS or points == against
-            complain.unless(free, 'its points depend on results, but depends_on says otherwise')
+            free = kind is None or kind.learns or points == against
+            complain.unless(
+                free, 'its points depend on results, but its kind says that it does not learn'
+            )
             _check_book(complain, name, space, runs, options)
         told = _elsewhere(_sample, name, 0, 1, runs, options)
         here = _sample(name, 0, 1, runs, options)

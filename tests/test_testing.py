@@ -161,12 +161,12 @@ SAMPLERS = {
 
 def test_given_a_sampler_that_learns_but_says_not_when_checked_then_it_is_told(site: Path) -> None:
     code = """
-from taxinet_ros.campaign.samplers.registry import MAB, DependsOn, SamplerKind
+from taxinet_ros.campaign.samplers.registry import MAB, SamplerKind
 
-LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, depends_on=DependsOn.INDEX)
+LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, learns=False)
 """
     lay_down(site, 'sampler-learns', code, samplers='learns = LEARNS')
-    with pytest.raises(ContractError, match='its points depend on results, but depends_on says'):
+    with pytest.raises(ContractError, match='its points depend on results, but its kind says'):
         check_sampler('learns', 24)
 
 

@@ -37,7 +37,7 @@ OUTPUT_FILES = {
     'aircraft show --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
     'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
     'check-node --log',
-    'forecast calibrate --out', 'forecast show --plot', 'gate --junit', 'learned --out',
+    'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
     'odd export --out', 'place show --out', 'train --out',
 }
@@ -46,7 +46,7 @@ OUTPUT_FOLDERS = {
     'bag replay --out', 'bag split --out', 'bisect --out', 'case-study --out', 'compare --out',
     'dataset --out', 'demo --out', 'estimate --out', 'evidence write --out', 'experiment --out',
     'explain --out', 'falsify --out', 'fork --out', 'gate --out', 'improve --out',
-    'localize --out', 'merge --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
+    'localize --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
     'why --out',
 }
 
@@ -80,7 +80,7 @@ def campaign(tmp_path, monkeypatch):
     shutil.copytree(BAGS / 'learn-ce-2', 'c')
     run = tmp_path / 'c' / 'run'
     shutil.copytree(BAG, run)
-    (tmp_path / 'c' / 'ledger-of-may').write_text('{"chain":"00","event":"campaign"}\n')
+    (tmp_path / 'c' / 'ledger-of-may').write_text('{"sum":"00","event":"campaign"}\n')
     write_sealed(tmp_path / 'c' / 'forecast', {'a': 1})
     return tmp_path / 'c'
 

@@ -123,15 +123,6 @@ def test_variables_of_ros_that_cannot_work_are_named_in_one_line_before_anything
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_no_folder_then_there_is_nothing_to_mend(monkeypatch, capsys):
-    monkeypatch.setattr(sys, 'argv', ['taxinet', 'doctor', '--mend'])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert (end.value.code, capsys.readouterr().err) == (
-        2, 'taxinet: error: --mend: only with the folder of a CAMPAIGN\n',
-    )
-
-
 def test_given_no_ros_when_a_graph_is_asked_for_then_one_line_says_what_to_do(
     monkeypatch, capsys
 ):

@@ -48,7 +48,6 @@ def a_socket(path: Path) -> None:
     (pipe, 'c/campaign.json', ('analyze', 'c')),
     (device, 'c/campaign.json', ('gate', 'c', '--min-satisfaction', '0.5')),
     (pipe, 'c/runs.parquet', ('analyze', 'c')),
-    (device, 'c/learned.json', ('learned', 'c')),
     (pipe, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (a_socket, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (device, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),

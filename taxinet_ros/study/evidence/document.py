@@ -386,7 +386,7 @@ def _campaign(sources: _Sources, name: str, one: CampaignInput) -> dict[str, Any
     return {
         'id': name, 'name': one.name, 'path': _path(sources, one.folder),
         'files': dict(one.files),
-        'ledger': {'lines': one.ledger_end.lines, 'head': one.ledger_end.link},
+        'ledger': {'lines': one.ledger_end.lines, 'head': one.ledger_end.checksum},
         'seed': facts['seed'], 'sampler': str(facts.get('sampler', '')),
         'planned': facts.get('first_runs', facts.get('runs')),
         'engine': str(facts.get('engine', '')), 'audit_percent': facts.get('audit_percent'),
@@ -588,7 +588,7 @@ def _records_verdict(system: SystemFacts) -> tuple[Verdict, str]:
 def _ledgers(system: SystemFacts) -> tuple[tuple[str, str], ...]:
     return tuple(
         (f'Ledger of {one.name}, {one.ledger_end.lines:,} lines, head '
-         f'{one.ledger_end.link[:12]}…', f'{campaign}/{LEDGER_NAME}')
+         f'{one.ledger_end.checksum[:12]}…', f'{campaign}/{LEDGER_NAME}')
         for campaign, one in system.campaigns
     )
 

@@ -23,9 +23,14 @@ from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, Trial
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, read_facts, recorded_world
+from taxinet_ros.campaign.record.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    planned_runs,
+    read_facts,
+    recorded_world,
+)
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
@@ -165,7 +170,7 @@ class CampaignInput:
         name: name of its folder, when the evidence was written.
         recorded: its ledger.
         files: SHA-256 of ``campaign.json``, ledger and tables, by name.
-        ledger_end: number of lines and link of the last: the head of the hash chain.
+        ledger_end: number of lines of its ledger, and checksum of the last.
         scenes: number, run and SHA-256 of the scene of each run; '' if not recorded.
         bags: SHA-256 of each run's bag by run: of the lines ``SHA-256  NAME`` of its files.
     """
@@ -236,14 +241,9 @@ def read_campaign(
     recorded = open_campaign(folder)
     facts = read_facts(folder)
     content = recorded.content
-    if facts is None or not facts.sealed:
+    if facts is None:
         raise UsageError(f'{folder}: has no {FACTS_NAME} with checksums; {_mend(folder)}')
     parsed = parse_journal((folder / LEDGER_NAME).read_bytes())
-    if parsed.unprotected:
-        raise UsageError(
-            f'{folder / LEDGER_NAME}: its first {parsed.unprotected} lines were written by an '
-            'earlier version without checksums, so nothing binds its runs; run it again'
-        )
     recorded = _with_network(recorded)
     content = recorded.content
     if lacking := [name for name in _NEEDED if recorded.facts.get(name) in (None, {})]:
@@ -452,7 +452,7 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Local
     for number, why in parsed.troubles:
         raise damaged_line(path, number, why)
     ended = sealed.journals.get(path.name)
-    if not sealed.sealed or ended is None:
+    if ended is None:
         raise UsageError(f'{summary}: has no checksum of {path.name}; localize again')
     if why := lost_end(parsed, ended):
         raise damaged_line(path, len(parsed.lines) + 1, why)

@@ -304,8 +304,6 @@ def _of_campaign(name: str, one: CampaignInput) -> Iterator[Limit]:
     if blind:
         yield Limit('blind', name, f'{blind:,} runs passed with too many frames '
                     'without a usable estimate.')
-    for line in one.recorded.content.lost:
-        yield Limit('mended', name, f'The ledger was mended: {line.rstrip(".")}.')
     yield from _of_bags(name, one)
     yield from _of_making(name, one)
 

@@ -91,23 +91,6 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
     assert 'found by ce in 10 runs' in (whole / 'learned.scenic').read_text()
 
 
-def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_path):
-    picture = tmp_path / 'learned.png'
-    choice = next(choice for choice in LearnedResult.read(whole).choices if choice.pieces)
-    name = choice.dimension.name
-    done = taxinet('learned', whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
-    assert (done.returncode, done.stderr) == (0, '')
-    assert 'Failures of truth on nominal, found by ce: 1 search of 10 runs' in done.stdout
-    assert '100.0% of the failures (95 % interval ' in done.stdout
-    assert 'to 100.0%); the program 100.0%' in done.stdout
-    assert picture.read_bytes().startswith(b'\x89PNG')
-    for words, said in (((whole, whole), 'is given twice'), ((tmp_path,), 'no such file'),
-                        ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):
-        refused = taxinet('learned', *words)
-        assert (refused.returncode, refused.stderr.count('\n')) == (2, 1)
-        assert said in refused.stderr
-
-
 def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(whole, tmp_path):
     out = tmp_path / 'c'
     with begun('--workers', '2', '--out', str(out)) as search:
