@@ -22,11 +22,11 @@ from taxinet_ros.campaign.record import facts, table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.assurance import judge
+from taxinet_ros.extras.evidence import document
+from taxinet_ros.extras.tune import tuning
 from taxinet_ros.files import pages
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study import tuning
-from taxinet_ros.study.assurance import judge
-from taxinet_ros.study.evidence import document
 from taxinet_ros.study.improve import loop
 from taxinet_ros.study.improve import options as improve_options
 from taxinet_ros.study.stages import config, log

@@ -25,11 +25,11 @@ from taxinet_ros.core.place.apt_dat import read_airport_place
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.user_code import find_user_code
 from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.assurance.judge import read_trials
 from taxinet_ros.files.journal import read_journal
 from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
-from taxinet_ros.study.assurance.judge import read_trials
 
 PACKAGE = Path(__file__).parents[2] / 'taxinet_ros'
 READERS: dict[str, Callable[[Path], Any]] = {

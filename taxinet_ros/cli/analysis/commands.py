@@ -691,7 +691,7 @@ def calibrate_forecast(
     Takes the runs that the program itself drew, with their bags; frames are not needed. Every other
     run trains the forecast, the others calibrate it.
     """
-    from taxinet_ros.cli.analysis.forecast import calibrate_forecast
+    from taxinet_ros.extras.forecast.show import calibrate_forecast
 
     raise typer.Exit(
         calibrate_forecast(campaign, out, spec=spec, every_s=every, as_json=as_json)
@@ -713,7 +713,7 @@ def check_forecast(
     Exit codes: 0 measured; 3 the campaign differs from the one calibrated on, so that there is no
     guarantee to be checked.
     """
-    from taxinet_ros.cli.analysis.forecast import check_forecast
+    from taxinet_ros.extras.forecast.show import check_forecast
 
     raise typer.Exit(check_forecast(
         forecast, campaign, confidences=confidence or (0.9, 0.95), as_json=as_json
@@ -754,7 +754,7 @@ def show_forecast(
     Exit codes: 0; 3 a run is of another program, network or sampler than those calibrated on, so
     that its bound has no guarantee, or that is unknown.
     """
-    from taxinet_ros.cli.analysis.forecast import ShowOptions, show_forecast
+    from taxinet_ros.extras.forecast.show import ShowOptions, show_forecast
 
     raise typer.Exit(show_forecast(forecast, bags, ShowOptions(
         at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id, plot=plot,
@@ -876,8 +876,8 @@ def assure_calibrate(
     other, whether there is paint where they say that the line is, and whether they move as the
     picture is moved. Thresholds are conformal.
     """
-    from taxinet_ros.cli.analysis.assure import run_calibrate
-    from taxinet_ros.study.assurance.calibrate import CalibrateOptions
+    from taxinet_ros.extras.assurance.calibrate import CalibrateOptions
+    from taxinet_ros.extras.assurance.show import run_calibrate
 
     raise typer.Exit(run_calibrate(CalibrateOptions(
         perception=perception, program=program, runs=runs, rate=rate, seed=seed, workers=workers,
@@ -915,9 +915,9 @@ def assure_judge(
     fallback where it raised an alarm.
     """
     from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
-    from taxinet_ros.cli.analysis.assure import run_judge
     from taxinet_ros.core.user_code import short_word
-    from taxinet_ros.study.assurance.judge import JudgeOptions
+    from taxinet_ros.extras.assurance.judge import JudgeOptions
+    from taxinet_ros.extras.assurance.show import run_judge
 
     name = f'assure-{Path(program).stem}-{short_word(perception)}-seed{seed}'
     raise typer.Exit(run_judge(
@@ -941,6 +941,6 @@ def assure_show(
     as_json: JsonOption = False,
 ) -> None:
     """Say when and why a monitor raises the alarm in a recorded run, to the bit as in the run."""
-    from taxinet_ros.cli.analysis.assure import run_show
+    from taxinet_ros.extras.assurance.show import run_show
 
     raise typer.Exit(run_show(bag, run, monitor, as_json=as_json))

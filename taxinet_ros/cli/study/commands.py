@@ -236,7 +236,7 @@ def tune(
     Runs are in the closed loop without ROS. After an interrupt, the same command continues. Exit
     code 3 if no gains are better beyond doubt.
     """
-    from taxinet_ros.cli.study.tune import TuneArguments, run_tune
+    from taxinet_ros.extras.tune.show import TuneArguments, run_tune
 
     raise typer.Exit(run_tune(TuneArguments(
         program=program, perception=perception, vary=vary or (), settings=initial or (),
@@ -305,8 +305,8 @@ def write_evidence(
     refused. Same inputs, same bytes. Exit codes: 0 written, and the claim, if any, is supported; 1
     it is refuted; 3 it is undetermined.
     """
-    from taxinet_ros.cli.study.evidence import WriteOptions, run_evidence
-    from taxinet_ros.study.evidence.document import EvidenceOptions, parse_claim
+    from taxinet_ros.extras.evidence.document import EvidenceOptions, parse_claim
+    from taxinet_ros.extras.evidence.show import WriteOptions, run_evidence
 
     raise typer.Exit(run_evidence(WriteOptions(
         evidence=EvidenceOptions(
@@ -343,8 +343,8 @@ def verify_evidence(
     Exit codes: 0 everything holds; 2 a file or an input is damaged, missing or changed, or a figure
     is not that of its inputs; 4 a run came out differently; 3 something could not be verified.
     """
-    from taxinet_ros.cli.study.evidence import run_verify
-    from taxinet_ros.study.evidence.verify import VerifyOptions
+    from taxinet_ros.extras.evidence.show import run_verify
+    from taxinet_ros.extras.evidence.verify import VerifyOptions
 
     raise typer.Exit(run_verify(
         VerifyOptions(
