@@ -281,10 +281,6 @@ def write_evidence(
         typer.Option('--localize', metavar='DIR', help='results of taxinet localize on one of the '
                      'campaigns; repeatable'),
     ] = None,
-    localize_runs: Annotated[
-        int, typer.Option(metavar='N', min=0, help='drive so many failed runs of each campaign '
-                          'again with perfect estimates, and add the results')
-    ] = 0,
     monitors: Annotated[
         list[Path] | None,
         typer.Option('--monitor-table', metavar='DIR', help='results of taxinet assure judge with '
@@ -297,7 +293,7 @@ def write_evidence(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write evidence toward a requirement: one page, JSON, an argument as SVG, a manifest.
+    """Write evidence toward a requirement: one page, JSON, an argument for Mermaid, a manifest.
 
     Binds requirement, formula, program, scenes, network, training data, tool versions and records
     by SHA-256; gives rates with intervals, ODD cells, causes, monitor and known limits. Campaigns
@@ -305,17 +301,17 @@ def write_evidence(
     refused. Same inputs, same bytes. Exit codes: 0 written, and the claim, if any, is supported; 1
     it is refuted; 3 it is undetermined.
     """
-    from taxinet_ros.extras.evidence.document import EvidenceOptions, parse_claim
-    from taxinet_ros.extras.evidence.show import WriteOptions, run_evidence
+    from taxinet_ros.extras.evidence.evidence import EvidenceOptions, parse_claim
+    from taxinet_ros.extras.evidence.show import run_evidence
 
-    raise typer.Exit(run_evidence(WriteOptions(
-        evidence=EvidenceOptions(
+    raise typer.Exit(run_evidence(
+        EvidenceOptions(
             campaigns=tuple(campaigns), requirement=requirement, spec=spec, odd=odd,
             claim=None if claim is None else parse_claim(claim), monitors=tuple(monitors or ()),
             localisations=tuple(localized or ()), networks=tuple(perception or ()),
         ),
-        out=out, localize_runs=localize_runs, as_json=as_json,
-    )))
+        out, as_json=as_json,
+    ))
 
 
 @evidence_app.command('verify')

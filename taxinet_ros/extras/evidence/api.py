@@ -19,8 +19,7 @@ from taxinet_ros.arguments import (
     takes,
 )
 from taxinet_ros.extras.evidence import verify
-from taxinet_ros.extras.evidence.document import EvidenceOptions
-from taxinet_ros.extras.evidence.folder import make_evidence
+from taxinet_ros.extras.evidence.evidence import EvidenceOptions, make_evidence
 
 _PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | tuple) and all(
     PATH.has(one) for one in value))
@@ -30,12 +29,12 @@ _Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 @says_parameters
 @takes(
     campaigns=_PATHS, out=PATH, requirement=NONE | TEXT, claim=NONE | FINITE, spec=NONE | WORD,
-    odd=NONE | PATH, localize=_PATHS, localize_runs=FROM_0, monitor_table=_PATHS, perception=_PATHS,
+    odd=NONE | PATH, localize=_PATHS, monitor_table=_PATHS, perception=_PATHS,
 )
 def evidence(
     campaigns: _Paths, out: str | os.PathLike[str], *, requirement: str | None = None,
     claim: float | None = None, spec: str | None = None, odd: str | os.PathLike[str] | None = None,
-    localize: _Paths = (), localize_runs: int = 0, monitor_table: _Paths = (),
+    localize: _Paths = (), monitor_table: _Paths = (),
     perception: _Paths = (),
 ) -> dict[str, Any]:
     """Write evidence toward a requirement, as ``taxinet evidence``.
@@ -48,7 +47,6 @@ def evidence(
         spec: formula of claim and ODD; None for the headline.
         odd: name or file of an operational design domain.
         localize: folders of ``taxinet localize``.
-        localize_runs: drive so many failed runs of each campaign again with perfect estimates.
         monitor_table: folders of ``taxinet assure judge``.
         perception: files of networks that have moved.
 
@@ -65,7 +63,7 @@ def evidence(
             odd=None if odd is None else os.fspath(odd), localisations=_paths(localize),
             monitors=_paths(monitor_table), networks=tuple(map(str, _paths(perception))),
         ),
-        Path(out), localize_runs=localize_runs,
+        Path(out),
     )
     return found.content
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from taxinet_ros.analysis.fault_localisation import Blame, localisation_json
+from taxinet_ros.analysis.fault_localisation import Blame
 from taxinet_ros.analysis.odd.coverage import OddCoverage, odd_coverage
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign.odd.odd_file import Odd
@@ -31,8 +31,7 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.assurance.judge import plain_judged
-from taxinet_ros.extras.evidence.inputs import CampaignInput, LocalisationInput, MonitorInput
+from taxinet_ros.extras.evidence.inputs import CampaignInput, LocalisationInput
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Of the robustness."""
@@ -271,31 +270,13 @@ def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:
     ), words
 
 
-def cause_json(one: LocalisationInput) -> dict[str, Any]:
-    """What a localisation found; the machine of this process is left out."""
-    values = localisation_json(one.found)
-    del values['made_on']
-    return values
-
-
 def cause_verdict(one: LocalisationInput) -> tuple[Verdict, str]:
     """Whether every failed run examined is attributed to a part, and a sentence on it."""
-    found = one.found
-    known = found.blames[Blame.PERCEPTION] + found.blames[Blame.CONTROLLER]
+    blame, examined = one.figures['blame'], one.figures['looked_into']
+    network, controller = blame[Blame.PERCEPTION], blame[Blame.CONTROLLER]
     words = (
-        f'{known:,} of {len(found.cases):,} failed runs examined are attributed: '
-        f'{found.blames[Blame.PERCEPTION]:,} to the network, '
-        f'{found.blames[Blame.CONTROLLER]:,} to controller or formula'
+        f'{network + controller:,} of {examined:,} failed runs examined are attributed: '
+        f'{network:,} to the network, {controller:,} to controller or formula'
     )
-    return Verdict.SUPPORTED if known == len(found.cases) else Verdict.UNDETERMINED, words
-
-
-def monitor_json(one: MonitorInput) -> dict[str, Any]:
-    """What a judgement of a monitor found."""
-    names = ('program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed',
-             'fingerprints')
-    return {
-        'options': {name: one.options.get(name) for name in names},
-        'judged': plain_judged(one.judged),
-    }
-
+    known = network + controller == examined
+    return Verdict.SUPPORTED if known else Verdict.UNDETERMINED, words

@@ -1,8 +1,8 @@
 """What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations, monitors.
 
-Nothing is taken on trust: an input whose checksums do not hold, or that cannot be bound to the
-campaign it is named with, is refused by name. What an input does not say (such as the training data
-of somebody else's network) is kept as unknown, with the reason.
+An input whose checksums do not hold, or that cannot be bound to the campaign it is named with, is
+refused by name. What an input does not say (such as the training data of somebody else's network)
+is kept as unknown, with the reason.
 """
 
 from __future__ import annotations
@@ -11,24 +11,22 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
-from taxinet_ros.analysis.fault_localisation import Localisation, localisation_of
 from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
-from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, Trial
+from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, read_facts, recorded_world
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.weights import (
     SUFFIX,
     ModelCard,
@@ -37,18 +35,16 @@ from taxinet_ros.core.perception.weights import (
     weights_path,
 )
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.assurance.judge import ALARMS_NAME, RESULT_NAME, Judged, read_judged
-from taxinet_ros.extras.assurance.judge import TRIALS_NAME as MONITOR_TRIALS_NAME
-from taxinet_ros.files.journal import JournalEnd, damaged_line, lost_end, parse_journal
+from taxinet_ros.files.journal import journal_end, parse_journal
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 TRUTH = 'truth'
 """The perception without a network."""
+MONITOR_NAME = 'assurance.json'
+"""What ``taxinet assure judge`` writes."""
+OnBag = Callable[[Path], None]
 _ID = re.compile(r'\s*([A-Za-z0-9][A-Za-z0-9_.-]*)\s*:\s+(.*\S)\s*', re.DOTALL)
 _LONGEST_REQUIREMENT = 4000
-_MOST_BYTES = 4 * _LONGEST_REQUIREMENT + 4
-_JOINERS = '\u00ad\u200c\u200d\u200e\u200f'
-"""Invisible signs that the writing of some languages needs."""
 _NEEDED = ('program', 'program_sha256', 'program_text', 'specs', 'perception_sha256', 'seed')
 """Facts without which runs cannot be bound to program, formula and network."""
 _SYSTEM = (
@@ -62,7 +58,7 @@ _SYSTEM = (
 def digest_of(value: Any) -> str:
     """SHA-256 of a JSON value in its canonical form: sorted keys, no spaces, no NaN."""
     text = json.dumps(value, sort_keys=True, separators=(',', ':'), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return text_sha256(text)
 
 
 def text_sha256(text: str) -> str:
@@ -96,23 +92,17 @@ def read_requirement(given: str) -> Requirement:
     Raises:
         UsageError: it has no identifier or no wording, or the file cannot be read.
     """
-    path = Path(given)
-    if not _is_file(path):
+    try:
+        is_file = Path(given).is_file()
+    except (OSError, ValueError):  # a text that is too long for a name, or has a zero
+        is_file = False
+    if not is_file:
         return requirement_of(given, f'--requirement {given:.60}')
     try:
-        with path.open('rb') as file:
-            data = file.read(_MOST_BYTES)
-        text = data.decode('utf-8', 'ignore' if len(data) == _MOST_BYTES else 'strict')
+        text = Path(given).read_bytes().decode()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
     return requirement_of(text, f'--requirement {given}')
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a text that is too long for a name, or has a zero
-        return False
 
 
 def requirement_of(text: str, where: str) -> Requirement:
@@ -125,11 +115,6 @@ def requirement_of(text: str, where: str) -> Requirement:
     Raises:
         UsageError: it has no identifier or no wording, or is too long.
     """
-    if hidden := next((sign for sign in text if _is_hidden(sign)), ''):
-        raise UsageError(
-            f'{where}: contains {hidden!a}, which cannot be seen or reorders what is seen; '
-            'remove it'
-        )
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
         raise UsageError(
@@ -137,23 +122,6 @@ def requirement_of(text: str, where: str) -> Requirement:
             f"shall …', in at most {_LONGEST_REQUIREMENT:,} characters; or a file with that"
         )
     return Requirement(name=found[1], text=' '.join(found[2].split()), given=text)
-
-
-def _is_hidden(sign: str) -> bool:
-    """Whether a sign is no text, or makes a text read otherwise than it is written."""
-    return not (sign.isprintable() or sign.isspace() or sign in _JOINERS)
-
-
-class Place(NamedTuple):
-    """What evidence says of where an input was.
-
-    Attributes:
-        path: relative to the folder of the evidence.
-        name: name of its folder; '' for what has none in the evidence.
-    """
-
-    path: str
-    name: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,24 +132,17 @@ class CampaignInput:
         folder: its folder.
         name: name of its folder, when the evidence was written.
         recorded: its ledger.
+        facts: its facts, with the hash of the network of its runs.
         files: SHA-256 of ``campaign.json``, ledger and tables, by name.
-        ledger_end: number of lines and link of the last: the head of the hash chain.
-        scenes: number, run and SHA-256 of the scene of each run; '' if not recorded.
         bags: SHA-256 of each run's bag by run: of the lines ``SHA-256  NAME`` of its files.
     """
 
     folder: Path
     name: str
     recorded: RecordedCampaign
+    facts: Mapping[str, Any]
     files: Mapping[str, str]
-    ledger_end: JournalEnd
-    scenes: tuple[tuple[int, str, str], ...]
     bags: Mapping[str, str]
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """Facts of the campaign."""
-        return self.recorded.facts
 
     @property
     def rows(self) -> tuple[RunRow, ...]:
@@ -202,20 +163,8 @@ class CampaignInput:
             'world': world, 'world_sha256': sha256,
         }
 
-    @property
-    def scenes_sha256(self) -> str:
-        """SHA-256 of the set of scenes."""
-        return digest_of([list(one) for one in self.scenes])
 
-    @property
-    def bags_sha256(self) -> str:
-        """SHA-256 of the hashes of all bags; '' without any."""
-        return digest_of(dict(self.bags)) if self.bags else ''
-
-
-def read_campaign(
-    path: Path, on_bag: Callable[[Path], None] = lambda bag: None
-) -> CampaignInput:
+def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput:
     """Read a finished campaign and check everything that it has checksums of.
 
     Args:
@@ -223,8 +172,7 @@ def read_campaign(
         on_bag: called with each bag before it is checked, which takes time.
 
     Raises:
-        UsageError: it is no campaign, a table alone, unfinished, of an earlier version without
-            checksums, or damaged.
+        UsageError: it is no campaign, a table alone, unfinished, or damaged.
     """
     folder = path.parent if path.is_file() and path.name == PARQUET_NAME else path
     if path.is_file() and not (folder / LEDGER_NAME).is_file():
@@ -234,82 +182,56 @@ def read_campaign(
             "the campaign's folder"
         )
     recorded = open_campaign(folder)
-    facts = read_facts(folder)
-    content = recorded.content
-    if facts is None or not facts.sealed:
-        raise UsageError(f'{folder}: has no {FACTS_NAME} with checksums; {_mend(folder)}')
-    parsed = parse_journal((folder / LEDGER_NAME).read_bytes())
-    if parsed.unprotected:
-        raise UsageError(
-            f'{folder / LEDGER_NAME}: its first {parsed.unprotected} lines were written by an '
-            'earlier version without checksums, so nothing binds its runs; run it again'
-        )
-    recorded = _with_network(recorded)
-    content = recorded.content
-    if lacking := [name for name in _NEEDED if recorded.facts.get(name) in (None, {})]:
+    if not (folder / FACTS_NAME).is_file():
+        raise UsageError(f'{folder}: has no {FACTS_NAME}; restore it')
+    facts = {**recorded.facts, 'perception_sha256': _network_of(recorded)}
+    if lacking := [name for name in _NEEDED if facts.get(name) in (None, {})]:
         raise UsageError(
             f'{folder}: its record lacks {", ".join(lacking)}, so runs cannot be bound to program, '
             'formula and network; run it again with this version'
         )
-    if text_sha256(recorded.facts['program_text']) != recorded.facts['program_sha256']:
-        raise UsageError(f'{folder}: its program text is not the one that its SHA-256 names')
-    if content.unfinished or not content.finished:
+    if recorded.content.unfinished or not recorded.content.finished:
         raise UsageError(
             f'{folder}: has not ended in order; finish it by the command that began it, with '
             '--resume'
         )
-    if not content.rows:
+    if not recorded.rows:
         raise UsageError(f'{folder}: has no run')
     if wrong := examine(folder, on_bag).findings:
         more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
-        raise UsageError(f'{wrong[0].where}: {wrong[0].what}{more}; {_mend(folder)}')
-    shas = {
-        line.event['index']: str(line.event.get('scenario_sha256', ''))
-        for line in parsed.lines if line.event is not None and line.event.get('event') == 'intent'
-    }
-    names = (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
+        raise UsageError(
+            f'{wrong[0].where}: {wrong[0].what}{more}; no evidence is written of damaged results: '
+            f'taxinet doctor {folder}'
+        )
     return CampaignInput(
-        folder=folder, name=folder.resolve().name, recorded=recorded,
-        bags=_bags(folder, content.rows),
-        files={name: file_sha256(folder / name) for name in names},
-        ledger_end=parsed.end,
-        scenes=tuple((row.index, row.run_id, shas.get(row.index, '')) for row in content.rows),
+        folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
+        files={
+            name: file_sha256(folder / name)
+            for name in (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
+        },
+        bags={
+            row.run_id: bag_sha256(bag) for row in recorded.rows
+            if (bag := recorded.bag(row)) is not None
+        },
     )
 
 
-def _with_network(recorded: RecordedCampaign) -> RecordedCampaign:
-    """Add the network's hash to the facts: ``taxinet run`` records it with each run only.
+def _network_of(recorded: RecordedCampaign) -> str | None:
+    """Hash of the network of the runs: ``taxinet run`` records it with each run only.
 
     Raises:
         UsageError: its runs had several networks, or another one than its facts say.
     """
-    told = recorded.facts.get('perception_sha256')
-    found = sorted({
-        row.fingerprint for row in recorded.rows
-        if row.outcome.judged and (row.fingerprint or not told)
-    })
-    if len(found) > 1 or (found and told and found != [told]):
-        several = sorted({*found, told or found[0]})
-        listed = ', '.join(f'{one[:12]}…' if one else 'none' for one in several)
+    named: str | None = recorded.facts.get('perception_sha256')
+    used = {row.fingerprint for row in recorded.judged if row.fingerprint or not named}
+    all_of_them = sorted(used | ({named} if named else set()))
+    if len(all_of_them) > 1:
+        listed = ', '.join(f'{one[:12]}…' if one else 'none' for one in all_of_them)
         raise UsageError(
             f'{recorded.folder}: its runs had several networks (sha256 {listed}), so there is no '
             'one system that they are runs of; run them as campaigns of their own'
         )
-    if told is not None or not found:
-        return recorded
-    facts = {**recorded.content.campaign, 'perception_sha256': found[0]}
-    return replace(recorded, content=replace(recorded.content, campaign=facts))
-
-
-def _mend(folder: Path) -> str:
-    return f'no evidence is written of damaged results: taxinet doctor {folder}'
-
-
-def _bags(folder: Path, rows: Sequence[RunRow]) -> dict[str, str]:
-    return {
-        row.run_id: bag_sha256(folder / row.bag) for row in rows
-        if row.bag and (folder / row.bag).is_dir()
-    }
+    return all_of_them[0] if all_of_them else named
 
 
 def bag_sha256(bag: Path) -> str:
@@ -318,26 +240,24 @@ def bag_sha256(bag: Path) -> str:
 
 
 def read_campaigns(
-    paths: Sequence[Path], on_bag: Callable[[Path], None] = lambda bag: None
+    paths: Sequence[Path], on_bag: OnBag = lambda bag: None
 ) -> tuple[CampaignInput, ...]:
     """Read several campaigns, each once.
 
     Raises:
         UsageError: as :func:`read_campaign`; or two of them are the same, or share a run.
     """
-    found: list[CampaignInput] = []
-    seen: dict[tuple[str, str], CampaignInput] = {}
-    for path in paths:
-        one = read_campaign(path, on_bag)
+    seen: dict[tuple[Any, ...], CampaignInput] = {}
+    found = tuple(read_campaign(path, on_bag) for path in paths)
+    for one in found:
         system = digest_of(one.system)
-        for index, _, sha in one.scenes:
-            other = seen.setdefault((system, sha or f'{one.facts["seed"]} {index}'), one)
+        for row in one.rows:
+            other = seen.setdefault((system, row.run_id, *row.scene.values()), one)
             if other is not one:
                 raise UsageError(
                     f'{one.folder}: has runs that are in {other.folder} too; name each once'
                 )
-        found.append(one)
-    return tuple(found)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -371,33 +291,35 @@ def read_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> Network
     word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
     shown = Path(word).name if word.endswith((SUFFIX, '.onnx')) else word
     if not sha256:
-        why = 'no network: the controller is given the truth' if word == TRUTH else (
-            'the perception did not report a hash'
+        return NetworkInput(
+            word=shown, sha256='', why_unknown='no network: the controller is given the truth'
+            if word == TRUTH else 'the perception did not report a hash',
         )
-        return NetworkInput(word=shown, sha256='', why_unknown=why)
     why = ''
     for candidate in (*given, word):
         path = weights_path(candidate)
-        if path.suffix != SUFFIX:
-            why = why or 'it is no network of taxinet train, so no model card names its data'
-            continue
-        if not path.is_file():
-            why = 'its file is not there any more; name it with --perception FILE'
-        elif file_sha256(path) != sha256:
-            why = 'its file has changed since the runs; name the former with --perception FILE'
-        else:
-            try:
-                card = load_card(card_path(path))
-            except UsageError as error:
-                why = f'its model card cannot be used: {error}'
-                continue
-            if card.weights_sha256 != sha256:
-                why = 'its model card describes other weights'
-                continue
+        why = why or _why_unusable(path, sha256)
+        if not _why_unusable(path, sha256):
+            card = card_path(path)
             return NetworkInput(
-                word=shown, sha256=sha256, card=card, card_sha256=file_sha256(card_path(path))
+                word=shown, sha256=sha256, card=load_card(card), card_sha256=file_sha256(card)
             )
     return NetworkInput(word=shown, sha256=sha256, why_unknown=why)
+
+
+def _why_unusable(path: Path, sha256: str) -> str:
+    """Why a file and its card do not say what the network of this hash was trained on; ''."""
+    if path.suffix != SUFFIX:
+        return 'it is no network of taxinet train, so no model card names its data'
+    if not path.is_file():
+        return 'its file is not there any more; name it with --perception FILE'
+    if file_sha256(path) != sha256:
+        return 'its file has changed since the runs; name the former with --perception FILE'
+    try:
+        own = load_card(card_path(path)).weights_sha256 == sha256
+    except UsageError as error:
+        return f'its model card cannot be used: {error}'
+    return '' if own else 'its model card describes other weights'
 
 
 def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
@@ -424,19 +346,19 @@ class LocalisationInput:
 
     Attributes:
         folder: their folder.
-        files: SHA-256 of the summary and the journal of trials, by name.
+        files: SHA-256 of the summary, which has the digest of the trials.
         campaign: index of the campaign.
-        found: the findings, from the trials.
+        figures: the findings.
     """
 
     folder: Path
     files: Mapping[str, str]
     campaign: int
-    found: Localisation
+    figures: Mapping[str, Any]
 
 
 def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> LocalisationInput:
-    """Read the trials of a localisation, and find its campaign.
+    """Read the summary of a localisation, and find its campaign by its trials.
 
     Raises:
         UsageError: it is none, is damaged, or is not about one of the campaigns.
@@ -448,46 +370,30 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Local
                 f'{folder}: no results of taxinet localize: {needed.name} is not there'
             )
     sealed = read_sealed(summary)
-    parsed = parse_journal(path.read_bytes())
-    for number, why in parsed.troubles:
-        raise damaged_line(path, number, why)
-    ended = sealed.journals.get(path.name)
-    if not sealed.sealed or ended is None:
-        raise UsageError(f'{summary}: has no checksum of {path.name}; localize again')
-    if why := lost_end(parsed, ended):
-        raise damaged_line(path, len(parsed.lines) + 1, why)
-    events = [line.event for line in parsed.lines if line.event is not None]
+    if sealed.journals.get(path.name) != journal_end(path):
+        raise UsageError(f'{path}: is not what {summary.name} was made from; localize again')
+    events = [line.event for line in parse_journal(path.read_bytes()).lines if line.event]
     try:
         facts = next(event['facts'] for event in events if event['event'] == 'localize')
-        trials = [Trial.from_json(event['trial']) for event in events if event['event'] == 'trial']
-        words = [str(one['substitution']) for one in sealed.values['substitutions']]
+        runs = {event['trial']['run_id'] for event in events if event['event'] == 'trial'}
     except (StopIteration, LookupError, TypeError) as error:
         raise UsageError(f'{path}: damaged ({error!r}); localize again') from error
-    runs = {trial.run_id for trial in trials}
     found = [
         number for number, one in enumerate(campaigns)
         if all(
             facts.get(name) == one.facts.get(name)
             for name in ('program_sha256', 'seed', 'specs', 'perception_sha256')
-        ) and runs <= {row.run_id for row in one.recorded.counterexamples}
+        ) and runs and runs <= {row.run_id for row in one.recorded.counterexamples}
     ]
-    if not found or not runs:
-        raise UsageError(
-            f'{folder}: is not about failed runs of any of these campaigns (program, seed, '
-            'formulas, network and runs have to agree)'
+    if len(found) != 1:
+        why = 'may be about several of these campaigns; name it with one' if found else (
+            'is not about failed runs of any of these campaigns (program, seed, formulas, network '
+            'and runs have to agree)'
         )
-    if len(found) > 1:
-        raise UsageError(f'{folder}: may be about several of these campaigns; name it with one')
-    campaign = campaigns[found[0]].recorded
+        raise UsageError(f'{folder}: {why}')
     return LocalisationInput(
-        folder=folder, campaign=found[0],
-        files={one.name: file_sha256(one) for one in (summary, path)},
-        found=localisation_of(
-            campaign, [row for row in campaign.counterexamples if row.run_id in runs],
-            {(trial.run_id, trial.word): trial for trial in trials},
-            words=tuple(dict.fromkeys((AS_RECORDED, *words))),
-            perception=str(campaign.facts['perception']),
-        ),
+        folder=folder, campaign=found[0], files={summary.name: file_sha256(summary)},
+        figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
     )
 
 
@@ -497,39 +403,55 @@ class MonitorInput:
 
     Attributes:
         folder: its folder.
-        files: SHA-256 of summary, trials and alarms, by name.
+        files: SHA-256 of the summary, which has those of trials and alarms.
         options: what was judged: program, monitor, fallbacks, seed.
-        perception_sha256: the network's hash.
-        judged: the figures, from trials and alarms.
+        judged: the figures.
     """
 
     folder: Path
     files: Mapping[str, str]
     options: Mapping[str, Any]
-    perception_sha256: str
-    judged: Judged
+    judged: Mapping[str, Any]
+
+    @property
+    def perception_sha256(self) -> str:
+        """Hash of the network that it watched."""
+        return str(self.options['fingerprints']['perception'])
 
 
 def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> MonitorInput:
     """Read a judged monitor, and check that it is of the network of one of the campaigns.
 
     Raises:
-        UsageError: it is none, its summary is not that of its trials, or it is of another network.
+        UsageError: it is none, its tables are not those of its summary, or it is of another
+            network.
     """
-    options, judged = read_judged(folder)
-    sha256 = str(options['fingerprints']['perception'])
+    path = folder / MONITOR_NAME
+    if not path.is_file():
+        raise UsageError(f'{folder}: no result of taxinet assure judge: {path.name} is not there')
+    sealed = read_sealed(path)
+    for name in sealed.files:
+        sealed.check_file(folder / name, 'judge again')
+    try:
+        options, judged = sealed.values['options'], sealed.values['judged']
+        found = MonitorInput(
+            folder=folder, files={path.name: file_sha256(path)}, judged=judged,
+            options={
+                name: options[name] for name in (
+                    'program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed',
+                    'fingerprints',
+                )
+            },
+        )
+        sha256 = found.perception_sha256
+    except (LookupError, TypeError) as error:
+        raise UsageError(f'{path}: damaged ({error!r}); judge again') from error
     if sha256 not in {one.facts['perception_sha256'] for one in campaigns}:
         raise UsageError(
             f'{folder}: is of network {options["perception"]} (sha256 {sha256[:12]}…), which none '
             'of these campaigns ran'
         )
-    return MonitorInput(
-        folder=folder, options=options, perception_sha256=sha256, judged=judged,
-        files={
-            name: file_sha256(folder / name)
-            for name in (RESULT_NAME, MONITOR_TRIALS_NAME, ALARMS_NAME)
-        },
-    )
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

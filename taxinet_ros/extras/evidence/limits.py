@@ -7,7 +7,7 @@ words on limits are in this file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.odd.coverage import OddCoverage
@@ -26,7 +26,6 @@ from taxinet_ros.extras.evidence.inputs import (
     LocalisationInput,
     MonitorInput,
     NetworkInput,
-    Requirement,
 )
 from taxinet_ros.registry import KMWH
 
@@ -41,22 +40,16 @@ class Limit(NamedTuple):
     """One known limit.
 
     Attributes:
-        name: identifier.
+        id: identifier.
         about: what it is about: a system or campaign by its id; '' for everything.
         words: sentences.
         source: ``fixed``, or ``inputs`` if it follows from a fact of these inputs.
     """
 
-    name: str
+    id: str
     about: str
     words: str
     source: str = 'inputs'
-
-    def plain(self) -> dict[str, str]:
-        """For JSON."""
-        return {
-            'id': self.name, 'about': self.about, 'source': self.source, 'words': self.words,
-        }
 
 
 FIXED = (
@@ -80,23 +73,17 @@ FIXED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Facts:
-    """What limits follow from.
+class SystemFacts:
+    """What limits of one system follow from.
 
     Attributes:
-        requirement, claim: as given, or None.
-        systems: id, campaigns with their ids, network, coverage of the ODD if any, localisations
-            and monitors of each.
+        name: its id.
+        spec: formula that claim and ODD are about.
+        campaigns: with their ids.
+        network: its perception.
+        coverage: of the ODD, if there is one.
+        causes, monitors: localisations and judged monitors.
     """
-
-    requirement: Requirement | None
-    claim: float | None
-    systems: tuple[SystemFacts, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SystemFacts:
-    """One system; see :class:`Facts`."""
 
     name: str
     spec: str
@@ -104,7 +91,7 @@ class SystemFacts:
     network: NetworkInput
     coverage: OddCoverage | None = None
     causes: tuple[LocalisationInput, ...] = ()
-    monitors: tuple[MonitorInput, ...] = field(default=())
+    monitors: tuple[MonitorInput, ...] = ()
 
     @property
     def inputs(self) -> tuple[CampaignInput, ...]:
@@ -117,29 +104,33 @@ class SystemFacts:
         return self.campaigns[0][1].facts
 
 
-def known_limits(facts: Facts) -> tuple[Limit, ...]:
-    """All limits: first those of these inputs, then the fixed ones."""
-    found = list(_of_input(facts))
-    for system in facts.systems:
+def known_limits(
+    systems: Sequence[SystemFacts], *, requirement: bool, claim: bool
+) -> tuple[Limit, ...]:
+    """All limits: first those of these inputs, then the fixed ones.
+
+    Args:
+        systems: the systems.
+        requirement: whether the wording of a requirement was given.
+        claim: whether a share was claimed.
+    """
+    found = []
+    if not requirement:
+        found.append(Limit('no-requirement', '', 'No wording of a requirement was given '
+                           '(--requirement); only the formula is known.'))
+    if not claim:
+        found.append(Limit('no-claim', '', 'No share was claimed (--claim), so the rates are given '
+                           'and not judged.'))
+    if len(systems) > 1:
+        found.append(Limit(
+            'several-systems', '', f'The campaigns are of {len(systems)} systems, which differ in '
+            'program, formula, network, controller, world or timing. Their figures are kept apart.',
+        ))
+    for system in systems:
         found += _of_system(system)
         for name, one in system.campaigns:
             found += _of_campaign(name, one)
-    found += [Limit(name, '', words, 'fixed') for name, words in FIXED]
-    return tuple(found)
-
-
-def _of_input(facts: Facts) -> Iterator[Limit]:
-    if facts.requirement is None:
-        yield Limit('no-requirement', '', 'No wording of a requirement was given '
-                    '(--requirement); only the formula is known.')
-    if facts.claim is None:
-        yield Limit('no-claim', '', 'No share was claimed (--claim), so the rates are given '
-                    'and not judged.')
-    if len(facts.systems) > 1:
-        yield Limit('several-systems', '', f'The campaigns are of {len(facts.systems)} systems, '
-            'which differ in program, formula, network, controller, world or timing. Their figures '
-            'are kept apart.',
-        )
+    return (*found, *(Limit(name, '', words, 'fixed') for name, words in FIXED))
 
 
 def _of_system(system: SystemFacts) -> Iterator[Limit]:
@@ -166,7 +157,7 @@ def _of_system(system: SystemFacts) -> Iterator[Limit]:
     else:
         yield from _of_domain(name, system.coverage)
     failed = sum(len(one.recorded.counterexamples) for one in system.inputs)
-    examined = sum(len(one.found.cases) for one in system.causes)
+    examined = sum(one.figures['looked_into'] for one in system.causes)
     if failed and not examined:
         yield Limit('no-localisation', name, f'None of the {failed:,} failed runs '
                     'was driven again with perfect estimates, so whether network or controller '
@@ -179,12 +170,13 @@ def _of_system(system: SystemFacts) -> Iterator[Limit]:
         yield Limit('no-monitor', name, 'No run-time monitor was judged with this '
                     'network (--monitor-table).')
     for one in system.monitors:
-        program = str(one.options['program'])
+        options = one.options
+        program = str(options['program'])
         own = str(facts['program']).removesuffix('.scenic')
         also = '' if program == own else f', which is not that of these campaigns ({own})'
         yield Limit('monitor-program', name, 'The table of the run-time monitor '
                     f'names its program by the word {program} only, not by a hash{also}. Its '
-                    f'{one.judged.runs:,} scenes were drawn with seed {one.options.get("seed")}.')
+                    f'{one.judged["runs"]:,} scenes were drawn with seed {options["seed"]}.')
 
 
 def _of_adding(system: SystemFacts) -> Iterator[Limit]:
@@ -339,7 +331,3 @@ def _of_bags(name: str, one: CampaignInput) -> Iterator[Limit]:
                     'no bag: their scenes are known to nine decimals, which is not enough to '
                     'repeat them to the bit.')
 
-
-def limits_plain(limits: Sequence[Limit]) -> list[dict[str, str]]:
-    """Limits for JSON."""
-    return [one.plain() for one in limits]

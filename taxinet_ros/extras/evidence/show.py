@@ -4,47 +4,35 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.extras.evidence.document import (
+from taxinet_ros.extras.evidence.argument import goals
+from taxinet_ros.extras.evidence.evidence import (
+    ARGUMENT_NAME,
     JSON_NAME,
     MANIFEST_NAME,
     PAGE_NAME,
-    SVG_NAME,
     Collected,
     EvidenceOptions,
+    make_evidence,
 )
 from taxinet_ros.extras.evidence.figures import Verdict
-from taxinet_ros.extras.evidence.folder import make_evidence
 from taxinet_ros.extras.evidence.verify import Verification, VerifyOptions, verify
 
 _WIDTH = 100
 
 
-@dataclass(frozen=True, kw_only=True)
-class WriteOptions:
-    """Options of writing evidence.
-
-    Attributes:
-        evidence: what is asked for.
-        out: folder to write; must be new.
-        localize_runs: failed runs of each campaign to drive again first.
-        as_json: print the values of ``evidence.json``.
-    """
-
-    evidence: EvidenceOptions
-    out: Path
-    localize_runs: int
-    as_json: bool
-
-
-def run_evidence(options: WriteOptions) -> int:
+def run_evidence(options: EvidenceOptions, out: Path, *, as_json: bool) -> int:
     """Write evidence and print what it says.
+
+    Args:
+        options: what is asked for.
+        out: folder to write; must be new.
+        as_json: print the values of ``evidence.json``.
 
     Returns:
         Exit code: 0 written, and the claim, if there is one, is supported; 1 it is refuted; 3 it is
@@ -52,16 +40,13 @@ def run_evidence(options: WriteOptions) -> int:
 
     Raises:
         UsageError: bad input.
-        InfraError: a trial's process died.
     """
     with stage_bars(Console(stderr=True)) as show:
-        found = make_evidence(
-            options.evidence, options.out, localize_runs=options.localize_runs, on_progress=show,
-        )
-    if options.as_json:
+        found = make_evidence(options, out, on_progress=show)
+    if as_json:
         print(json.dumps(found.content, indent=2, allow_nan=False))
     else:
-        _print(found, options.out)
+        _print(found, out)
     return _code(found)
 
 
@@ -75,12 +60,10 @@ def _code(found: Collected) -> ExitCode:
 def _print(found: Collected, out: Path) -> None:
     content = found.content
     console = _console()
-    for one in found.argument.nodes:
-        if one.verdict is None:
-            continue
-        word = 'undeveloped' if one.undeveloped else one.verdict.value
-        why = f' ({one.why})' if one.why else ''
-        console.print(f'{one.name:<4}{word:<13}{one.text}{why}', soft_wrap=True)
+    for one in goals(content['argument']):
+        word = 'undeveloped' if one['undeveloped'] else one['verdict']
+        why = f' ({one["why"]})' if one['why'] else ''
+        console.print(f'{one["id"]:<4}{word:<13}{one["text"]}{why}', soft_wrap=True)
     limits = content['limits']
     own = [one for one in limits if one['source'] == 'inputs']
     console.print(f'{len(limits)} known limits, {len(own)} of them from these inputs:',
@@ -93,7 +76,7 @@ def _print(found: Collected, out: Path) -> None:
         f'{len(content["items"])} items by hash'
         + (f', unknown: {", ".join(unknown)}' if unknown else ''), soft_wrap=True,
     )
-    files = ', '.join((PAGE_NAME, JSON_NAME, SVG_NAME, MANIFEST_NAME))
+    files = ', '.join((PAGE_NAME, JSON_NAME, ARGUMENT_NAME, MANIFEST_NAME))
     console.print(f'{out}: {files}', soft_wrap=True)
     console.print(f'next: taxinet evidence verify {out}', soft_wrap=True)
 

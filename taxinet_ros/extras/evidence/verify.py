@@ -1,16 +1,18 @@
 """Verify evidence: every byte, every hash, every figure, and a sample of the runs.
 
-Nothing of the evidence is believed: figures, limits, argument and drawing are made again from the
-inputs by the function that made them first, and compared value by value. Runs of the sample are
-driven again without ROS and compared by their robustness and by their bags, to the bit.
+Figures, limits and argument are made again from the inputs by the function that made them first,
+and compared value by value. Runs of the sample are driven again without ROS; their robustness and
+the messages of their bags have to be equal to the bit.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import random
+import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,41 +20,27 @@ from typing import Any
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.audit import bag_difference
 from taxinet_ros.campaign.loop_run import Loop, LoopOptions
-from taxinet_ros.campaign.record.facts import (
-    FACTS_NAME,
-    recorded_stacks,
-    recorded_world,
-)
+from taxinet_ros.campaign.record.facts import FACTS_NAME, recorded_stacks, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.provenance import differences, provenance
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.extras.evidence.document import (
+from taxinet_ros.extras.evidence.evidence import (
     JSON_NAME,
-    PAGE_NAME,
-    SVG_NAME,
+    MANIFEST_NAME,
+    SCHEMA,
     Collected,
     EvidenceOptions,
     collect,
 )
-from taxinet_ros.extras.evidence.drawing import argument_svg
-from taxinet_ros.extras.evidence.folder import read_evidence, write_page
-from taxinet_ros.extras.evidence.inputs import (
-    CampaignInput,
-    Place,
-    requirement_of,
-    usable_network,
-)
+from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
 from taxinet_ros.files.sealed_json import file_sha256
 
 Progress = Callable[[str, int, int], None]
-_MADE_ON = 'This page was made on '
-_BROKEN = (KeyError, TypeError, ValueError, AttributeError, IndexError)
-"""What reading values of another form raises."""
+_LINE = re.compile(r'([0-9a-f]{64})  ([^/\n]+)')
 
 
 @dataclass(kw_only=True)
@@ -91,10 +79,6 @@ class Verification:
         if self.different:
             return ExitCode.INFRA
         return ExitCode.INCOMPLETE if self.unchecked else ExitCode.OK
-
-    def count(self, what: str, number: int = 1) -> None:
-        """Count things that hold."""
-        self.checked[what] = self.checked.get(what, 0) + number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,159 +120,168 @@ def verify(
         on_progress: called with the stage, what is done of it, and how much there is.
 
     Raises:
-        UsageError: the folder is none of evidence, or an input named as moved is none of it.
+        UsageError: the folder is none of evidence.
     """
     found = Verification()
-    kept = read_evidence(options.folder)
-    found.damaged += kept.troubles
-    if not kept.content:
-        return found
-    if not kept.troubles:
-        found.count('files', kept.files)
+    _check_files(options.folder, found)
+    path = options.folder / JSON_NAME
     try:
-        places = _places(kept.content, options, found)
-        if places is None:
-            return found
-        again = _again(kept.content, places, options, on_progress)
+        content = _read_json(path)
+        again = _again(content, options, found, on_progress)
     except UsageError as error:
         found.damaged.append(str(error))
-        return found
-    except _BROKEN as error:
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
         found.damaged.append(
-            f'{options.folder / JSON_NAME}: damaged or edited: a value is missing or of another '
-            f'form ({error!r})'
+            f'{path}: damaged or edited: a value is missing or of another form ({error!r})'
         )
-        return found
-    _compare(kept.content, again, options, found)
-    if options.sample:
-        _drive_again(again, options, found, on_progress)
     else:
-        found.notes.append('no run was driven again, as asked by --sample 0')
+        if again is not None:
+            _compare(content, again, options, found)
+            _drive_again(again, options, found, on_progress)
     return found
+
+
+def _check_files(folder: Path, found: Verification) -> None:
+    """Compare the files of the folder with the manifest."""
+    manifest = folder / MANIFEST_NAME
+    if not folder.is_dir():
+        raise UsageError(f'{folder}: no such folder; name one that taxinet evidence has written')
+    if not any((folder / name).is_file() for name in (MANIFEST_NAME, JSON_NAME)):
+        raise UsageError(f'{folder}: no evidence: neither {MANIFEST_NAME} nor {JSON_NAME} is there')
+    if not manifest.is_file():
+        found.damaged.append(f'{manifest}: is missing')
+        return
+    lines = [_LINE.fullmatch(line) for line in manifest.read_text(errors='replace').splitlines()]
+    listed = {line[2]: line[1] for line in lines if line}
+    if not all(lines):
+        found.damaged.append(f'{manifest}: damaged line {lines.index(None) + 1}')
+    there = {path.name for path in folder.iterdir()} - {MANIFEST_NAME}
+    for name in sorted({*listed, *there}):
+        path = folder / name
+        if name not in there:
+            found.damaged.append(f'{path}: is missing, but listed in {MANIFEST_NAME}')
+        elif name not in listed:
+            found.damaged.append(f'{path}: is not listed in {MANIFEST_NAME}')
+        elif not path.is_file() or file_sha256(path) != listed[name]:
+            found.damaged.append(f'{path}: is not the file that {MANIFEST_NAME} lists')
+    if not found.damaged:
+        found.checked['files'] = len(listed) + 1
+
+
+def _read_json(path: Path) -> Mapping[str, Any]:
+    if not path.is_file():
+        raise UsageError(f'{path}: is missing')
+    content: Mapping[str, Any] = json.loads(path.read_bytes())
+    if content['schema'] != SCHEMA:
+        raise UsageError(
+            f'{path}: is of schema {content["schema"]!r}, this version reads {SCHEMA}'
+        )
+    return content
 
 
 # Inputs ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Places:
-    """Where the inputs are now, in the order in which they were named."""
-
-    campaigns: tuple[Path, ...]
-    localisations: tuple[Path, ...]
-    monitors: tuple[Path, ...]
-    odd: str | None
-    where: Mapping[Path, Place]
-
-
-def _places(
-    content: Mapping[str, Any], options: VerifyOptions, found: Verification
-) -> _Places | None:
-    """Find all inputs and check their hashes; None if one is missing or has changed."""
-    unused = list(options.moved)
-    where: dict[Path, Place] = {}
-
-    def find(kind: str, one: Mapping[str, Any]) -> Path:
-        recorded = options.folder / one['path']
-        place = Place(one['path'], one.get('name', ''))
-        files: Mapping[str, str] = one['files']
-        for path in options.moved:
-            if path.is_dir() and all(_sha256(path / name) == sha for name, sha in files.items()):
-                unused[:] = [left for left in unused if left != path]
-                where[path] = place
-                return path
-        where[recorded] = place
-        _check_files(f'{kind} {one.get("name", one["id"])}', recorded, files, found)
-        return recorded
-
-    by_number = sorted(content['campaigns'], key=lambda one: int(one['id'].rpartition('-')[2]))
-    before = len(found.damaged)
-    campaigns = tuple(find('campaign', one) for one in by_number)
-    localisations = tuple(find('localisation', one) for one in content['localisations'])
-    monitors = tuple(find('monitor table', one) for one in content['monitors'])
-    odd = _find_odd(content['odd'], options, unused, where, found)
-    if unused:
-        listed = ', '.join(map(str, unused))
-        found.damaged.append(
-            f'--campaign {listed}: is none of the inputs, or has changed since the evidence was '
-            'written'
-        )
-    if len(found.damaged) > before:
-        return None
-    inputs = (*by_number, *content['localisations'], *content['monitors'])
-    found.count('hashes of inputs', sum(len(one['files']) for one in inputs) + bool(odd))
-    return _Places(campaigns=campaigns, localisations=localisations, monitors=monitors, odd=odd,
-                   where=where)
-
-
-def _sha256(path: Path) -> str:
-    return file_sha256(path) if path.is_file() else ''
-
-
-def _check_files(
-    what: str, folder: Path, files: Mapping[str, str], found: Verification
-) -> None:
-    if not folder.is_dir():
-        found.damaged.append(
-            f'{folder}: {what} is not there; if it has moved, name its folder with --campaign'
-        )
-        return
-    for name, sha256 in files.items():
-        path = folder / name
-        if not path.is_file():
-            found.damaged.append(f'{path}: is missing')
-        elif (now := file_sha256(path)) != sha256:
-            found.damaged.append(
-                f'{path}: has changed since the evidence was written (sha256 {sha256[:12]}… then, '
-                f'{now[:12]}… now); make the evidence again'
-            )
-
-
-def _find_odd(
-    odd: Mapping[str, Any] | None, options: VerifyOptions, unused: list[Path],
-    where: dict[Path, Place], found: Verification,
-) -> str | None:
-    """Name or file of the ODD; its hash is compared with the other values."""
-    if odd is None:
-        return None
-    given = str(odd['given'])
-    for path in options.moved:
-        if _sha256(path) == odd['sha256']:
-            unused[:] = [left for left in unused if left != path]
-            where[path] = Place(given)
-            return str(path)
-    recorded = options.folder / given
-    if '/' not in given and not given.endswith('.yaml'):
-        return given  # a shipped one
-    if not recorded.is_file():
-        found.damaged.append(
-            f'{recorded}: ODD {odd["name"]} is not there; if it has moved, name it with --campaign'
-        )
-    elif file_sha256(recorded) != odd['sha256']:
-        found.damaged.append(f'{recorded}: has changed since the evidence was written')
-    where[recorded] = Place(given)
-    return str(recorded)
-
-
 def _again(
-    content: Mapping[str, Any], places: _Places, options: VerifyOptions, on_progress: Progress,
-) -> Collected:
-    """The evidence, made again from the inputs."""
+    content: Mapping[str, Any], options: VerifyOptions, found: Verification,
+    on_progress: Progress,
+) -> Collected | None:
+    """The evidence, made again from the inputs; None if one of them is missing or has changed."""
+    by_number = sorted(content['campaigns'], key=lambda one: int(one['id'].rpartition('-')[2]))
+    places = _Places(options)
+    campaigns = tuple(places.folder('campaign', one) for one in by_number)
+    localisations = tuple(
+        places.folder('localisation', one) for one in content['localisations']
+    )
+    monitors = tuple(places.folder('monitor table', one) for one in content['monitors'])
+    odd = places.odd(content['odd'])
+    unused = [path for path in options.moved if path not in places.recorded]
+    places.troubles += [
+        f'--campaign {path}: is none of the inputs, or has changed since the evidence was written'
+        for path in unused
+    ]
+    if places.troubles:
+        found.damaged += places.troubles
+        return None
+    found.checked['hashes of inputs'] = places.hashes
     requirement = content['requirement']
-    bags = sum(int(one['bags']['runs']) for one in content['campaigns'])
+    bags = sum(len(one['bags']['each']) for one in by_number)
     done = itertools.count(1)
     return collect(
         EvidenceOptions(
-            campaigns=places.campaigns, claim=content['claim'], spec=content['asked_spec'],
-            odd=places.odd, monitors=places.monitors, localisations=places.localisations,
-            networks=options.networks,
+            campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=odd,
+            monitors=monitors, localisations=localisations, networks=options.networks,
         ),
-        options.folder, where=places.where,
+        options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
         on_bag=lambda bag: on_progress('bags', min(next(done), bags), bags),
         requirement=None if requirement is None else requirement_of(
             requirement['given'], str(options.folder / JSON_NAME)
         ),
     )
+
+
+class _Places:
+    """Where inputs are now, found by their hashes.
+
+    Attributes:
+        recorded: paths in the evidence, by where the inputs are.
+        troubles: what is missing or has changed.
+        hashes: number of files that are as recorded.
+    """
+
+    def __init__(self, options: VerifyOptions) -> None:
+        self._options = options
+        self.recorded: dict[Path, str] = {}
+        self.troubles: list[str] = []
+        self.hashes = 0
+
+    def folder(self, kind: str, one: Mapping[str, Any]) -> Path:
+        """Folder of an input: one named as moved with these files, else where it was."""
+        files, what = one['files'], f'{kind} {one.get("name", one["id"])}'
+        place = self._options.folder / one['path']
+        for path in self._options.moved:
+            if all(_sha256(path / name) == sha256 for name, sha256 in files.items()):
+                place = path
+        self.recorded[place] = one['path']
+        if not place.is_dir():
+            self.troubles.append(
+                f'{place}: {what} is not there; if it has moved, name its folder with --campaign'
+            )
+            return place
+        for name, sha256 in files.items():
+            self._check(place / name, sha256)
+        return place
+
+    def odd(self, one: Mapping[str, Any] | None) -> str | None:
+        """Name or file of the ODD."""
+        if one is None:
+            return None
+        place = self._options.folder / one['path']
+        for path in self._options.moved:
+            if _sha256(path) == one['sha256']:
+                place = path
+        if '/' not in one['path'] and not one['path'].endswith('.yaml'):
+            return str(one['path'])  # a shipped one; its hash is compared with the other values
+        self.recorded[place] = one['path']
+        self._check(place, one['sha256'])
+        return str(place)
+
+    def _check(self, path: Path, sha256: str) -> None:
+        now = _sha256(path)
+        self.hashes += now == sha256
+        if not now:
+            self.troubles.append(
+                f'{path}: is missing; if it has moved, name its folder with --campaign'
+            )
+        elif now != sha256:
+            self.troubles.append(
+                f'{path}: has changed since the evidence was written (sha256 {sha256[:12]}… then, '
+                f'{now[:12]}… now); make the evidence again'
+            )
+
+
+def _sha256(path: Path) -> str:
+    return file_sha256(path) if path.is_file() else ''
 
 
 # Values ------------------------------------------------------------------------------------------
@@ -297,48 +290,29 @@ def _again(
 def _compare(
     content: Mapping[str, Any], again: Collected, options: VerifyOptions, found: Verification
 ) -> None:
-    """Compare every value, the drawing and the page with those made again."""
-    told = {name: value for name, value in content.items() if name != 'computed_by'}
-    now = {name: value for name, value in again.content.items() if name != 'computed_by'}
-    wrong = list(value_differences(told, now))
-    path = options.folder / JSON_NAME
-    found.damaged += [f'{path}: {line}' for line in wrong]
+    """Compare every value with that made again."""
+    written, now = ({**one, 'computed_by': None} for one in (content, again.content))
+    wrong = list(value_differences(written, now))
+    found.damaged += [f'{options.folder / JSON_NAME}: {line}' for line in wrong]
     if not wrong:
-        found.count('values computed again', sum(1 for _ in _leaves(now)))
-    drawing = options.folder / SVG_NAME
-    if drawing.is_file() and drawing.read_text(encoding='utf-8', errors='replace') != argument_svg(
-        again.argument
-    ):
-        found.damaged.append(f'{drawing}: is not the drawing of the argument of these inputs')
-    _compare_page(content, again, options, found)
+        found.checked['values computed again'] = sum(1 for _ in _leaves(now))
 
 
-def value_differences(told: Any, now: Any, at: str = '') -> Iterator[str]:
-    """Where two JSON values differ: ``path: written … | computed …``."""
-    if isinstance(told, Mapping) and isinstance(now, Mapping):
-        for name in sorted({*told, *now}):
+def value_differences(written: Any, now: Any, at: str = '') -> Iterator[str]:
+    """Where two JSON values differ, one line a place."""
+    if isinstance(written, Mapping) and isinstance(now, Mapping):
+        for name in sorted({*written, *now}):
             inner = f'{at}.{name}' if at else str(name)
-            if name not in told or name not in now:
+            if name not in written or name not in now:
                 yield f'{inner}: {"is missing" if name in now else "is not of these inputs"}'
             else:
-                yield from value_differences(told[name], now[name], inner)
-    elif isinstance(told, list) and isinstance(now, list):
-        if len(told) != len(now):
-            yield f'{at}: has {len(told)} entries, of these inputs there are {len(now)}'
-            return
-        for number, (one, other) in enumerate(zip(told, now, strict=True)):
-            yield from value_differences(one, other, f'{at}[{_key(one, number)}]')
-    elif type(told) is not type(now) or told != now:
-        yield f'{at}: is {_short(told)}, of these inputs it is {_short(now)}'
-
-
-def _key(one: Any, number: int) -> str:
-    """How an entry of a list is called: by its id or formula if it has one."""
-    if isinstance(one, Mapping):
-        for name in ('id', 'formula', 'name', 'key', 'label'):
-            if isinstance(one.get(name), str):
-                return str(one[name])
-    return str(number)
+                yield from value_differences(written[name], now[name], inner)
+    elif isinstance(written, list) and isinstance(now, list) and len(written) == len(now):
+        for number, (one, other) in enumerate(zip(written, now, strict=True)):
+            key = one.get('id', number) if isinstance(one, Mapping) else number
+            yield from value_differences(one, other, f'{at}[{key}]')
+    elif type(written) is not type(now) or written != now:
+        yield f'{at}: is {_short(written)}, of these inputs it is {_short(now)}'
 
 
 def _short(value: Any) -> str:
@@ -347,50 +321,11 @@ def _short(value: Any) -> str:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, Mapping):
-        for inner in value.values():
-            yield from _leaves(inner)
-    elif isinstance(value, list):
-        for inner in value:
+    if isinstance(value, Mapping | list):
+        for inner in value.values() if isinstance(value, Mapping) else value:
             yield from _leaves(inner)
     else:
         yield value
-
-
-def _compare_page(
-    content: Mapping[str, Any], again: Collected, options: VerifyOptions, found: Verification
-) -> None:
-    """Compare the page with one made now; another version or machine may draw it otherwise."""
-    path = options.folder / PAGE_NAME
-    if not path.is_file():
-        return
-    with tempfile.TemporaryDirectory() as scratch:
-        other = Path(scratch) / PAGE_NAME
-        write_page(again, other, _sha256(options.folder / JSON_NAME))
-        before, now = (
-            one.read_text(encoding='utf-8', errors='replace') for one in (path, other)
-        )
-    # What it says of the machine that wrote it cannot be computed again; it is text, no markup.
-    there, own = _made_on(before), _made_on(now)
-    if there and '<' not in there:
-        now = now.replace(f'{_MADE_ON}{own}</p>', f'{_MADE_ON}{there}</p>')
-    if before == now:
-        return
-    elsewhere = (
-        'by another version' if content.get('computed_by') != again.content['computed_by']
-        else 'on another machine' if there not in ('', own) else ''
-    )
-    if elsewhere:
-        found.unchecked.append(
-            f'{path}: is not the page that this version makes here of these inputs, and says that '
-            f'it was written {elsewhere}; values and drawing are checked, this page is not'
-        )
-    else:
-        found.damaged.append(f'{path}: is not the page of these inputs')
-
-
-def _made_on(page: str) -> str:
-    return page.partition(_MADE_ON)[2].partition('</p>')[0]
 
 
 # Runs --------------------------------------------------------------------------------------------
@@ -400,65 +335,53 @@ def _drive_again(
     again: Collected, options: VerifyOptions, found: Verification, on_progress: Progress
 ) -> None:
     """Drive a sample of the runs again and compare them to the bit."""
+    if not options.sample:
+        found.notes.append('no run was driven again, as asked by --sample 0')
+        return
     runs: list[tuple[str, RunRow]] = []
-    reasons: dict[str, str] = {}
     for name in sorted(again.inputs):
         one = again.inputs[name]
-        why = not_repeatable(one, options.networks)
-        here = [] if why else [
-            (name, row) for row in one.rows if row.outcome.judged and row.run_id in one.bags
-        ]
-        runs += here
-        if not here:
-            reasons[name] = why or 'no run has its bag here, which alone has the exact scene'
+        rows = [(name, row) for row in one.recorded.judged if row.run_id in one.bags]
+        why = not_repeatable(one, options.networks) or (
+            '' if rows else 'no run has its bag here, which alone has the exact scene'
+        )
+        if why:
+            found.unchecked.append(f'{one.folder}: no run can be driven again: {why}')
+        else:
+            runs += rows
     sample = random.Random(options.seed).sample(runs, min(options.sample, len(runs)))
-    found.unchecked += [
-        f'{again.inputs[name].folder}: no run can be driven again: {why}'
-        for name, why in reasons.items()
-    ]
-    if not reasons and len(sample) < options.sample:
+    if len(sample) < options.sample and not found.unchecked:
         found.notes.append(f'there are only {len(sample)} runs to drive again')
     loops: dict[str, Loop] = {}
-    elsewhere: dict[str, None] = {}
     with tempfile.TemporaryDirectory(prefix='taxinet-evidence-') as scratch:
-        ordered = sorted(sample, key=lambda each: (each[0], each[1].index))
-        for done, (name, row) in enumerate(ordered, 1):
+        for done, (name, row) in enumerate(sorted(
+            sample, key=lambda each: (each[0], each[1].index)
+        ), 1):
             one, out = again.inputs[name], Path(scratch) / name
             if name not in loops:
                 out.mkdir()
                 # From there the bag gets the program's text, as in the campaign.
                 (out / FACTS_NAME).symlink_to((one.folder / FACTS_NAME).resolve())
                 loops[name] = Loop(_loop_options(one, out, options.networks))
-            difference = run_difference(one, row, loops[name], out)
-            if difference:
+            if difference := run_difference(one, row, loops[name], out):
                 found.different.append(f'{one.folder / row.run_id}: driven again: {difference}')
-            else:
-                found.count('runs driven again, equal to the bit')
-                if other := _made_elsewhere(one, row):
-                    elsewhere[other] = None
-            on_progress('runs', done, len(ordered))
-    found.notes += [
-        f'runs were made on another machine or version, so bags were compared by message: {other}'
-        for other in elsewhere
-    ]
+            on_progress('runs', done, len(sample))
+    if sample and not found.different:
+        found.checked['runs driven again, equal to the bit'] = len(sample)
 
 
-def not_repeatable(one: CampaignInput, networks: Sequence[str] = ()) -> str:
+def not_repeatable(one: CampaignInput, networks: tuple[str, ...] = ()) -> str:
     """Why no run of a campaign can be driven again here; '' if they can."""
-    facts = one.facts
-    timing = str(facts.get('timing', ''))
-    if is_free(timing):
+    if is_free(str(one.facts.get('timing', ''))):
         return f'free runs: {NOT_REPRODUCIBLE}'
     try:
-        usable_network(facts, networks)
-        if again := find_world(*recorded_world(facts)).again_words:
-            return again
+        usable_network(one.facts, networks)
+        return find_world(*recorded_world(one.facts)).again_words
     except UsageError as error:
         return str(error)
-    return ''
 
 
-def _loop_options(one: CampaignInput, out: Path, networks: Sequence[str]) -> LoopOptions:
+def _loop_options(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> LoopOptions:
     facts = one.facts
     world, sha256 = recorded_world(facts)
     return LoopOptions(
@@ -486,24 +409,14 @@ def run_difference(one: CampaignInput, row: RunRow, loop: Loop, out: Path) -> st
         return str(error)
     if not result.outcome.judged:
         return f'{result.outcome}: {result.detail}'
-    words = _result_difference(row, result.robustness)
-    other = _made_elsewhere(one, row)
-    if not words and other:  # the bag records machine and versions, so its bytes differ
-        wrong = [topic.topic for topic in compare_bags(bag, out / row.run_id) if not topic.equal]
-        words = f'messages of {", ".join(wrong)} differ' if wrong else ''
-    elif not words:
-        words = bag_difference(bag, out / row.run_id)
-    return f'{words}; made on another machine or version: {other}' if words and other else words
-
-
-def _made_elsewhere(one: CampaignInput, row: RunRow) -> str:
-    """How machine and versions of a run differ from those here; '' if they do not."""
+    wrong = [
+        f'rho of {name} was {interval}, is now {result.robustness.get(name)}'
+        for name, interval in row.robustness.items() if result.robustness.get(name) != interval
+    ] or [
+        f'messages of {topic.topic} differ'
+        for topic in compare_bags(bag, out / row.run_id) if not topic.equal
+    ]
     stack = recorded_stacks(one.facts).get(row.stack, {})
-    return differences(stack, provenance()) if stack else ''
-
-
-def _result_difference(row: RunRow, now: Mapping[str, Any]) -> str:
-    for name, interval in row.robustness.items():
-        if now.get(name) != interval:
-            return f'rho of {name} was {interval}, is now {now.get(name)}'
-    return ''
+    if wrong and stack and (other := differences(stack, provenance())):
+        return f'{wrong[0]}; made on another machine or version: {other}'
+    return wrong[0] if wrong else ''

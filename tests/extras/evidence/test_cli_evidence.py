@@ -32,7 +32,7 @@ def test_given_the_word_write_or_options_first_then_it_is_the_same(taxinet, tmp_
         tmp_path / 'two' / 'MANIFEST').read_bytes()
     code, out, _ = taxinet('evidence', 'found', '--out', 'three', '--json')
     assert code == 0
-    assert json.loads(out)['schema'] == 'taxinet-evidence-1'
+    assert json.loads(out)['schema'] == 'taxinet-evidence-2'
 
 
 def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, tmp_path):
@@ -45,11 +45,11 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
     code, out, _ = taxinet('evidence', 'verify', 'evidence', '--json')
     assert code == 3  # without bags no run can be driven again
     assert json.loads(out)['holds'] is False
-    path = tmp_path / 'evidence' / 'argument.svg'
+    path = tmp_path / 'evidence' / 'argument.mmd'
     path.write_bytes(path.read_bytes() + b' ')
     code, out, err = taxinet('evidence', 'verify', 'evidence', '--sample', '0')
     assert code == 2
-    assert 'BAD     evidence/argument.svg: is not the file that MANIFEST lists' in out
+    assert 'BAD     evidence/argument.mmd: is not the file that MANIFEST lists' in out
     assert err.startswith('taxinet: error: evidence: evidence does not hold: ')
     assert len(err.splitlines()) == 1
 
@@ -59,7 +59,6 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
     (['found', '--out', 'found'], '--out found: already exists'),
     (['found', '--out', 'e', '--claim', 'all'], '--claim all: expected a share'),
     (['found', '--out', 'e', '--claim', '100%'], 'no number of runs shows 100 %'),
-    (['found', '--out', 'e', '--localize-runs', '2', '--localize', 'l'], 'leave one out'),
     (['verify', 'found'], 'found: no evidence'),
     (['found'], "Missing option '--out'"),
 ])

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
+import hashlib
 import shutil
 
-import numpy as np
 import pytest
 from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, planted
 
-from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.assurance import judge as judging
-from taxinet_ros.extras.assurance.judge import FACTORS, Driven, JudgeOptions, Trial
-from taxinet_ros.extras.evidence.document import EvidenceOptions, collect, parse_claim
+from taxinet_ros.extras.evidence.argument import goals
+from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse_claim
 from taxinet_ros.extras.evidence.inputs import read_requirement
+from taxinet_ros.files.sealed_json import write_sealed
 
 
 def collected(*folders, **options):
@@ -28,6 +24,10 @@ def collected(*folders, **options):
 
 def limits(content):
     return {one['id'] for one in content['limits']}
+
+
+def the_goals(content):
+    return list(goals(content['argument']))
 
 
 def formula(content, system=0, name='phi'):
@@ -71,10 +71,10 @@ def test_given_infrastructure_errors_then_they_are_in_no_rate_and_have_their_own
 def test_given_a_claim_then_the_whole_interval_decides(tmp_path, passed, failed, claim, verdict):
     content = collected(planted(tmp_path / 'a', [PASS] * passed + [FAIL] * failed), claim=claim)
     assert content['systems'][0]['claim']['verdict'] == verdict
-    goals = [one for one in content['argument']['nodes'] if 'in at least' in one['text']]
+    goals = [one for one in the_goals(content) if 'in at least' in one['text']]
     assert [one['verdict'] for one in goals] == [verdict]
     if verdict == 'refuted':
-        assert content['argument']['nodes'][0]['verdict'] == 'refuted'
+        assert content['argument']['verdict'] == 'refuted'
 
 
 def test_given_runs_stopped_undecided_then_there_are_bounds_and_no_rate(tmp_path):
@@ -99,7 +99,7 @@ def test_given_a_sampler_that_chose_all_scenes_then_there_is_no_rate_and_it_is_s
     assert found['rho']['quantiles'] == []
     assert content['systems'][0]['claim']['verdict'] == 'undetermined'
     assert 'no-rate' in limits(content)
-    goal = next(one for one in content['argument']['nodes'] if 'How often' in one['text'])
+    goal = next(one for one in the_goals(content) if 'How often' in one['text'])
     assert goal['undeveloped']
     assert 'sampler random' in goal['why']
 
@@ -153,8 +153,6 @@ def test_given_campaigns_of_two_versions_that_are_added_up_then_a_limit_says_whi
 def test_given_campaigns_that_differ_then_they_are_kept_apart(tmp_path, other):
     if 'program_sha256' in other:
         text = '# --- other.scenic ---\nmodel runway_world\n'
-        import hashlib
-
         other = {'program_text': text,
                  'program_sha256': hashlib.sha256(text.encode()).hexdigest()}
     one = planted(tmp_path / 'a', [PASS] * 3, seed=1)
@@ -163,10 +161,7 @@ def test_given_campaigns_that_differ_then_they_are_kept_apart(tmp_path, other):
     assert [formula(content, at)['satisfied']['drawn'] for at in (0, 1)] == [3, 4]
     assert [formula(content, at)['satisfied']['drawn_hits'] for at in (0, 1)] == [3, 0]
     assert 'several-systems' in limits(content)
-    assert sum(
-        one['kind'] == 'goal' and 'satisfies phi in' in one['text']
-        for one in content['argument']['nodes']
-    ) == 2
+    assert sum('satisfies phi in' in one['text'] for one in the_goals(content)) == 2
 
 
 def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_path):
@@ -174,7 +169,7 @@ def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_pa
     items = content['items']
     kinds = {one['kind'] for one in items.values()}
     assert kinds >= {
-        'requirement', 'formula', 'program', 'scenes', 'network', 'training data', 'tool versions',
+        'requirement', 'formula', 'program', 'network', 'training data', 'tool versions',
         'record', 'recordings', 'model card',
     }
     for one in items.values():
@@ -182,9 +177,6 @@ def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_pa
         assert one['sha256'] is None or len(one['sha256']) == 64
     assert items['system-1/network']['sha256'] == SHA['original']
     assert items['system-1/data-1']['name'] == 'program training_original'
-    assert [name for name in items if name.startswith('system-1/program/')] == [
-        'system-1/program/planted.scenic', 'system-1/program/runway_world.scenic',
-    ]
     assert items['requirement']['sha256'] is None
     assert {'no-requirement', 'no-claim', 'no-odd', 'no-localisation', 'no-monitor', 'no-bags',
             'renderer', 'network-origin', 'not-audited', 'distribution'} <= limits(content)
@@ -204,7 +196,7 @@ def test_given_a_network_of_unknown_training_then_that_is_a_limit_and_a_goal_lef
     item = content['items']['system-1/data']
     assert item['sha256'] is None
     assert why in item['why_unknown']
-    goal = next(one for one in content['argument']['nodes'] if 'training data' in one['text'])
+    goal = next(one for one in the_goals(content) if 'training data' in one['text'])
     assert goal['undeveloped']
 
 
@@ -219,72 +211,51 @@ def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
     assert (pairs['covered'], pairs['feasible']) == (2, 4)
     assert {'odd-cells', 'odd-pairs'} <= limits(content)
     assert 'no-odd' not in limits(content)
-    goal = next(one for one in content['argument']['nodes'] if 'ODD two' in one['text']
-                and one['kind'] == 'goal')
+    goal = next(one for one in the_goals(content) if 'ODD two' in one['text'])
     assert goal['verdict'] == 'undetermined'  # what happens in a gap is not known
 
 
 # Monitors ----------------------------------------------------------------------------------------
 
 
-def trial(scene, fallback='without', *, satisfied=True, alarm_s=math.nan):
-    return Trial(
-        scene=scene, fallback=fallback, satisfied=satisfied, rho_m=1.0 if satisfied else -1.5,
-        left_runway=False, duration_s=30.0, due_s=math.nan if satisfied else 12.0, reached=True,
-        off_s=math.nan, alarm_s=alarm_s, reason='' if math.isnan(alarm_s) else 'unseen',
-    )
-
-
 def judged_monitor(folder, perception='original'):
-    """What the command itself writes of three scenes whose runs are made up."""
-    runs = [
-        (trial(0), trial(0, 'stop')), (trial(1, satisfied=False, alarm_s=11.0), trial(1, 'stop')),
-        (trial(2, satisfied=False, alarm_s=13.0),
-         trial(2, 'stop', satisfied=False, alarm_s=13.0)),
-    ]
-    driven = [
-        Driven(trials=one, alarms_s=np.where(np.array(FACTORS) <= 1, one[0].alarm_s, math.nan))
-        for one in runs
-    ]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judging, 'draw_scenes', lambda *_, **__: [
-            Scenario(cross_track_m=float(number)) for number in range(len(runs))
-        ])
-        patch.setattr(judging, '_runs', lambda *_: iter(driven))
-        judging.judge(JudgeOptions(
-            program='s_falsif', perception=perception, controller='steering', monitor='original',
-            fallbacks=('stop',), runs=len(runs), seed=4, workers=1, out=folder,
-        ), lambda *_: None)
+    """A summary as ``taxinet assure judge`` writes it, with its table."""
+    folder.mkdir()
+    table = folder / 'trials.csv'
+    table.write_text('scene\n0\n', encoding='utf-8')
+    share = {'rate': 0.5, 'low': 0.2, 'high': 0.8}
+    options = {
+        'program': 's_falsif', 'perception': perception, 'controller': 'steering', 'seed': 4,
+        'monitor': 'original', 'fallbacks': ['stop'], 'runs': 3,
+        'fingerprints': {'perception': SHA[perception]},
+    }
+    write_sealed(folder / 'assurance.json', {'options': options, 'judged': {
+        'runs': 3, 'failed': 2, 'in_time': 1, 'late': 1, 'missed': 0, 'false_alarms': 0,
+        'satisfied': share, 'off': share, 'with_fallback': {'stop': {
+            'satisfied': share, 'off': share}},
+    }}, [table])
     return folder
 
 
-def test_given_a_judged_monitor_then_its_figures_are_computed_from_its_runs(tmp_path):
+def test_given_a_judged_monitor_then_its_figures_are_taken(tmp_path):
     folder = judged_monitor(tmp_path / 'monitor')
     content = collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
     (monitor,) = content['monitors']
-    judged = monitor['figures']['judged']
-    assert (judged['failed'], judged['in_time'], judged['late'], judged['missed']) == (2, 1, 1, 0)
-    assert judged['with_fallback']['stop']['mended'] == 1
-    assert [one['false_alarms'] for one in judged['trade']] == [0] * len(FACTORS)
-    assert sorted(monitor['files']) == ['alarms.csv', 'assurance.json', 'trials.csv']
+    assert (monitor['judged']['failed'], monitor['judged']['in_time']) == (2, 1)
+    assert list(monitor['files']) == ['assurance.json']
     assert 'no-monitor' not in limits(content)
     assert 'monitor-program' in limits(content)
+    (goal,) = [one for one in the_goals(content) if 'run-time monitor' in one['text']]
+    assert goal['why'].startswith('of 2 failed runs 1 with an alarm in time, of 1 satisfied ones 0')
 
 
-@pytest.mark.parametrize('column', ['satisfied', 'alarm_s', 'scene'])
-def test_given_an_edited_monitor_table_then_it_is_refused_by_name(tmp_path, column):
+@pytest.mark.parametrize('name', ['trials.csv', 'assurance.json'])
+def test_given_a_changed_monitor_table_then_it_is_refused_by_name(tmp_path, name):
     folder = judged_monitor(tmp_path / 'monitor')
-    path = folder / 'trials.csv'
-    lines = list(csv.DictReader(io.StringIO(path.read_text(encoding='utf-8'))))
-    lines[2][column] = {'satisfied': 'True', 'alarm_s': '12.5', 'scene': 'x'}[column]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, lines[0].keys(), lineterminator='\n')
-    writer.writeheader()
-    writer.writerows(lines)
-    path.write_text(text.getvalue(), encoding='utf-8')
-    with pytest.raises(UsageError, match=r'judge again|damaged line') as caught:
+    text = (folder / name).read_text(encoding='utf-8')
+    (folder / name).write_text(text.replace('0', '1', 1), encoding='utf-8')
+    with pytest.raises(UsageError, match=name):
         collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
-    assert str(folder) in str(caught.value)
 
 
 # Refused -----------------------------------------------------------------------------------------
@@ -310,7 +281,7 @@ def damage(path, old, new):
     (lambda f: damage(f / 'campaign.json', b'"seed": 0', b'"seed": 7'), r'campaign\.json: damaged'),
     (lambda f: damage(f / 'runs.csv', b'PASS', b'FAIL'), r'runs\.csv'),
     (lambda f: (f / 'runs.parquet').unlink(), r'runs\.parquet'),
-    (lambda f: (f / 'campaign.json').unlink(), r'has no campaign\.json with checksums'),
+    (lambda f: (f / 'campaign.json').unlink(), r'has no campaign\.json; restore it'),
     (lambda f: (f / 'ledger.jsonl').unlink(), 'not a campaign: no ledger'),
     (lambda f: (f / 'ledger.jsonl').write_bytes(
         b''.join((f / 'ledger.jsonl').read_bytes().splitlines(keepends=True)[:-1])),
@@ -333,8 +304,6 @@ def test_given_an_unfinished_campaign_then_it_is_refused_by_name(tmp_path):
 def test_given_a_campaign_that_does_not_say_what_it_ran_then_it_is_refused(tmp_path):
     with pytest.raises(UsageError, match='its record lacks program_text'):
         collected(planted(tmp_path / 'a', [PASS], program_text=None))
-    with pytest.raises(UsageError, match='its program text is not the one'):
-        collected(planted(tmp_path / 'b', [PASS], program_text='other'))
 
 
 def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
@@ -350,8 +319,6 @@ def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
     ({'spec': 'psi'}, 'not judged in .*known: phi'), ({'odd': 'nowhere'}, 'no such file'),
     ({'requirement': 'no identifier'}, 'expected an identifier'),
     ({'requirement': 'REQ-1: '}, 'expected an identifier'),
-    ({'requirement': 'REQ-1: a\x1b[31m'}, r"contains '\\x1b'"),
-    ({'requirement': 'REQ-1: \u202e% 99'}, r"contains '\\u202e'"),
 ])
 def test_given_a_wrong_option_then_it_is_refused_by_name(tmp_path, options, words):
     with pytest.raises(UsageError, match=words):
@@ -360,20 +327,20 @@ def test_given_a_wrong_option_then_it_is_refused_by_name(tmp_path, options, word
 
 def test_given_no_judged_run_then_nothing_is_said_to_be_supported_by_runs(tmp_path):
     content = collected(planted(tmp_path / 'a', [INFRA, INFRA]), claim=0.5)
-    verdicts = {one['text']: one['verdict'] for one in content['argument']['nodes']}
+    verdicts = {one['text']: one['verdict'] for one in the_goals(content)}
     assert verdicts['There is no failed run to attribute'] == 'undetermined'
     assert verdicts['Every figure rests on recorded runs that are bound by hash'] == 'undetermined'
 
 
 def test_given_runs_without_bags_then_bags_are_not_said_to_be_checked(tmp_path):
     content = collected(planted(tmp_path / 'a', [PASS, FAIL]))
-    [why] = [one['why'] for one in content['argument']['nodes'] if 'tables' in one['why']]
+    [why] = [one['why'] for one in the_goals(content) if 'tables' in one['why']]
     assert 'bags of 0 of 2 judged runs' in why
 
 
 def test_given_a_claim_near_100_percent_then_it_is_not_rounded_to_it(tmp_path):
     content = collected(planted(tmp_path / 'a', [PASS, FAIL]), claim=0.9999999)
-    texts = [one['text'] for one in content['argument']['nodes']]
+    texts = [one['text'] for one in the_goals(content)]
     assert any('at least 99.99999 %' in text for text in texts)
 
 
@@ -407,8 +374,6 @@ def test_given_a_requirement_in_a_file_then_its_hash_is_that_of_the_file(tmp_pat
     path.write_bytes(b'REQ-7:  The aircraft shall\r\nstay.\n')
     found = read_requirement(str(path))
     assert (found.name, found.text) == ('REQ-7', 'The aircraft shall stay.')
-    import hashlib
-
     assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -418,3 +383,15 @@ def test_given_interrupted_runs_then_the_interval_is_the_open_one(tmp_path):
     found = formula(content)['satisfied']
     assert (found['drawn'], found['any_time']) == (9, True)
     assert 'interrupted' in limits(content)
+
+
+def test_given_a_campaign_of_run_then_the_hash_of_its_network_is_that_of_its_runs(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS], perception_sha256=None))
+    assert content['systems'][0]['network']['sha256'] == SHA['original']
+
+
+def test_people9_given_a_requirement_without_an_identifier_then_no_campaign_is_read_before(
+    tmp_path,
+):
+    with pytest.raises(UsageError, match='requirement stay on the line: expected an identifier'):
+        collected(tmp_path / 'absent', requirement='stay on the line')
