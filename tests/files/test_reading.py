@@ -25,7 +25,6 @@ from taxinet_ros.core.place.apt_dat import read_airport_place
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.user_code import find_user_code
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.assurance.judge import read_trials
 from taxinet_ros.files.journal import read_journal
 from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
@@ -53,7 +52,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     'scheduler.json': lambda path: check_cluster(str(path)),
     'sealed.json': read_sealed,
     'sum.bin': file_sha256,
-    'trials.csv': read_trials,
     'weights.npz': load_model,
 }
 NAMED = 'is (a pipe|a device), not a regular file'

@@ -11,12 +11,11 @@ import contextlib
 import csv
 import dataclasses
 import io
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,10 +43,9 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
-from taxinet_ros.files.atomic import sync_folder, write_atomically
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.journal import Journal, damaged_line, open_journal
-from taxinet_ros.files.reading import read_text
-from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.training.data.dataset import draw_scenes
 
@@ -65,7 +63,6 @@ BRAKING_S = 2.0
 WANTED_RATIO = 10.0
 """How many times less often a monitored aircraft should leave the runway."""
 _ALARM_NAMES = ('scene', *(f'{factor:.4g}' for factor in FACTORS))
-_T = TypeVar('_T')
 Progress = Callable[[str, int, int], None]
 Floats = NDArray[np.float64]
 
@@ -277,32 +274,23 @@ class Driven:
     trials: tuple[Trial, ...]
     alarms_s: Floats
 
-    def plain(self) -> dict[str, Any]:
-        """Its values for JSON; null is NaN."""
-        found: dict[str, Any] = _finite({
-            'trials': [dataclasses.asdict(one) for one in self.trials],
-            'alarms_s': self.alarms_s.tolist(),
-        })
-        return found
-
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Driven:
-        """From the values of :meth:`plain`.
+        """From the values of :func:`plain`; null is NaN.
 
         Raises:
             LookupError, TypeError, ValueError: they are others.
         """
-        kinds = {field.name: field.type for field in dataclasses.fields(Trial)}
+        def known(value: Any) -> Any:
+            return math.nan if value is None else value
 
-        def told(trial: Mapping[str, Any]) -> dict[str, Any]:
-            return {
-                name: math.nan if value is None and kinds[name] == 'float' else value
-                for name, value in trial.items()
-            }
-
-        trials = tuple(Trial(**told(trial)) for trial in values['trials'])
-        times = [math.nan if time_s is None else float(time_s) for time_s in values['alarms_s']]
-        return cls(trials=trials, alarms_s=np.array(times))
+        return cls(
+            trials=tuple(
+                Trial(**{name: known(value) for name, value in trial.items()})
+                for trial in values['trials']
+            ),
+            alarms_s=np.array([float(known(time_s)) for time_s in values['alarms_s']]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -585,7 +573,6 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
         UsageError: the perception sees no pictures, the program cannot be used, or the folder has
             runs of other options.
         InfraError: a run broke.
-        RecordError: the folder was moved, deleted or replaced.
     """
     if not make_perception(options.perception).needs_image:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
@@ -610,7 +597,6 @@ def _drive(
     path = options.out / SCENES_NAME
     journal = open_journal(path, 'taxinet assure judge')
     with contextlib.closing(journal):
-        sync_folder(options.out)
         known = _earlier(options, path, journal)
         keys = [scene.digest for scene in scenes]
         missing = [number for number, key in enumerate(keys) if (number, key) not in known]
@@ -619,12 +605,12 @@ def _drive(
         for number, driven in zip(missing, found, strict=True):
             known[number, keys[number]] = driven
             journal.append({
-                'event': 'scene', 'scene': number, 'scenario': keys[number], **driven.plain()
+                'event': 'scene', 'scene': number, 'scenario': keys[number],
+                'trials': plain(driven.trials), 'alarms_s': plain(driven.alarms_s.tolist()),
             })
             journal.sync()
             made += 1
             progress('scenes', made, len(scenes))
-        journal.check_in_place()
     return [known[number, key] for number, key in enumerate(keys)]
 
 
@@ -668,105 +654,6 @@ def trials_csv(trials: Sequence[Trial]) -> str:
     return text.getvalue()
 
 
-def read_trials(path: Path) -> list[Trial]:
-    """Read the runs of :func:`trials_csv`.
-
-    Raises:
-        UsageError: ``path:line: message`` if a line is damaged; or it cannot be read.
-    """
-    return _read_lines(path, [field.name for field in dataclasses.fields(Trial)], _trial)
-
-
-def read_alarms(path: Path) -> dict[int, Floats]:
-    """Read the times of :func:`alarms_csv`, by scene. Raises as :func:`read_trials`."""
-    def times(cells: Mapping[str, str]) -> tuple[int, Floats]:
-        scene, *times_s = cells.values()
-        return int(scene), np.array([float(cell) if cell else math.nan for cell in times_s])
-
-    return dict(_read_lines(path, _ALARM_NAMES, times))
-
-
-def _read_lines(path: Path, names: Sequence[str], take: Callable[[dict[str, str]], _T]) -> list[_T]:
-    try:
-        lines = csv.reader(io.StringIO(read_text(path)), strict=True)
-        if next(lines, []) != list(names):
-            raise UsageError(f'{path}: is no table of taxinet assure judge')
-        found = []
-        for number, cells in enumerate(lines, 2):
-            try:
-                found.append(take(dict(zip(names, cells, strict=True))))
-            except (ValueError, KeyError) as error:
-                raise UsageError(f'{path}:{number}: damaged line ({error})') from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f'{path}: cannot be read ({error})') from error
-    return found
-
-
-_SWITCHES = {'True': True, 'False': False}
-
-
-def _trial(cells: Mapping[str, str]) -> Trial:
-    def number(name: str) -> float:
-        return float(cells[name]) if cells[name] else math.nan
-
-    return Trial(
-        scene=int(cells['scene']), fallback=cells['fallback'],
-        satisfied=_SWITCHES[cells['satisfied']], rho_m=number('rho_m'),
-        left_runway=_SWITCHES[cells['left_runway']], duration_s=number('duration_s'),
-        due_s=number('due_s'), reached=_SWITCHES[cells['reached']], off_s=number('off_s'),
-        alarm_s=number('alarm_s'), reason=cells['reason'],
-    )
-
-
-def read_judged(folder: Path) -> tuple[Mapping[str, Any], Judged]:
-    """Read a judgement: the figures are computed again from the runs, and have to be the written.
-
-    Args:
-        folder: what :func:`judge` wrote.
-
-    Returns:
-        The options, and how the monitor fares.
-
-    Raises:
-        UsageError: it is none, is damaged, or its summary is not that of its runs.
-    """
-    path, runs, alarms = (folder / name for name in (RESULT_NAME, TRIALS_NAME, ALARMS_NAME))
-    for needed in (path, runs, alarms):
-        if not needed.is_file():
-            raise UsageError(
-                f'{folder}: no result of taxinet assure judge: {needed.name} is not there'
-            )
-    try:
-        sealed = read_sealed(path)
-        for name in (TRIALS_NAME, ALARMS_NAME):
-            sealed.check_file(folder / name, 'judge again')
-        values = sealed.values
-        options, told = values['options'], values['judged']
-        words = options['perception'], options['fingerprints']['perception'], options['program']
-        if not all(isinstance(word, str) for word in words):
-            raise TypeError('its options are no words')
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise UsageError(f'{path}: damaged or edited ({error}); judge again') from error
-    trials, alarms_s = read_trials(runs), read_alarms(alarms)
-    if not any(one.fallback == WITHOUT for one in trials):
-        raise UsageError(f'{runs}: has no run without a fallback')
-    try:
-        judged = summarize(trials, alarms_s)
-    except (ValueError, KeyError) as error:
-        raise UsageError(f'{runs}: damaged ({error}); judge again') from error
-    if plain_judged(judged) != told:
-        raise UsageError(
-            f'{path}: its figures are not those of {runs.name} and {alarms.name}; judge again'
-        )
-    return options, judged
-
-
-def plain_judged(judged: Judged) -> dict[str, Any]:
-    """How a monitor fares, for JSON; null is not known, not bounded, or no alarm."""
-    found: dict[str, Any] = json.loads(json.dumps(_finite(_plain(judged)), allow_nan=False))
-    return found
-
-
 def alarms_csv(driven: Sequence[Driven]) -> str:
     """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
     lines = [','.join(_ALARM_NAMES)]
@@ -778,32 +665,25 @@ def alarms_csv(driven: Sequence[Driven]) -> str:
 
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
     """Options, results and provenance for JSON; null is not known, not bounded, or no alarm."""
-    told = dataclasses.asdict(options)
-    told['out'] = str(options.out)
-    told['fingerprints'] = dict(options.fingerprints)
-    result: dict[str, Any] = _finite({'options': told, 'judged': _plain(judged)})
-    return {**result, 'stack': dict(provenance())}
+    given = {**dataclasses.asdict(options), 'out': str(options.out)}
+    return {
+        'options': {**given, 'fingerprints': dict(options.fingerprints)},
+        'judged': plain(judged), 'stack': dict(provenance()),
+    }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value for JSON: dataclasses are objects; what is not finite is null."""
     if isinstance(value, Rate):
-        return value._asdict()
+        return plain(value._asdict())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {
-            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
         }
     if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(one) for one in value]
-    return value
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

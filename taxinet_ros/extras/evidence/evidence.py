@@ -21,6 +21,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from taxinet_ros.analysis.odd.coverage import coverage_json
 from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.options import check_new, make_out
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
 from taxinet_ros.campaign.scenes.overrides import scenes_words
@@ -44,12 +45,10 @@ from taxinet_ros.extras.evidence.inputs import (
     CampaignInput,
     LocalisationInput,
     MonitorInput,
-    OddInput,
     OnBag,
     Requirement,
     digest_of,
     read_campaigns,
-    read_domain,
     read_localisation,
     read_monitor,
     read_network,
@@ -140,7 +139,7 @@ class _Sources:
     options: EvidenceOptions
     requirement: Requirement | None
     campaigns: tuple[CampaignInput, ...]
-    domain: OddInput | None
+    odd: Odd | None
     causes: tuple[LocalisationInput, ...]
     monitors: tuple[MonitorInput, ...]
     folder: Path
@@ -171,14 +170,14 @@ def collect(
     """
     if requirement is None and options.requirement is not None:
         requirement = read_requirement(options.requirement)
-    domain = read_domain(options.odd) if options.odd is not None else None
+    odd = read_odd(find_odd(options.odd)) if options.odd is not None else None
     campaigns = read_campaigns(options.campaigns, on_bag)
     if names:
         campaigns = tuple(
             replace(one, name=name) for one, name in zip(campaigns, names, strict=True)
         )
     sources = _Sources(
-        options=options, requirement=requirement, campaigns=campaigns, domain=domain,
+        options=options, requirement=requirement, campaigns=campaigns, odd=odd,
         causes=tuple(read_localisation(path, campaigns) for path in options.localisations),
         monitors=tuple(read_monitor(path, campaigns) for path in options.monitors),
         folder=folder, recorded=recorded or {},
@@ -218,8 +217,8 @@ def _systems(sources: _Sources) -> tuple[SystemFacts, ...]:
         found.append(SystemFacts(
             name=f'system-{number}', spec=spec, campaigns=tuple(members),
             network=read_network(facts, sources.options.networks),
-            coverage=None if sources.domain is None else figures.domain_of(
-                inputs, sources.domain.odd, spec, None if claim is None else 1 - claim,
+            coverage=None if sources.odd is None else figures.domain_of(
+                inputs, sources.odd, spec, None if claim is None else 1 - claim,
             ),
             causes=tuple(
                 one for one in sources.causes if sources.campaigns[one.campaign] in inputs
@@ -245,7 +244,7 @@ def _spec(wanted: str | None, one: CampaignInput) -> str:
 
 
 def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any]:
-    requirement, domain, options = sources.requirement, sources.domain, sources.options
+    requirement, odd, options = sources.requirement, sources.odd, sources.options
     ids = {one.folder: name for system in systems for name, one in system.campaigns}
     return {
         'schema': SCHEMA, 'about': WORDS,
@@ -258,10 +257,12 @@ def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any
         'campaigns': [
             _campaign(sources, name, one) for system in systems for name, one in system.campaigns
         ],
-        'odd': None if domain is None or options.odd is None else {
-            'name': domain.odd.name, 'source': domain.odd.source, 'sha256': domain.sha256,
+        'odd': None if odd is None or options.odd is None else {
+            'name': odd.name, 'source': odd.source, 'sha256': file_sha256(find_odd(options.odd)),
             # A shipped one is found by its name.
-            'path': sources.path(domain.path) if Path(options.odd).is_file() else options.odd,
+            'path': (
+                sources.path(Path(options.odd)) if Path(options.odd).is_file() else options.odd
+            ),
         },
         'localisations': [
             {
@@ -420,12 +421,12 @@ def _system_items(system: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _argument(
     sources: _Sources, systems: Sequence[SystemFacts], content: Mapping[str, Any]
 ) -> Goal:
-    requirement, domain = sources.requirement, sources.domain
+    requirement, odd = sources.requirement, sources.odd
     context = []
     if requirement is not None:
         context.append(Reference(f'Requirement {requirement.name}', 'requirement'))
-    if domain is not None:
-        context.append(Reference(f'ODD {domain.odd.name}', 'odd'))
+    if odd is not None:
+        context.append(Reference(f'ODD {odd.name}', 'odd'))
     return whole(
         f'Evidence toward {requirement.name}: {requirement.text}' if requirement is not None
         else 'Evidence toward the formula: no wording of a requirement was given',

@@ -18,7 +18,6 @@ from typing import Any
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Planned
@@ -452,28 +451,3 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> MonitorInp
             'of these campaigns ran'
         )
     return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class OddInput:
-    """An operational design domain and its file.
-
-    Attributes:
-        odd: the domain.
-        path: its file.
-        sha256: of the file.
-    """
-
-    odd: Odd
-    path: Path
-    sha256: str
-
-
-def read_domain(word: str) -> OddInput:
-    """Read an ODD by its shipped name or file.
-
-    Raises:
-        UsageError: there is none, or it has a mistake.
-    """
-    path = find_odd(word)
-    return OddInput(odd=read_odd(path), path=path, sha256=file_sha256(path))

@@ -6,7 +6,8 @@ words on limits are in this file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -114,220 +115,185 @@ def known_limits(
         requirement: whether the wording of a requirement was given.
         claim: whether a share was claimed.
     """
-    found = []
-    if not requirement:
-        found.append(Limit('no-requirement', '', 'No wording of a requirement was given '
-                           '(--requirement); only the formula is known.'))
-    if not claim:
-        found.append(Limit('no-claim', '', 'No share was claimed (--claim), so the rates are given '
-                           'and not judged.'))
-    if len(systems) > 1:
-        found.append(Limit(
-            'several-systems', '', f'The campaigns are of {len(systems)} systems, which differ in '
-            'program, formula, network, controller, world or timing. Their figures are kept apart.',
-        ))
+    found = _given('', (
+        (not requirement, 'no-requirement', 'No wording of a requirement was given '
+         '(--requirement); only the formula is known.'),
+        (not claim, 'no-claim', 'No share was claimed (--claim), so the rates are given and not '
+         'judged.'),
+        (len(systems) > 1, 'several-systems', f'The campaigns are of {len(systems)} systems, which '
+         'differ in program, formula, network, controller, world or timing. Their figures are kept '
+         'apart.'),
+    ))
     for system in systems:
-        found += _of_system(system)
+        for part in (_of_rates, _of_world, _of_network, _of_domain, _of_examinations):
+            found += part(system)
         for name, one in system.campaigns:
             found += _of_campaign(name, one)
     return (*found, *(Limit(name, '', words, 'fixed') for name, words in FIXED))
 
 
-def _of_system(system: SystemFacts) -> Iterator[Limit]:
-    facts, name = system.facts, system.name
-    yield from _of_world(system)
-    yield from _of_network(system)
+def _given(about: str, rows: Sequence[tuple[object, str, str]]) -> list[Limit]:
+    """Limits of the rows whose condition holds."""
+    return [Limit(name, about, words) for holds, name, words in rows if holds]
+
+
+def _of_rates(system: SystemFacts) -> list[Limit]:
     rates = formula_rates(system.inputs, system.spec)
-    if not rates.satisfied.drawn:
-        yield Limit('no-rate', name, f'There is no rate: {rates.satisfied.why_not}.')
-    elif rates.satisfied.drawn < rates.satisfied.runs:
-        more = rates.satisfied.runs - rates.satisfied.drawn
-        yield Limit('chosen-scenes', name, f'A sampler chose {more:,} of the '
-                    f'{rates.satisfied.runs:,} judged runs by earlier results; these are in no '
-                    'rate.')
-    if rates.undecided.hits:
-        yield Limit('undecided', name, f'{rates.undecided.hits:,} runs were '
-                    f'stopped before {system.spec} was decided. They have no verdict on it, and '
-                    'which they are depends on their results.')
-    if len(system.campaigns) > 1:
-        yield from _of_adding(system)
-    if system.coverage is None:
-        yield Limit('no-odd', name, 'No operational design domain was given '
-                    '(--odd), so nothing is said about conditions that were not run.')
-    else:
-        yield from _of_domain(name, system.coverage)
+    satisfied, undecided = rates.satisfied, rates.undecided.hits
+    campaigns = len(system.campaigns)
+    stacks = [stack for one in system.inputs for stack in recorded_stacks(one.facts).values()]
+    differ = differences(*stacks)
+    return _given(system.name, (
+        (not satisfied.drawn, 'no-rate', f'There is no rate: {satisfied.why_not}.'),
+        (0 < satisfied.drawn < satisfied.runs, 'chosen-scenes', 'A sampler chose '
+         f'{satisfied.runs - satisfied.drawn:,} of the {satisfied.runs:,} judged runs by earlier '
+         'results; these are in no rate.'),
+        (undecided, 'undecided', f'{undecided:,} runs were stopped before {system.spec} was '
+         'decided. They have no verdict on it, and which they are depends on their results.'),
+        (campaigns > 1, 'pooled', f'The runs of {campaigns} campaigns of equal program, formula, '
+         'network, controller and world are also added up. That interval is the one valid at any '
+         'time, since whether to run another campaign may have depended on the results so far.'),
+        (differ, 'several-stacks', 'The runs were made on several machines or versions: '
+         f'{differ}.'),
+    ))
+
+
+def _of_world(system: SystemFacts) -> list[Limit]:
+    facts = system.facts
+    world, camera = world_and_camera(system.campaigns[0][1].system['world'])
+    known, ours = WORLD in facts, camera == OURS and world == KMWH
+    timing = str(facts.get('timing', ''))
+    free = is_free(timing)
+    return _given(system.name, (
+        (not known, 'world-unknown', 'The world of the runs is that of the nodes that answered; '
+         'the campaign does not record it.'),
+        (known and ours, 'renderer', "The pictures are of this package's own renderer and the runs "
+         'of its own world, not of X-Plane, in which the paper that the case study follows was '
+         'run, and of no real camera.'),
+        (known and not ours, 'renderer', f'World {world}, pictures by {camera}: another simulator, '
+         'and no real camera.'),
+        (free, 'free', 'Free runs cannot be repeated to the bit, so no run can be verified by '
+         'running it again.'),
+        (not timing, 'lockstep', 'Every answer of perception and controller took effect at once: '
+         'delays of a real computer are not in these runs.'),
+        (timing and not free, 'timing', f'Timing of the runs: {timing_words(timing)}; whether a '
+         'real computer answers like that is not known.'),
+        *(
+            (True, f'extension-{kind}', f'{one["name"]} is code of {one["distribution"]} '
+             f'{one["version"]} (sha256 {one["sha256"]}), not of this package.')
+            for kind, one in facts.get(EXTENSIONS, {}).items()
+        ),
+    ))
+
+
+def _of_network(system: SystemFacts) -> list[Limit]:
+    network, card = system.network, system.network.card
+    truth = network.word == TRUTH and not network.sha256
+    sources = card.training_data if card is not None else ()
+    kinds = {source.kind for source in sources}
+    ledgers = {one.files[LEDGER_NAME] for one in system.inputs}
+    start = card.start_sha256 if card is not None else None
+    return _given(system.name, (
+        (truth, 'truth', 'There is no network in these runs: the controller is given the truth. '
+         'They say nothing about perception.'),
+        (not truth and card is None, 'data-unknown', f'The training data of {network.word} are '
+         f'unknown: {network.why_unknown}.'),
+        (card is not None and network.word in SHIPPED, 'network-origin', f'{network.word} is a '
+         "network of this package, trained on its own pictures; it is not the network of the "
+         "paper's authors, nor of any aircraft."),
+        (kinds & {'program', 'runs'}, 'data-rendered', 'Training pictures were rendered by the '
+         'same package as those of the runs, so differences from real pictures show in neither.'),
+        (start is not None, 'training-start', f'Training began from other weights (sha256 {start}),'
+         ' whose own data the model card names only as far as it repeats them.'),
+        (any(one.sha256 == system.facts['program_sha256'] for one in sources), 'same-distribution',
+         'The network was trained on scenes of the very program that the runs are drawn from '
+         '(other draws).'),
+        (any(one.kind == 'runs' and one.sha256 in ledgers for one in sources), 'trained-on-these',
+         'The network was trained on failed runs of one of these campaigns: its rate there is too '
+         'good.'),
+    ))
+
+
+def _of_domain(system: SystemFacts) -> list[Limit]:
+    found = system.coverage
+    if found is None:
+        return [Limit('no-odd', system.name, 'No operational design domain was given (--odd), so '
+                      'nothing is said about conditions that were not run.')]
+    cells = sum(not one.rate.runs for one in found.cells)
+    feasible, covered = next(
+        ((one.feasible, one.covered) for one in found.strengths if one.t == 2), (0, 0)
+    )
+    fixed, unmentioned = (
+        ', '.join(BY_KEY[key].label for key in keys) for keys in (found.fixed, found.unmentioned)
+    )
+    return _given(system.name, (
+        (cells, 'odd-cells', f'{cells:,} of {len(found.cells):,} cells of the ODD '
+         f'{found.odd.name} have no judged run.'),
+        (covered < feasible, 'odd-pairs', f'{feasible - covered:,} of {feasible:,} feasible pairs '
+         'of cells have no judged run.'),
+        (found.judged > found.inside, 'odd-outside', f'{found.judged - found.inside:,} of '
+         f'{found.judged:,} judged runs are outside of the ODD.'),
+        (fixed, 'odd-fixed', f'{fixed}: in the ODD, but with one value in all runs.'),
+        (unmentioned, 'odd-unmentioned', f'{unmentioned}: varied in the runs, but not in the ODD.'),
+        *(
+            (True, f'odd-caution-{number}', f'{words.rstrip(".")}.')
+            for number, words in enumerate(found.cautions, 1)
+        ),
+    ))
+
+
+def _of_examinations(system: SystemFacts) -> list[Limit]:
+    """What localisations and monitors leave open."""
     failed = sum(len(one.recorded.counterexamples) for one in system.inputs)
     examined = sum(one.figures['looked_into'] for one in system.causes)
-    if failed and not examined:
-        yield Limit('no-localisation', name, f'None of the {failed:,} failed runs '
-                    'was driven again with perfect estimates, so whether network or controller '
-                    'caused them is not known (--localize).')
-    elif examined < failed:
-        yield Limit('localised-in-part', name, f'{examined:,} of {failed:,} failed '
-                    'runs were driven again with perfect estimates; of the others the cause is not '
-                    'known.')
-    if not system.monitors and system.network.sha256:
-        yield Limit('no-monitor', name, 'No run-time monitor was judged with this '
-                    'network (--monitor-table).')
-    for one in system.monitors:
-        options = one.options
-        program = str(options['program'])
-        own = str(facts['program']).removesuffix('.scenic')
-        also = '' if program == own else f', which is not that of these campaigns ({own})'
-        yield Limit('monitor-program', name, 'The table of the run-time monitor '
-                    f'names its program by the word {program} only, not by a hash{also}. Its '
-                    f'{one.judged["runs"]:,} scenes were drawn with seed {options["seed"]}.')
+    own = str(system.facts['program']).removesuffix('.scenic')
+    return _given(system.name, (
+        (failed and not examined, 'no-localisation', f'None of the {failed:,} failed runs was '
+         'driven again with perfect estimates, so whether network or controller caused them is not '
+         'known (--localize).'),
+        (0 < examined < failed, 'localised-in-part', f'{examined:,} of {failed:,} failed runs were '
+         'driven again with perfect estimates; of the others the cause is not known.'),
+        (not system.monitors and system.network.sha256, 'no-monitor', 'No run-time monitor was '
+         'judged with this network (--monitor-table).'),
+        *(
+            (True, 'monitor-program', 'The table of the run-time monitor names its program by the '
+             f'word {one.options["program"]} only, not by a hash; that of these campaigns is '
+             f'{own}. Its {one.judged["runs"]:,} scenes were drawn with seed '
+             f'{one.options["seed"]}.') for one in system.monitors
+        ),
+    ))
 
 
-def _of_adding(system: SystemFacts) -> Iterator[Limit]:
-    yield Limit('pooled', system.name, f'The runs of {len(system.campaigns)} campaigns '
-                'of equal program, formula, network, controller and world are also added up. '
-                'That interval is the one valid at any time, since whether to run another '
-                'campaign may have depended on the results so far.')
-    stacks = [stack for one in system.inputs for stack in recorded_stacks(one.facts).values()]
-    if differ := differences(*stacks):
-        yield Limit('pooled-stacks', system.name, 'The campaigns added up were made on several '
-                    f'machines or versions: {differ}.')
-
-
-def _of_world(system: SystemFacts) -> Iterator[Limit]:
-    facts, name = system.facts, system.name
-    world, camera = world_and_camera(system.campaigns[0][1].system['world'])
-    if WORLD not in facts:
-        yield Limit('world-unknown', name, 'The world of the runs is that of the '
-                    'nodes that answered; the campaign does not record it.')
-    elif camera == OURS and world == KMWH:
-        yield Limit('renderer', name, "The pictures are of this package's own "
-                    'renderer and the runs of its own world, not of X-Plane, in which the paper '
-                    'that the case study follows was run, and of no real camera.')
-    else:
-        yield Limit('renderer', name, f'World {world}, pictures by {camera}: '
-                    'another simulator, and no real camera.')
-    timing = str(facts.get('timing', ''))
-    if is_free(timing):
-        yield Limit('free', name, 'Free runs cannot be repeated to the bit, so no '
-                    'run can be verified by running it again.')
-    elif not timing:
-        yield Limit('lockstep', name, 'Every answer of perception and controller '
-                    'took effect at once: delays of a real computer are not in these runs.')
-    else:
-        yield Limit('timing', name, f'Timing of the runs: {timing_words(timing)}; '
-                    'whether a real computer answers like that is not known.')
-    for kind, one in facts.get(EXTENSIONS, {}).items():
-        yield Limit(f'extension-{kind}', name, f'{one["name"]} is code of '
-                    f'{one["distribution"]} {one["version"]} (sha256 {one["sha256"]}), not of this '
-                    'package.')
-
-
-def _of_network(system: SystemFacts) -> Iterator[Limit]:
-    network, name = system.network, system.name
-    if network.word == TRUTH and not network.sha256:
-        yield Limit('truth', name, 'There is no network in these runs: the '
-                    'controller is given the truth. They say nothing about perception.')
-        return
-    if network.card is None:
-        yield Limit('data-unknown', name, f'The training data of {network.word} are '
-                    f'unknown: {network.why_unknown}.')
-        return
-    card = network.card
-    if network.word in SHIPPED:
-        yield Limit('network-origin', name, f'{network.word} is a network of this '
-                    "package, trained on its own pictures; it is not the network of the paper's "
-                    'authors, nor of any aircraft.')
-    kinds = {source.kind for source in card.training_data}
-    if 'program' in kinds or 'runs' in kinds:
-        yield Limit('data-rendered', name, 'Training pictures were rendered by the '
-                    'same package as those of the runs, so differences from real pictures show in '
-                    'neither.')
-    if card.start_sha256 is not None:
-        yield Limit('training-start', name, 'Training began from other weights '
-                    f'(sha256 {card.start_sha256}), whose own data the model card names only as '
-                    'far as it repeats them.')
-    own = system.facts['program_sha256']
-    if any(source.sha256 == own for source in card.training_data):
-        yield Limit('same-distribution', name, 'The network was trained on scenes '
-                    'of the very program that the runs are drawn from (other draws).')
-    ledgers = {one.files[LEDGER_NAME] for one in system.inputs}
-    if any(source.kind == 'runs' and source.sha256 in ledgers for source in card.training_data):
-        yield Limit('trained-on-these', name, 'The network was trained on failed '
-                    'runs of one of these campaigns: its rate there is too good.')
-
-
-def _of_domain(name: str, found: OddCoverage) -> Iterator[Limit]:
-    open_cells = sum(1 for one in found.cells if not one.rate.runs)
-    pairs = next((one for one in found.strengths if one.t == 2), None)
-    if open_cells:
-        yield Limit('odd-cells', name, f'{open_cells:,} of {len(found.cells):,} '
-                    f'cells of the ODD {found.odd.name} have no judged run.')
-    if pairs is not None and pairs.covered < pairs.feasible:
-        yield Limit('odd-pairs', name, f'{pairs.feasible - pairs.covered:,} of '
-                    f'{pairs.feasible:,} feasible pairs of cells have no judged run.')
-    if found.judged > found.inside:
-        yield Limit('odd-outside', name, f'{found.judged - found.inside:,} of '
-                    f'{found.judged:,} judged runs are outside of the ODD.')
-    for keys, limit, words in (
-        (found.fixed, 'odd-fixed', 'in the ODD, but with one value in all runs'),
-        (found.unmentioned, 'odd-unmentioned', 'varied in the runs, but not in the ODD'),
-    ):
-        if keys:
-            labels = ', '.join(BY_KEY[key].label for key in keys)
-            yield Limit(limit, name, f'{labels}: {words}.')
-    for number, words in enumerate(found.cautions, 1):
-        yield Limit(f'odd-caution-{number}', name, f'{words.rstrip(".")}.')
-
-
-def _of_campaign(name: str, one: CampaignInput) -> Iterator[Limit]:
-    facts, rows = one.facts, one.rows
-    for number, words in enumerate(facts.get('warnings', ()), 1):
-        yield Limit(f'warning-{number}', name, f'{str(words).rstrip(".")}.')
-    broken = sum(row.outcome is Outcome.INFRA_ERROR for row in rows)
-    if broken:
-        yield Limit('infra', name, f'{broken:,} of {len(rows):,} runs broke with an '
-                    'infrastructure error. They have no verdict and are in no rate of failure; '
-                    'that breaking does not depend on the scene is not shown.')
-    stopped = sum(row.outcome is Outcome.INTERRUPTED for row in rows)
-    if stopped:
-        yield Limit('interrupted', name, f'{stopped:,} runs were interrupted.')
-    rejected = sum(row.outcome is Outcome.REJECTED for row in rows)
-    if rejected:
-        yield Limit('rejected', name, f'{rejected:,} scenes were rejected by the '
-                    "program's own requirements and not run.")
+def _of_campaign(name: str, one: CampaignInput) -> list[Limit]:
+    facts, rows, stacks = one.facts, one.rows, recorded_stacks(one.facts)
+    count = Counter(row.outcome for row in rows)
+    broken, stopped = count[Outcome.INFRA_ERROR], count[Outcome.INTERRUPTED]
     blind = sum(row.passed_blind for row in rows)
-    if blind:
-        yield Limit('blind', name, f'{blind:,} runs passed with too many frames '
-                    'without a usable estimate.')
-    for line in one.recorded.content.lost:
-        yield Limit('mended', name, f'The ledger was mended: {line.rstrip(".")}.')
-    yield from _of_bags(name, one)
-    yield from _of_making(name, one)
-
-
-def _of_making(name: str, one: CampaignInput) -> Iterator[Limit]:
-    """What is known of how, where and with which code the runs were made."""
-    facts = one.facts
-    if facts.get('engine') == 'loop' and not facts.get('audit_percent'):
-        yield Limit('not-audited', name, 'The runs were made in one process without '
-                    'ROS, and none was repeated on the graph of nodes (--audit 0).')
-    stacks = recorded_stacks(facts)
-    if not stacks:
-        yield Limit('stack-unknown', name, 'Machine and versions of the runs are '
-                    'not recorded.')
-    if len(stacks) > 1:
-        yield Limit('several-stacks', name, 'The runs were made on several machines '
-                    f'or versions: {differences(*stacks.values())}.')
-    if any(stack.get(COMMIT, '').endswith('+changes') for stack in stacks.values()):
-        yield Limit('edited-code', name, 'The code of the package had been edited '
-                    'beyond the recorded commit when runs were made.')
-    if stacks and not all(COMMIT in stack for stack in stacks.values()):
-        yield Limit('commit-unknown', name, 'The commit of the package that made '
-                    'the runs is not known, only its version.')
-
-
-def _of_bags(name: str, one: CampaignInput) -> Iterator[Limit]:
-    ran = [row for row in one.rows if row.outcome.judged]
-    lacking = sum(row.run_id not in one.bags for row in ran)
-    if lacking:
-        yield Limit('no-bags', name, f'{lacking:,} of {len(ran):,} judged runs have '
-                    'no bag: their scenes are known to nine decimals, which is not enough to '
-                    'repeat them to the bit.')
-
+    judged = one.recorded.judged
+    lacking = sum(row.run_id not in one.bags for row in judged)
+    commits = [stack.get(COMMIT, '') for stack in stacks.values()]
+    return _given(name, (
+        *(
+            (True, f'warning-{number}', f'{str(words).rstrip(".")}.')
+            for number, words in enumerate(facts.get('warnings', ()), 1)
+        ),
+        (broken, 'infra', f'{broken:,} of {len(rows):,} runs broke with an infrastructure error. '
+         'They have no verdict and are in no rate of failure; that breaking does not depend on the '
+         'scene is not shown.'),
+        (stopped, 'interrupted', f'{stopped:,} runs were interrupted.'),
+        (count[Outcome.REJECTED], 'rejected', f'{count[Outcome.REJECTED]:,} scenes were rejected '
+         "by the program's own requirements and not run."),
+        (blind, 'blind', f'{blind:,} runs passed with too many frames without a usable estimate.'),
+        *((True, 'mended', f'The ledger was mended: {line.rstrip(".")}.')
+          for line in one.recorded.content.lost),
+        (lacking, 'no-bags', f'{lacking:,} of {len(judged):,} judged runs have no bag: their '
+         'scenes are known to nine decimals, which is not enough to repeat them to the bit.'),
+        (facts.get('engine') == 'loop' and not facts.get('audit_percent'), 'not-audited', 'The '
+         'runs were made in one process without ROS, and none was repeated on the graph of nodes '
+         '(--audit 0).'),
+        (not stacks, 'stack-unknown', 'Machine and versions of the runs are not recorded.'),
+        (any(commit.endswith('+changes') for commit in commits), 'edited-code', 'The code of the '
+         'package had been edited beyond the recorded commit when runs were made.'),
+        (not all(commits), 'commit-unknown', 'The commit of the package that made the runs is not '
+         'known, only its version.'),
+    ))

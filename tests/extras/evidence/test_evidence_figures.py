@@ -130,7 +130,7 @@ def test_given_campaigns_of_one_system_then_each_has_figures_and_their_sum_an_op
     assert both['low'] < 0.8847
     assert both['high'] > 0.9959
     assert 'pooled' in limits(content)
-    assert 'pooled-stacks' not in limits(content)
+    assert 'several-stacks' not in limits(content)
 
 
 def test_given_campaigns_of_two_versions_that_are_added_up_then_a_limit_says_which(tmp_path):
@@ -139,11 +139,8 @@ def test_given_campaigns_of_two_versions_that_are_added_up_then_a_limit_says_whi
         planted(tmp_path / 'a', [PASS] * 3, seed=1),
         planted(tmp_path / 'b', [PASS] * 3, seed=2, stacks=newer),
     )
-    said = next(one['words'] for one in content['limits'] if one['id'] == 'pooled-stacks')
-    assert said == (
-        'The campaigns added up were made on several machines or versions: taxinet_ros 0.1.0 | '
-        '0.2.0.'
-    )
+    said = next(one['words'] for one in content['limits'] if one['id'] == 'several-stacks')
+    assert said == 'The runs were made on several machines or versions: taxinet_ros 0.1.0 | 0.2.0.'
 
 
 @pytest.mark.parametrize('other', [
