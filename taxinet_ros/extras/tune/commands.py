@@ -57,10 +57,10 @@ def tune(
     Runs are in the closed loop without ROS. After an interrupt, the same command continues. Exit
     code 3 if no gains are better beyond doubt.
     """
-    from taxinet_ros.extras.tune.show import TuneArguments, run_tune
+    from taxinet_ros.extras.tune.show import run_tune
 
-    raise typer.Exit(run_tune(TuneArguments(
-        program=program, perception=perception, vary=vary or (), settings=initial or (),
+    raise typer.Exit(run_tune(
+        program, out, perception=perception, vary=vary or (), settings=initial or (),
         specs=spec or (), candidates=candidates, scenes=scenes, unseen=unseen, seed=seed,
-        workers=workers, out=out, as_json=as_json,
-    )))
+        workers=workers, as_json=as_json,
+    ))

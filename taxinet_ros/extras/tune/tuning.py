@@ -27,6 +27,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
+from taxinet_ros.campaign.options import make_out
 from taxinet_ros.campaign.past_runs.localisation import Task, Trial, TrialSetup, trial_pool
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, SceneSet
 from taxinet_ros.campaign.samplers.optuna_study import SEEDS, new_study, quiet
@@ -34,7 +35,6 @@ from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGa
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.atomic import make_folder, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line, open_journal
 
 if TYPE_CHECKING:
@@ -242,15 +242,11 @@ class Race:
             yield from zip(batch, self._evaluate(gains, batch), strict=True)
 
 
-def proposals(varied: Sequence[Varied], start: Gains, seed: int) -> _Proposals:
-    """Proposals of gains that learn from results."""
-    return _Proposals(varied, start, seed)
-
-
-class _Proposals:
+class Proposals:
     """Optuna's tree of Parzen estimators over gains, which it maximises by minimising ``-rho``."""
 
     def __init__(self, varied: Sequence[Varied], start: Gains, seed: int) -> None:
+        """Proposals that learn from results, the initial gains first."""
         from optuna.distributions import FloatDistribution
         from optuna.samplers import TPESampler
 
@@ -364,31 +360,23 @@ class Tuning:
         self.options = options
         self._known: dict[tuple[str, str], Trial] = {}
         path = out / TRIALS_NAME
-        try:
-            if out.is_dir() and not path.exists() and any(out.iterdir()):
-                raise UsageError(f'--out {out}: contains something else; choose another folder')
-            make_folder(out)
-            self._journal: Journal = open_journal(path, 'taxinet tune')
-            sync_folder(out)
-        except OSError as error:
-            raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
-        self._read(out, path)
-
-    def _read(self, out: Path, path: Path) -> None:
-        digest = self.options.digest
+        if out.is_dir() and not path.exists() and any(out.iterdir()):
+            raise UsageError(f'--out {out}: contains something else; choose another folder')
+        make_out(out)
+        self._journal: Journal = open_journal(path, 'taxinet tune')
+        settings = {'event': 'settings', 'digest': options.digest}
         if not self._journal.events:
-            self._journal.append({'event': 'settings', 'digest': digest})
+            self._journal.append(settings)
             self._journal.sync()
-        for number, event in enumerate(self._journal.events, start=1):
+        first, *trials = self._journal.events or [settings]
+        if first != settings:
+            self._journal.close()
+            raise UsageError(
+                f'--out {out}: has runs of another perception, requirement or world; choose '
+                'another folder'
+            )
+        for number, event in enumerate(trials, start=2):
             try:
-                if event['event'] == 'settings':
-                    if event['digest'] != digest:
-                        self._journal.close()
-                        raise UsageError(
-                            f'--out {out}: has runs of another perception, requirement or world; '
-                            'choose another folder'
-                        )
-                    continue
                 trial = Trial.from_json(event['trial'])
                 self._known[event['key'], event['scene']] = trial
             except (KeyError, TypeError, ValueError) as error:
@@ -453,7 +441,7 @@ class Tuning:
             len(options.learning.scenes),
             lambda gains, numbers: run(options.learning, gains, numbers), at_once=options.workers,
         )
-        asked = proposals(options.varied, options.start, options.seed)
+        asked = Proposals(options.varied, options.start, options.seed)
         for number in range(options.candidates):
             found = race.enter(asked.ask())
             if number == 0 and found.worst is None:

@@ -21,10 +21,10 @@ from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.tune.tuning import (
+    Proposals,
     Race,
     TuneOptions,
     Tuning,
-    proposals,
     tuned_json,
     varied_gains,
 )
@@ -90,7 +90,7 @@ def test_given_a_known_optimum_then_the_proposals_find_it():
             gain = gains.get('heading_gain', SteeringGains().heading_gain)
             return [trial(number, table[number](gain)) for number in numbers]
 
-        search, asked = Race(2, evaluate), proposals(
+        search, asked = Race(2, evaluate), Proposals(
             varied_gains(['steering.heading_gain=0:10']), {}, seed)
         for _ in range(40):
             asked.tell(search.enter(asked.ask()))
@@ -148,6 +148,7 @@ def options() -> TuneOptions:
     )
 
 
+@pytest.mark.nightly
 def test_given_gains_too_small_then_better_ones_are_found_and_an_interrupt_changes_nothing(
     options, tmp_path,
 ):
@@ -206,7 +207,7 @@ def test_given_the_command_then_it_prints_and_writes_what_was_found(
     assert 'better on scenes that the search has not seen' in told.out
     assert 'next: taxinet falsify s_falsif --perception truth --set steering.cte' in told.out
     assert {path.name for path in Path('out').iterdir()} == {
-        'trials.jsonl', 'tune.json', 'tune.png'}
+        'trials.jsonl', 'tune.json'}
     monkeypatch.setattr(sys, 'argv', ['taxinet', 'tune', '--set', 'rain=0'])
     with pytest.raises(SystemExit) as left:
         main()
