@@ -216,24 +216,35 @@ ego = new Plane at (Range(-0.5, 0.5), Range(1700, 2000))
 """
 
 
-def test_given_a_calibration_then_a_study_tells_and_keeps_what_it_found(
-    tmp_path, capsys, monkeypatch
-):
-    program = tmp_path / 'near.scenic'
-    program.write_text(SCENE)
-    few = {'perception': 'taxinet', 'program': str(program), 'seed': 1, 'workers': 1}
-    with pytest.raises(UsageError, match='needs 39 satisfied runs, there are 3'):
-        calibrate(CalibrateOptions(**few, runs=3, rate=0.1, out=tmp_path / 'a.npz'), no_progress)
-    assert not (tmp_path / 'a.npz').exists()
-    made = CalibrateOptions(**few, runs=4, rate=0.9, out=tmp_path / 'b.npz')
-    assert calibrate(made, no_progress).runs == 4
-    judging = {
-        **few, 'controller': 'steering', 'monitor': str(tmp_path / 'b.npz'),
+@pytest.fixture
+def judging(tmp_path):
+    """Two short scenes, and a monitor that never raises an alarm."""
+    (tmp_path / 'near.scenic').write_text(SCENE)
+    (tmp_path / 'mon.py').write_text('def low(seen):\n    return seen.image.mean() * 1e-9\n')
+    return {
+        'perception': 'taxinet', 'program': str(tmp_path / 'near.scenic'), 'seed': 1, 'workers': 1,
+        'controller': 'steering', 'monitor': f'{tmp_path}/mon.py:low',
         'fallbacks': ('stop', 'slow'), 'runs': 2,
     }
+
+
+@pytest.mark.nightly
+def test_given_a_calibration_then_its_monitor_is_judged(tmp_path, judging, capsys):
+    few = {name: judging[name] for name in ('perception', 'program', 'seed', 'workers')}
+    made = CalibrateOptions(**few, runs=4, rate=0.9, out=tmp_path / 'b.npz')
+    assert calibrate(made, no_progress).runs == 4
+    options = JudgeOptions(
+        **{**judging, 'monitor': str(tmp_path / 'b.npz')}, out=tmp_path / 'out')
+    assert run_judge(options, as_json=False) == 0
+    assert '2 scenes; first alarms by check:' in capsys.readouterr().out
+
+
+def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_an_end_amid(
+    tmp_path, judging, capsys, monkeypatch
+):
     assert run_judge(JudgeOptions(**judging, out=tmp_path / 'out'), as_json=False) == 0
     told = capsys.readouterr().out
-    assert '2 scenes; first alarms by check:' in told
+    assert '2 scenes; first alarms by check: none' in told
     assert 'no run leaves the runway, with it or without' in told
     kept = json.loads((tmp_path / 'out' / 'assurance.json').read_text())
     assert kept['judged']['runs'] == 2
