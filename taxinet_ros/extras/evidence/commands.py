@@ -46,11 +46,6 @@ def write_evidence(
         typer.Option('--localize', metavar='DIR', help='results of taxinet localize on one of the '
                      'campaigns; repeatable'),
     ] = None,
-    monitors: Annotated[
-        list[Path] | None,
-        typer.Option('--monitor-table', metavar='DIR', help='results of taxinet assure judge with '
-                     'the network of a campaign; repeatable'),
-    ] = None,
     perception: Annotated[
         list[str] | None,
         typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
@@ -61,7 +56,7 @@ def write_evidence(
     """Write evidence toward a requirement: one page, JSON, an argument for Mermaid, a manifest.
 
     Binds requirement, formula, program, scenes, network, training data, tool versions and records
-    by SHA-256; gives rates with intervals, ODD cells, causes, monitor and known limits. Campaigns
+    by SHA-256; gives rates with intervals, ODD cells, causes and known limits. Campaigns
     that differ in program, formula or network are kept apart; damaged and unfinished ones are
     refused. Same inputs, same bytes. Exit codes: 0 written, and the claim, if any, is supported; 1
     it is refuted; 3 it is undetermined.
@@ -72,7 +67,7 @@ def write_evidence(
     raise typer.Exit(run_evidence(
         EvidenceOptions(
             campaigns=tuple(campaigns), requirement=requirement, spec=spec, odd=odd,
-            claim=None if claim is None else parse_claim(claim), monitors=tuple(monitors or ()),
+            claim=None if claim is None else parse_claim(claim),
             localisations=tuple(localized or ()), networks=tuple(perception or ()),
         ),
         out, as_json=as_json,

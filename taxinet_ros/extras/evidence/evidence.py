@@ -44,13 +44,11 @@ from taxinet_ros.extras.evidence.figures import Verdict
 from taxinet_ros.extras.evidence.inputs import (
     CampaignInput,
     LocalisationInput,
-    MonitorInput,
     OnBag,
     Requirement,
     digest_of,
     read_campaigns,
     read_localisation,
-    read_monitor,
     read_network,
     read_requirement,
     text_sha256,
@@ -76,7 +74,6 @@ class EvidenceOptions:
         claim: least share of satisfied runs that is claimed, in (0, 1); None for none.
         spec: formula that the claim and the ODD are about; None for the headline of each system.
         odd: name or file of an operational design domain; None for none.
-        monitors: folders of ``taxinet assure judge``.
         localisations: folders of ``taxinet localize``.
         networks: files of networks that have moved.
 
@@ -89,7 +86,6 @@ class EvidenceOptions:
     claim: float | None = None
     spec: str | None = None
     odd: str | None = None
-    monitors: tuple[Path, ...] = ()
     localisations: tuple[Path, ...] = ()
     networks: tuple[str, ...] = ()
 
@@ -141,7 +137,6 @@ class _Sources:
     campaigns: tuple[CampaignInput, ...]
     odd: Odd | None
     causes: tuple[LocalisationInput, ...]
-    monitors: tuple[MonitorInput, ...]
     folder: Path
     recorded: Mapping[Path, str]
 
@@ -179,15 +174,10 @@ def collect(
     sources = _Sources(
         options=options, requirement=requirement, campaigns=campaigns, odd=odd,
         causes=tuple(read_localisation(path, campaigns) for path in options.localisations),
-        monitors=tuple(read_monitor(path, campaigns) for path in options.monitors),
         folder=folder, recorded=recorded or {},
     )
-    for what, keys in (
-        ('--localize', [one.campaign for one in sources.causes]),
-        ('--monitor-table', [digest_of(dict(one.files)) for one in sources.monitors]),
-    ):
-        if len(set(keys)) != len(keys):
-            raise UsageError(f'{what}: two are about the same; name one of them')
+    if len({one.campaign for one in sources.causes}) != len(sources.causes):
+        raise UsageError('--localize: two are about the same campaign; name one of them')
     systems = _systems(sources)
     content = _content(sources, systems)
     limits = known_limits(
@@ -222,10 +212,6 @@ def _systems(sources: _Sources) -> tuple[SystemFacts, ...]:
             ),
             causes=tuple(
                 one for one in sources.causes if sources.campaigns[one.campaign] in inputs
-            ),
-            monitors=tuple(
-                one for one in sources.monitors
-                if one.perception_sha256 == facts['perception_sha256']
             ),
         ))
     return tuple(found)
@@ -270,13 +256,6 @@ def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any
                 'files': dict(one.files), 'campaign': ids[sources.campaigns[one.campaign].folder],
                 'figures': dict(one.figures),
             } for number, one in enumerate(sources.causes, 1)
-        ],
-        'monitors': [
-            {
-                'id': f'monitor-{number}', 'path': sources.path(one.folder),
-                'files': dict(one.files), 'perception_sha256': one.perception_sha256,
-                'options': dict(one.options), 'judged': dict(one.judged),
-            } for number, one in enumerate(sources.monitors, 1)
         ],
     }
 
@@ -371,7 +350,7 @@ def _items(content: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield _item(f'{name}/versions', 'tool versions', 'unknown')
         yield _item(f'{name}/bags', 'recordings', f'{len(one["bags"]["each"]):,} bags',
                     one['bags']['sha256'], 'the runs were made without bags, or these are gone')
-    for one in (*content['campaigns'], *content['localisations'], *content['monitors']):
+    for one in (*content['campaigns'], *content['localisations']):
         for file, sha256 in one['files'].items():
             yield _item(f'{one["id"]}/{file}', 'record', f'{one.get("name", one["path"])}/{file}',
                         sha256)
@@ -452,7 +431,7 @@ def _system_goal(sources: _Sources, system: SystemFacts, values: Mapping[str, An
         f'scenes of {scenes_words(program["name"], program["overrides"])}',
         [
             _rate_goal(sources.options.claim, system), _domain_goal(system),
-            _cause_goal(sources, system), _monitor_goal(sources, system), _data_goal(system),
+            _cause_goal(sources, system), _data_goal(system),
             shown('Every figure rests on recorded runs that are bound by hash',
                   _records_verdict(system), *_ledgers(system)),
         ],
@@ -506,28 +485,12 @@ def _cause_goal(sources: _Sources, system: SystemFacts) -> Goal:
     return shown(
         text,
         (Verdict.SUPPORTED if known else Verdict.UNDETERMINED, '; '.join(why for _, why in found)),
-        *(_file(f'Localisation of {one.figures["looked_into"]:,} runs', 'localisation',
-                sources.causes.index(one), one.files) for one in system.causes),
+        *(
+            Reference(f'Localisation of {one.figures["looked_into"]:,} runs',
+                      f'localisation-{sources.causes.index(one) + 1}/{next(iter(one.files))}')
+            for one in system.causes
+        ),
     )
-
-
-def _file(text: str, kind: str, index: int, files: Mapping[str, str]) -> Reference:
-    return Reference(text, f'{kind}-{index + 1}/{next(iter(files))}')
-
-
-def _monitor_goal(sources: _Sources, system: SystemFacts) -> Goal:
-    text = 'What a run-time monitor of this network notices, and misses, is measured'
-    if not system.monitors:
-        return open_goal(text, 'no monitor was judged')
-    why = '; '.join(
-        f'of {one["failed"]:,} failed runs {one["in_time"]:,} with an alarm in time, of '
-        f'{one["runs"] - one["failed"]:,} satisfied ones {one["false_alarms"]:,} with an alarm'
-        for one in (each.judged for each in system.monitors)
-    )
-    return shown(text, (Verdict.SUPPORTED, why), *(
-        _file(f'Monitor {one.options["monitor"]} in {one.judged["runs"]:,} scenes', 'monitor',
-              sources.monitors.index(one), one.files) for one in system.monitors
-    ))
 
 
 def _data_goal(system: SystemFacts) -> Goal:

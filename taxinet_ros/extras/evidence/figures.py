@@ -1,4 +1,4 @@
-"""Figures of a system's runs: rates with intervals, robustness, ODD cells, causes, monitors.
+"""Figures of a system's runs: rates with intervals, robustness, ODD cells, causes.
 
 Every rate is one of :mod:`taxinet_ros.campaign.rates`: of the runs that the program itself drew. A
 campaign whose scenes were all chosen by a sampler gives counts, and no rate. Several campaigns of

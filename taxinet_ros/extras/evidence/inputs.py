@@ -1,4 +1,4 @@
-"""What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations, monitors.
+"""What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations.
 
 An input whose checksums do not hold, or that cannot be bound to the campaign it is named with, is
 refused by name. What an input does not say (such as the training data of somebody else's network)
@@ -39,8 +39,6 @@ from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 TRUTH = 'truth'
 """The perception without a network."""
-MONITOR_NAME = 'assurance.json'
-"""What ``taxinet assure judge`` writes."""
 OnBag = Callable[[Path], None]
 _ID = re.compile(r'\s*([A-Za-z0-9][A-Za-z0-9_.-]*)\s*:\s+(.*\S)\s*', re.DOTALL)
 _LONGEST_REQUIREMENT = 4000
@@ -394,60 +392,3 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Local
         folder=folder, campaign=found[0], files={summary.name: file_sha256(summary)},
         figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class MonitorInput:
-    """What ``taxinet assure judge`` found of a run-time monitor.
-
-    Attributes:
-        folder: its folder.
-        files: SHA-256 of the summary, which has those of trials and alarms.
-        options: what was judged: program, monitor, fallbacks, seed.
-        judged: the figures.
-    """
-
-    folder: Path
-    files: Mapping[str, str]
-    options: Mapping[str, Any]
-    judged: Mapping[str, Any]
-
-    @property
-    def perception_sha256(self) -> str:
-        """Hash of the network that it watched."""
-        return str(self.options['fingerprints']['perception'])
-
-
-def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> MonitorInput:
-    """Read a judged monitor, and check that it is of the network of one of the campaigns.
-
-    Raises:
-        UsageError: it is none, its tables are not those of its summary, or it is of another
-            network.
-    """
-    path = folder / MONITOR_NAME
-    if not path.is_file():
-        raise UsageError(f'{folder}: no result of taxinet assure judge: {path.name} is not there')
-    sealed = read_sealed(path)
-    for name in sealed.files:
-        sealed.check_file(folder / name, 'judge again')
-    try:
-        options, judged = sealed.values['options'], sealed.values['judged']
-        found = MonitorInput(
-            folder=folder, files={path.name: file_sha256(path)}, judged=judged,
-            options={
-                name: options[name] for name in (
-                    'program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed',
-                    'fingerprints',
-                )
-            },
-        )
-        sha256 = found.perception_sha256
-    except (LookupError, TypeError) as error:
-        raise UsageError(f'{path}: damaged ({error!r}); judge again') from error
-    if sha256 not in {one.facts['perception_sha256'] for one in campaigns}:
-        raise UsageError(
-            f'{folder}: is of network {options["perception"]} (sha256 {sha256[:12]}…), which none '
-            'of these campaigns ran'
-        )
-    return found

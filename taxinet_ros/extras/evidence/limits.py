@@ -25,7 +25,6 @@ from taxinet_ros.extras.evidence.inputs import (
     TRUTH,
     CampaignInput,
     LocalisationInput,
-    MonitorInput,
     NetworkInput,
 )
 from taxinet_ros.registry import KMWH
@@ -83,7 +82,7 @@ class SystemFacts:
         campaigns: with their ids.
         network: its perception.
         coverage: of the ODD, if there is one.
-        causes, monitors: localisations and judged monitors.
+        causes: localisations of its failed runs.
     """
 
     name: str
@@ -92,7 +91,6 @@ class SystemFacts:
     network: NetworkInput
     coverage: OddCoverage | None = None
     causes: tuple[LocalisationInput, ...] = ()
-    monitors: tuple[MonitorInput, ...] = ()
 
     @property
     def inputs(self) -> tuple[CampaignInput, ...]:
@@ -125,7 +123,7 @@ def known_limits(
          'apart.'),
     ))
     for system in systems:
-        for part in (_of_rates, _of_world, _of_network, _of_domain, _of_examinations):
+        for part in (_of_rates, _of_world, _of_network, _of_domain, _of_causes):
             found += part(system)
         for name, one in system.campaigns:
             found += _of_campaign(name, one)
@@ -242,25 +240,15 @@ def _of_domain(system: SystemFacts) -> list[Limit]:
     ))
 
 
-def _of_examinations(system: SystemFacts) -> list[Limit]:
-    """What localisations and monitors leave open."""
+def _of_causes(system: SystemFacts) -> list[Limit]:
     failed = sum(len(one.recorded.counterexamples) for one in system.inputs)
     examined = sum(one.figures['looked_into'] for one in system.causes)
-    own = str(system.facts['program']).removesuffix('.scenic')
     return _given(system.name, (
         (failed and not examined, 'no-localisation', f'None of the {failed:,} failed runs was '
          'driven again with perfect estimates, so whether network or controller caused them is not '
          'known (--localize).'),
         (0 < examined < failed, 'localised-in-part', f'{examined:,} of {failed:,} failed runs were '
          'driven again with perfect estimates; of the others the cause is not known.'),
-        (not system.monitors and system.network.sha256, 'no-monitor', 'No run-time monitor was '
-         'judged with this network (--monitor-table).'),
-        *(
-            (True, 'monitor-program', 'The table of the run-time monitor names its program by the '
-             f'word {one.options["program"]} only, not by a hash; that of these campaigns is '
-             f'{own}. Its {one.judged["runs"]:,} scenes were drawn with seed '
-             f'{one.options["seed"]}.') for one in system.monitors
-        ),
     ))
 
 

@@ -87,7 +87,7 @@ class VerifyOptions:
 
     Attributes:
         folder: its folder.
-        moved: folders or files of inputs that have moved: campaigns, localisations, monitors, ODD.
+        moved: folders or files of inputs that have moved: campaigns, localisations, ODD.
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
@@ -193,7 +193,6 @@ def _again(
     localisations = tuple(
         places.folder('localisation', one) for one in content['localisations']
     )
-    monitors = tuple(places.folder('monitor table', one) for one in content['monitors'])
     odd = places.odd(content['odd'])
     unused = [path for path in options.moved if path not in places.recorded]
     places.troubles += [
@@ -210,7 +209,7 @@ def _again(
     return collect(
         EvidenceOptions(
             campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=odd,
-            monitors=monitors, localisations=localisations, networks=options.networks,
+            localisations=localisations, networks=options.networks,
         ),
         options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
         on_bag=lambda bag: on_progress('bags', min(next(done), bags), bags),

@@ -13,7 +13,6 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.evidence.argument import goals
 from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse_claim
 from taxinet_ros.extras.evidence.inputs import read_requirement
-from taxinet_ros.files.sealed_json import write_sealed
 
 
 def collected(*folders, **options):
@@ -175,7 +174,7 @@ def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_pa
     assert items['system-1/network']['sha256'] == SHA['original']
     assert items['system-1/data-1']['name'] == 'program training_original'
     assert items['requirement']['sha256'] is None
-    assert {'no-requirement', 'no-claim', 'no-odd', 'no-localisation', 'no-monitor', 'no-bags',
+    assert {'no-requirement', 'no-claim', 'no-odd', 'no-localisation', 'no-bags',
             'renderer', 'network-origin', 'not-audited', 'distribution'} <= limits(content)
 
 
@@ -210,49 +209,6 @@ def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
     assert 'no-odd' not in limits(content)
     goal = next(one for one in the_goals(content) if 'ODD two' in one['text'])
     assert goal['verdict'] == 'undetermined'  # what happens in a gap is not known
-
-
-# Monitors ----------------------------------------------------------------------------------------
-
-
-def judged_monitor(folder, perception='original'):
-    """A summary as ``taxinet assure judge`` writes it, with its table."""
-    folder.mkdir()
-    table = folder / 'trials.csv'
-    table.write_text('scene\n0\n', encoding='utf-8')
-    share = {'rate': 0.5, 'low': 0.2, 'high': 0.8}
-    options = {
-        'program': 's_falsif', 'perception': perception, 'controller': 'steering', 'seed': 4,
-        'monitor': 'original', 'fallbacks': ['stop'], 'runs': 3,
-        'fingerprints': {'perception': SHA[perception]},
-    }
-    write_sealed(folder / 'assurance.json', {'options': options, 'judged': {
-        'runs': 3, 'failed': 2, 'in_time': 1, 'late': 1, 'missed': 0, 'false_alarms': 0,
-        'satisfied': share, 'off': share, 'with_fallback': {'stop': {
-            'satisfied': share, 'off': share}},
-    }}, [table])
-    return folder
-
-
-def test_given_a_judged_monitor_then_its_figures_are_taken(tmp_path):
-    folder = judged_monitor(tmp_path / 'monitor')
-    content = collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
-    (monitor,) = content['monitors']
-    assert (monitor['judged']['failed'], monitor['judged']['in_time']) == (2, 1)
-    assert list(monitor['files']) == ['assurance.json']
-    assert 'no-monitor' not in limits(content)
-    assert 'monitor-program' in limits(content)
-    (goal,) = [one for one in the_goals(content) if 'run-time monitor' in one['text']]
-    assert goal['why'].startswith('of 2 failed runs 1 with an alarm in time, of 1 satisfied ones 0')
-
-
-@pytest.mark.parametrize('name', ['trials.csv', 'assurance.json'])
-def test_given_a_changed_monitor_table_then_it_is_refused_by_name(tmp_path, name):
-    folder = judged_monitor(tmp_path / 'monitor')
-    text = (folder / name).read_text(encoding='utf-8')
-    (folder / name).write_text(text.replace('0', '1', 1), encoding='utf-8')
-    with pytest.raises(UsageError, match=name):
-        collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
 
 
 # Refused -----------------------------------------------------------------------------------------
@@ -349,13 +305,8 @@ def test_given_another_network_than_that_of_the_runs_then_it_is_refused(tmp_path
 
 def test_given_results_of_others_then_they_are_refused_by_name(tmp_path):
     folder = planted(tmp_path / 'a', [FAIL], perception='taxinet')
-    monitor = judged_monitor(tmp_path / 'monitor')
-    with pytest.raises(UsageError, match=r'monitor: is of network original .* none'):
-        collected(folder, monitors=(monitor,))
-    with pytest.raises(UsageError, match='monitor: no results of taxinet localize'):
-        collected(folder, localisations=(monitor,))
-    with pytest.raises(UsageError, match='a: no result of taxinet assure judge'):
-        collected(folder, monitors=(folder,))
+    with pytest.raises(UsageError, match='a: no results of taxinet localize'):
+        collected(folder, localisations=(folder,))
 
 
 def test_given_shares_as_people_write_them_then_they_are_read():
