@@ -100,9 +100,9 @@ def show_forecast(
     Exit codes: 0; 3 a run is of another program, network or sampler than those calibrated on, so
     that its bound has no guarantee, or that is unknown.
     """
-    from taxinet_ros.extras.forecast.show import ShowOptions, show_forecast
+    from taxinet_ros.extras.forecast.show import show_forecast
 
-    raise typer.Exit(show_forecast(forecast, bags, ShowOptions(
-        at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id, plot=plot,
-        as_json=as_json,
-    )))
+    raise typer.Exit(show_forecast(
+        forecast, bags, at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id,
+        plot=plot, as_json=as_json,
+    ))

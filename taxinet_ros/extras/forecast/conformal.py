@@ -76,20 +76,7 @@ class ConformalModel:
     excesses: Floats
 
     def __post_init__(self) -> None:
-        """Check the shapes.
-
-        Raises:
-            ValueError: they do not match, or a number is not finite.
-        """
-        runs, moments, _ = self.features.shape
-        shapes = self.outcomes.shape, self.widths.shape, self.excesses.shape[1:]
-        if shapes != ((runs,), (moments,), (moments,)):
-            raise ValueError(f'shapes {self.features.shape} and {shapes} do not match')
-        arrays = (self.features, self.outcomes, self.widths, self.excesses)
-        if not all(np.isfinite(one).all() for one in arrays) or not (self.widths > 0).all():
-            raise ValueError('a number is not finite, or a width not positive')
-        if not 1 <= self.neighbours < runs or not self.scale > 0:
-            raise ValueError(f'{self.neighbours} neighbours of {runs}, scale {self.scale}')
+        """Standardize the training runs."""
         centre, spread = self.features.mean(axis=0), self.features.std(axis=0)
         spread[spread < 1e-9] = 1.0
         object.__setattr__(self, '_centre', centre)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,7 +43,6 @@ from taxinet_ros.extras.forecast.conformal import (
     fit,
 )
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
-from taxinet_ros.registry import KMWH
 
 FORMAT = 1
 STEP_S = CONTROL_PERIOD_NS / NS_PER_S
@@ -321,57 +320,22 @@ def population_of_campaign(
     if spec not in formulas:
         raise UsageError(f'--spec {spec}: the campaign judged {", ".join(formulas) or "nothing"}')
     laid_over = {**facts.get('laid_over', {}), **facts.get('overrides', {})}
-    world, world_sha256 = recorded_world(facts)
+    fingerprint = str(facts.get('perception_sha256', ''))[:16]
+    controller, controller_sha256 = (
+        str(facts.get(name) or usual)
+        for name, usual in (('controller', STEERING), ('controller_sha256', ''))
+    )
+    assumed = [*facts.get('bounds', ()), *facts.get('rates', ())]
     return {
         'program': f'{facts.get("program", "")} {str(facts.get("program_sha256", ""))[:16]}',
         'settings': _words(laid_over),
-        **_common(
-            perception=str(facts.get('perception', '')),
-            fingerprint=str(facts.get('perception_sha256', '')),
-            controller=str(facts.get('controller', STEERING)),
-            controller_fingerprint=str(facts.get('controller_sha256', '')),
-            gains=facts.get('gains', {}), timing=str(facts.get('timing', '')),
-            world=f'{world} {world_sha256}'.strip(), formula=formulas[spec],
-            assumed=[*facts.get('bounds', ()), *facts.get('rates', ())], duration_s=duration_s,
-        ),
-    }
-
-
-def population_of_bag(recording: Recording, spec: str) -> dict[str, str]:
-    """The same of a bag by itself, which names neither its program nor what was set.
-
-    Raises:
-        UsageError: it has no such requirement.
-        BagError: it cannot be read.
-    """
-    run = recording.run
-    judging = run.request.judging
-    formulas = {one.name: one.text for one in judging.parsed_specs}
-    if spec not in formulas:
-        raise UsageError(
-            f'{recording.path}: its monitor did not judge {spec}, which the forecast is about'
-        )
-    return _common(
-        perception=run.perception, fingerprint=run.fingerprint,
-        controller=run.controller or STEERING, controller_fingerprint=run.controller_fingerprint,
-        gains=run.gains, timing=run.timing.words,
-        world=f'{run.world or KMWH} {run.world_fingerprint}'.strip(), formula=formulas[spec],
-        assumed=[*judging.bounds, *judging.rates], duration_s=run.request.scenario.duration_s,
-    )
-
-
-def _common(
-    *, perception: str, fingerprint: str, controller: str, controller_fingerprint: str,
-    gains: Mapping[str, float], timing: str, world: str, formula: str, assumed: Sequence[str],
-    duration_s: float,
-) -> dict[str, str]:
-    # A network is its weights, wherever its file is and whatever it is called.
-    return {
-        'perception': f'sha256 {fingerprint[:16]}' if fingerprint else perception,
-        'controller': f'{controller} {controller_fingerprint[:16]}'.strip(),
-        'gains': _words(gains), 'timing': timing or 'at once', 'world': world,
-        'requirement': formula, 'assumptions': ' '.join(assumed) or 'none',
-        'duration': f'{duration_s:g} s',
+        # A network is its weights, wherever its file is and whatever it is called.
+        'perception': f'sha256 {fingerprint}' if fingerprint else str(facts.get('perception', '')),
+        'controller': f'{controller} {controller_sha256[:16]}'.strip(),
+        'gains': _words(facts.get('gains', {})),
+        'timing': str(facts.get('timing', '')) or 'at once',
+        'world': ' '.join(filter(None, recorded_world(facts))), 'requirement': formulas[spec],
+        'assumptions': ' '.join(assumed) or 'none', 'duration': f'{duration_s:g} s',
     }
 
 
@@ -608,29 +572,18 @@ def outside_of_run(
         campaign: the campaign that it belongs to, or None if that is unknown.
 
     Raises:
-        UsageError: it was not judged by the forecast's requirement.
+        UsageError: the campaign was not judged by the forecast's requirement.
         BagError: it cannot be read.
     """
-    population = population_of_bag(recording, forecast.spec)
-    run = recording.run.request
     if campaign is None:
-        found = forecast.outside({
-            **population, 'program': forecast.population['program'],
-            'settings': forecast.population['settings'],
-        })
-        return [
-            *found, 'no campaign beside it, so it is unknown whether the program itself drew it',
-        ]
-    of_campaign = population_of_campaign(
-        campaign.facts, forecast.spec, run.scenario.duration_s
+        return ['no campaign beside it, so its program, and whether this drew it, are unknown']
+    run = recording.run.request
+    found = forecast.outside(
+        population_of_campaign(campaign.facts, forecast.spec, run.scenario.duration_s)
     )
-    found = forecast.outside({
-        **population, 'program': of_campaign['program'], 'settings': of_campaign['settings'],
-    })
     row = next((row for row in campaign.rows if row.run_id == run.run_id), None)
     sampler = str(campaign.facts.get('sampler', ''))
-    drawn = row.from_program if row is not None else sampler in SIMPLY_DRAWN
-    if not drawn:
+    if not (row.from_program if row is not None else sampler in SIMPLY_DRAWN):
         found.append(f'chosen by the sampler {sampler}, not drawn by the program itself')
     if run.run_id in forecast.runs and run.seed == forecast.seed:
         found.append('it was calibrated on, so it tells nothing about new runs')

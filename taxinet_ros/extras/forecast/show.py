@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -183,29 +182,21 @@ def _coverage_json(one: Coverage) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShowOptions:
-    """Options of ``taxinet forecast show``.
+def show_forecast(
+    path: Path, bags: Sequence[Path], *, at_s: float | None, confidence: float, guarantee: str,
+    run_id: str | None, plot: Path | None, as_json: bool,
+) -> int:
+    """Print the latest bound of each run, and draw all of them.
 
-    Attributes:
+    Args:
+        path: the forecast.
+        bags: runs.
         at_s: only the run up to here [s]; None: all there is.
         confidence: of the bounds.
         guarantee: ``run`` or ``step``.
         run_id: which run, if a bag holds several.
         plot: picture to write, or None.
         as_json: print JSON.
-    """
-
-    at_s: float | None
-    confidence: float
-    guarantee: str
-    run_id: str | None
-    plot: Path | None
-    as_json: bool
-
-
-def show_forecast(path: Path, bags: Sequence[Path], options: ShowOptions) -> int:
-    """Print the latest bound of each run, and draw all of them.
 
     Returns:
         Exit code: 0; 3 if a run is outside the guarantee.
@@ -213,46 +204,45 @@ def show_forecast(path: Path, bags: Sequence[Path], options: ShowOptions) -> int
     Raises:
         UsageError: no forecast, or a run that it cannot be applied to.
     """
-    guarantee = parse_guarantee(options.guarantee)
+    asked = parse_guarantee(guarantee)
     forecast = read_forecast(path)
-    if options.at_s is not None and not 0 <= options.at_s <= forecast.last_step * STEP_S + 1e-9:
+    if at_s is not None and not 0 <= at_s <= forecast.last_step * STEP_S + 1e-9:
         raise UsageError(
-            f'--at {options.at_s:g}: needs to be within 0..{forecast.last_step * STEP_S:g} s'
+            f'--at {at_s:g}: needs to be within 0..{forecast.last_step * STEP_S:g} s'
         )
-    plot = options.plot
     if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
         raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
     console = _console()
     shown, told, inside = [], [], True
     for bag in bags:
         with readable_bags():
-            recording = _one_run(open_recording(bag), options.run_id)
+            recording = _one_run(open_recording(bag), run_id)
             outside = outside_of_run(forecast, recording, _campaign_of(bag))
             bounds = {
                 one: forecast.bounds_of(
-                    recording, confidence=options.confidence, guarantee=one,
-                    until_s=options.at_s,
+                    recording, confidence=confidence, guarantee=one,
+                    until_s=at_s,
                 ) for one in Guarantee
             }
-        if not bounds[guarantee]:
+        if not bounds[asked]:
             raise UsageError(f'{bag}: has no control step with a robustness yet')
         inside = inside and not outside
-        told.append(_run_json(recording, bounds[guarantee], guarantee, options, outside))
+        told.append(_run_json(recording, bounds[asked], asked, confidence, outside))
         final = _final(forecast, recording)
         shown.append(ShownRun(
             title=f'{recording.run_id}: {_ending(final)}'
                   + (f' ({NO_GUARANTEE})' if outside else ''),
             of_run=bounds[Guarantee.RUN], of_step=bounds[Guarantee.STEP], final=final,
         ))
-        if not options.as_json:
-            _print_run(console, forecast, told[-1], options, guarantee)
+        if not as_json:
+            _print_run(console, forecast, told[-1], confidence, asked)
             _print_outside(console, outside)
-    if options.as_json:
+    if as_json:
         print(json.dumps(told, indent=2, allow_nan=False))
     if plot is not None:
-        picture = forecast_picture(shown, confidence=options.confidence, spec=forecast.spec)
+        picture = forecast_picture(shown, confidence=confidence, spec=forecast.spec)
         write_atomically(plot, png_bytes(picture, LIGHT))
-        if not options.as_json:
+        if not as_json:
             console.print(f'picture: {plot}', soft_wrap=True)
     return ExitCode.OK if inside else ExitCode.INCOMPLETE
 
@@ -287,7 +277,7 @@ def _ending(final: float | None) -> str:
 
 
 def _run_json(
-    recording: Recording, bounds: Sequence[Bound], guarantee: Guarantee, options: ShowOptions,
+    recording: Recording, bounds: Sequence[Bound], guarantee: Guarantee, confidence: float,
     outside: Sequence[str],
 ) -> dict[str, Any]:
     def plain(value: float) -> float | None:
@@ -295,7 +285,7 @@ def _run_json(
 
     return {
         'run_id': recording.run_id, 'guarantee': None if outside else guarantee.value,
-        'confidence': None if outside else options.confidence, 'outside': list(outside),
+        'confidence': None if outside else confidence, 'outside': list(outside),
         't_s': bounds[-1].t_s,
         'lower': plain(bounds[-1].lower), 'certain_lower': plain(bounds[-1].certain_lower),
         'certain_upper': plain(bounds[-1].certain_upper),
@@ -307,7 +297,7 @@ def _run_json(
 
 
 def _print_run(
-    console: Console, forecast: Forecast, told: dict[str, Any], options: ShowOptions,
+    console: Console, forecast: Forecast, told: dict[str, Any], confidence: float,
     guarantee: Guarantee,
 ) -> None:
     lower, upper = told['lower'], told['certain_upper']
@@ -320,7 +310,7 @@ def _print_run(
     least = 'no lower bound' if lower is None else f'at least {lower:+.3f}'
     most = '' if upper is None else f', at most {upper:+.3f} for certain'
     kind = 'at all moments of the run' if guarantee is Guarantee.RUN else 'at this moment alone'
-    sure = NO_GUARANTEE if told['outside'] else f'{100 * options.confidence:g} %, {kind}'
+    sure = NO_GUARANTEE if told['outside'] else f'{100 * confidence:g} %, {kind}'
     console.print(
         f'{told["run_id"]}: at {told["t_s"]:g} s, {forecast.spec} will be {least} ({sure}){most}',
         soft_wrap=True,
