@@ -592,6 +592,7 @@ def _page(content: Mapping[str, Any]) -> str:
     environment.filters['percent'] = lambda share, digits=2: (
         '' if share is None else f'{100 * share:.{digits}f}'
     )
+    environment.globals['interval'] = figures.interval_words
     return environment.get_template('page.html').render(content)
 
 
