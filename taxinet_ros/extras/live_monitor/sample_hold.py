@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
 
 _MAX_FILL = 10_000
 """Maximum number of grid samples made at one message; more means that time has jumped."""
@@ -59,19 +58,12 @@ class SampleHold:
         period_ns: step of the grid [ns]; 0 with ``sampled_on``.
         max_age_ns: maximum distance between the stamps of a held value and of the sample [ns]; 0:
             unlimited.
-
-    Raises:
-        UsageError: not exactly one of ``sampled_on`` and ``period_ns``, or a topic of no signal.
     """
 
     def __init__(
         self, topics: Mapping[str, str], *, sampled_on: str = '', period_ns: int = 0,
         max_age_ns: int = 0,
     ) -> None:
-        if bool(sampled_on) == bool(period_ns) or period_ns < 0 or max_age_ns < 0:
-            raise UsageError('samples: name a topic or give a period > 0, and an age >= 0')
-        if sampled_on and sampled_on not in topics.values():
-            raise UsageError(f'samples: no signal is read from {sampled_on}')
         self._topics = dict(topics)
         self._sampled_on = sampled_on
         self._period_ns = period_ns

@@ -56,7 +56,7 @@ def program(tmp_path_factory):
 def folders(program, tmp_path_factory):
     """A campaign to calibrate on, and one with another seed."""
     root = tmp_path_factory.mktemp('campaigns')
-    for name, seed, runs in (('cal', 1, 60), ('other', 2, 30)):
+    for name, seed, runs in (('cal', 1, 40), ('other', 2, 20)):
         words = ('taxinet', 'falsify', program, *WORDS, '--runs', runs, '--seed', seed, '--out',
                  root / name)
         with pytest.MonkeyPatch.context() as patch:
@@ -85,16 +85,16 @@ def sample(**changes) -> Sample:
 
 
 def test_given_a_campaign_then_both_outcomes_are_in_it(forecast, others):
-    assert forecast.model.calibration_runs == 30
+    assert forecast.model.calibration_runs == 20
     assert forecast.model.moments == 7
     assert 0.1 < np.mean(others.outcomes > 0) < 0.9
-    assert others.features.shape == (30, 7, len(FEATURES))
+    assert others.features.shape == (20, 7, len(FEATURES))
 
 
 @pytest.mark.parametrize('guarantee', Guarantee)
 def test_given_new_runs_then_bounds_hold_about_as_often_as_promised(forecast, others, guarantee):
     found = coverage(forecast, others, 0.9, guarantee)
-    # 30 runs and one calibration of 30: below 70 % would be a chance of some in 1,000.
+    # 20 runs and one calibration of 20: below 70 % is rare.
     assert found.held.rate >= 0.7
     bounds = bounds_at_moments(forecast, others, 0.9, guarantee)
     assert (bounds <= others.certain[..., 1]).all()
@@ -180,7 +180,7 @@ def test_given_another_sampler_then_its_runs_are_outside(folders, forecast, othe
     assert outside_of_run(forecast, bag, searched) == [
         'chosen by the sampler ce, not drawn by the program itself'
     ]
-    with pytest.raises(UsageError, match='drew none of its 30 judged runs'):
+    with pytest.raises(UsageError, match='drew none of its 20 judged runs'):
         calibrate(searched)
 
 
@@ -197,7 +197,7 @@ def test_given_what_cannot_be_calibrated_then_it_is_refused_by_name(folders, cha
 def test_given_a_campaign_that_its_results_ended_then_it_cannot_calibrate(folders):
     campaign = open_campaign(folders / 'other')
     stopped = dataclasses.replace(campaign, content=dataclasses.replace(
-        campaign.content, rows=campaign.rows[:20],
+        campaign.content, rows=campaign.rows[:10],
         campaign={**campaign.facts, 'until': ['failures=3']},
     ))
     with pytest.raises(UsageError, match='may have ended by --until failures=3'):
@@ -228,14 +228,14 @@ def test_given_the_commands_then_they_say_what_holds_and_draw_it(
     made = tmp_path / 'near.json'
     code, said, _ = taxinet('forecast', 'calibrate', folders / 'cal', '--out', made)
     assert code == 0
-    assert '30 runs trained and 30 calibrated' in said
+    assert '20 runs trained and 20 calibrated' in said
     code, said, _ = taxinet('forecast', 'check', made, folders / 'other')
     assert code == 0
-    assert '30 runs, ' in said
+    assert '20 runs, ' in said
     assert said.count('whole run') >= 2
     code, said, _ = taxinet('forecast', 'check', made, folders / 'cal', '--json')
     assert code == 3
-    assert json.loads(said)['outside'][0].startswith('60 of these runs were calibrated on')
+    assert json.loads(said)['outside'][0].startswith('40 of these runs were calibrated on')
     bags = sorted((folders / 'other').glob('starts-*'))[:2]
     plot = tmp_path / 'band.png'
     code, said, _ = taxinet(
@@ -248,4 +248,4 @@ def test_given_the_commands_then_they_say_what_holds_and_draw_it(
     assert (code, complaint) == (2, 'taxinet: error: --at 31: needs to be within 0..3 s\n')
     code, _, complaint = taxinet('forecast', 'show', made, bags[0], '--confidence', 0.99)
     assert code == 2
-    assert 'needs at least 99 calibration runs, not 30' in complaint
+    assert 'needs at least 99 calibration runs, not 20' in complaint

@@ -1,10 +1,8 @@
 import math
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.live_monitor.sample_hold import SampleHold
 
 S = 10**9
@@ -108,11 +106,3 @@ def test_given_any_arrivals_on_a_grid_then_its_stamps_are_regular_and_values_of_
     for each in samples:
         newest = [value for stamp_ns, value in said if stamp_ns <= each.stamp_ns][-1]
         assert each.values['a'] == newest
-
-
-@pytest.mark.parametrize(
-    'how', [{}, {'sampled_on': '/a', 'period_ns': 1}, {'sampled_on': '/c'}, {'period_ns': -1}]
-)
-def test_given_settings_that_make_no_sense_then_they_are_refused(how):
-    with pytest.raises(UsageError, match=r'^samples: '):
-        SampleHold(TOPICS, **how)
