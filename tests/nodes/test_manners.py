@@ -28,7 +28,6 @@ from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.foxglove_server import FoxgloveServer
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-from taxinet_ros.nodes.live_monitor.node import LiveMonitor
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
@@ -51,7 +50,7 @@ CLASSES: dict[str, type[Any]] = {
     'taxinet_perception': TaxinetPerception,
     'ground_truth_perception': GroundTruthPerception,
     'steering_controller': SteeringController,
-    'mtl_monitor': LiveMonitor,
+    'mtl_monitor': MtlMonitor,
     'recorder': Recorder,
     'runtime_monitor': RuntimeMonitor,
     'scenario_sampler': StandaloneSampler,
@@ -216,13 +215,12 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
     """What each node tells of its own parameters."""
     given = {
         'bag_player': {'bag': str(bag)},
-        'mtl_monitor': {'signals': ['cte=/odom:pose.pose.position.y'], 'specs': ['a=cte <= 1']},
         'scenario_sampler': {'out': str(tmp_path_factory.mktemp('sampler') / 'c')},
         'foxglove_server': {'port': 0},
     }
     found = {}
     with own_domain() as domain:
-        for name, kind in {**CLASSES, 'graph_monitor': MtlMonitor}.items():
+        for name, kind in CLASSES.items():
             context = Context()
             rclpy.init(context=context, domain_id=domain)
             overrides = [Given(key, value=value) for key, value in given.get(name, {}).items()]
@@ -233,8 +231,6 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
                 node.close()
                 leave_graph(node)
                 rclpy.shutdown(context=context)
-    # One executable with two faces.
-    found['mtl_monitor'] = [*found.pop('graph_monitor'), *found['mtl_monitor']]
     return found
 
 

@@ -26,7 +26,7 @@ from waiting import wait_for
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes import interface, mtl_monitor
+from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR, STEERING_CONTROLLER
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -242,18 +242,6 @@ def test_ros21_given_a_remap_that_parts_a_node_then_it_warns_from_whom(tmp_path)
             lambda: told.set_result(None),
         ):
             spin_until(spinning.executor, told)
-
-
-@pytest.mark.parametrize(('given', 'alone'), [
-    ('diagnostics:=0.5', False), ('specs:=[phi_always]', True),
-])
-def test_ros21_given_how_often_to_tell_then_the_monitor_is_still_that_of_the_graph(given, alone):
-    with own_domain() as domain:
-        rclpy.init(args=['--ros-args', '-p', given], domain_id=domain)
-        try:
-            assert mtl_monitor.stands_alone() is alone
-        finally:
-            rclpy.try_shutdown()
 
 
 def test_ros21_given_too_little_space_then_the_recorder_warns(tmp_path: Path, monkeypatch):
