@@ -34,8 +34,9 @@ from taxinet_ros.bag.cdr.decode import (
     with_present_names,
 )
 from taxinet_ros.bag.errors import BagCorrupt, BagError
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import BagInfo, read_info, stored_messages
 from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, SCENARIO, TF, is_of_frames, is_topic
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, qos_profiles
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError

@@ -16,7 +16,8 @@ from bag_samples import make, serialise, store
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.reader import stored_messages
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo
 
 BEGUN_NS = 1_700_000_000_000_000_000

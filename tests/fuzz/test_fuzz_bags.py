@@ -9,12 +9,14 @@ from __future__ import annotations
 import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bag_faults import chunk
 from mcap.records import Chunk, Header
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from whole_runs import run_messages, write_run
 
 from taxinet_ros.bag.check.doctor import check_bag
@@ -22,14 +24,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.bag.storage.records import (
-    MAGIC,
-    ReadBudget,
-    encode,
-    open_chunk,
-    parse_record,
-    split_records,
-)
+from taxinet_ros.bag.storage.records import MAGIC, encode
 from taxinet_ros.errors import UsageError
 
 
@@ -42,9 +37,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 def opened(data: bytes) -> bytes:
     """What the chunks of a file hold."""
-    records = (parse_record(code, body) for code, body in split_records(data[len(MAGIC):-8]))
-    work = ReadBudget(len(data))
-    return b''.join(open_chunk(record, work) for record in records if isinstance(record, Chunk))
+    records = StreamReader(BytesIO(data), emit_chunks=True).records
+    chunks = (record for record in records if isinstance(record, Chunk))
+    return b''.join(get_chunk_data_stream(chunk)[0].read(1 << 30) for chunk in chunks)
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:

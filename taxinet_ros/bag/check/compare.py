@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.run.topics import is_of_frames
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.provenance import differences, known, provenance
 from taxinet_ros.errors import UsageError

@@ -1,6 +1,6 @@
 """All checks of a bag from any recorder.
 
-Checks bytes, indexes, metadata and types of the bag; stamps, steps and verdict of each run in it;
+Checks bytes, metadata and types of the bag; stamps, steps and verdict of each run in it;
 and optionally the camera frames against re-rendered ones.
 """
 
@@ -32,7 +32,6 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.bag.run.topics import IMAGE
 from taxinet_ros.bag.run.trace import Frame
-from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.errors import UsageError
@@ -49,28 +48,6 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
             Finding(where=_place(error), what=_without_place(error), mend=RECOVER)
             for error in damage
         ),
-    )
-
-
-def check_index(path: Path, *, sound: bool) -> Check:
-    """Check that the indexes list every message; only if the bytes are intact."""
-    if not sound:
-        return Check(name='index', looked_at='the bytes are damaged', skipped=True)
-    files = storage_files(path)
-    found: list[Finding] = []
-    for file in files:
-        try:
-            troubles = index_troubles(file)
-        except BagError as error:
-            found.append(Finding(where=file.name, what=str(error), mend=RECOVER))
-            continue
-        found += [
-            Finding(where=f'{file.name}, byte {offset}', what=what, mend=RECOVER)
-            for offset, what in troubles
-        ]
-    return Check(
-        name='index', looked_at='chunks, messages, attachments and counts match the summary',
-        findings=tuple(found),
     )
 
 
@@ -336,7 +313,6 @@ def check_bag(path: Path) -> Checkup:
         info=info,
         checks=(
             check_bytes(info, damage),
-            check_index(path, sound=not damage),
             check_description(info),
             check_types(info),
             *_run_checks(recording),

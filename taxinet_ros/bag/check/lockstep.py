@@ -13,7 +13,6 @@ from typing import Any
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.run.message_values import (
     reading_values,
     scenario_of,
@@ -38,6 +37,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free

@@ -14,7 +14,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, decode_of
+from taxinet_ros.bag.reader import BagInfo, decode_of
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.topics import (
     NODE_READY,
@@ -26,6 +26,7 @@ from taxinet_ros.bag.run.topics import (
     SIMULATOR,
     VERDICT,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.motion.controller import is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval

@@ -91,7 +91,7 @@ class Recording(StoredRuns, Sequence['Recording']):
         # The position of damage among the messages of one run is unknown.
         damage = [(0, error) for error in self.damaged_places]
         contents = Contents(
-            self.path, messages=messages, damage=damage, checked=self.checked,
+            self.path, messages=messages, damage=damage, unchecked=self.unchecked,
             topics={stored.topic.name: stored.topic for stored in messages},
         )
         return Recording(contents, Within(self, number, self.runs[number]))

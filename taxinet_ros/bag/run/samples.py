@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run.message_values import (
     HeldCommand,
     assumptions_of,
@@ -32,6 +31,7 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import (
@@ -162,7 +162,7 @@ class _NotPlainError(Exception):
 
 def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
     """Fast path for regular recordings of one run; None for others."""
-    if not recording.checked:
+    if recording.damaged_places or recording.unchecked:
         return None
     reader = _SamplesReader(names, plain=True)
     try:
@@ -207,7 +207,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
                  run.unclear)
         for run, reader in present
     ]
-    notes = [unchecked_files(path), found[0].note]
+    notes = [recording.unchecked, found[0].note]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
         notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')

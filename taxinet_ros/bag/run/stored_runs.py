@@ -11,9 +11,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
-from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagTruncated
+from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import BagInfo, Contents, StoredMessage, stored_messages
+from taxinet_ros.bag.reader import BagInfo, Contents, intact_records, stored_messages
 from taxinet_ros.bag.run.runs import (
     RunPart,
     RunsWithin,
@@ -22,6 +22,7 @@ from taxinet_ros.bag.run.runs import (
     topic_parts,
 )
 from taxinet_ros.bag.run.topics import IMAGE, is_of_frames
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
@@ -88,9 +89,9 @@ class StoredRuns:
         return self.path.is_file() or (self.path / METADATA_FILE).is_file()
 
     @property
-    def checked(self) -> bool:
-        """Whether the bag is one file, completely covered by valid checksums."""
-        return self._contents.checked
+    def unchecked(self) -> str:
+        """One line about messages not covered by a checksum, or ''."""
+        return self._contents.unchecked
 
     @property
     def damage(self) -> tuple[BagError, ...]:
@@ -182,7 +183,6 @@ class StoredRuns:
             BagTruncated, BagCorrupt: damage, with ``strict``; all messages before it were yielded.
         """
         damage = self._contents.damage[:1] if strict else []
-        count = 0
         names = {
             topic.name: name for topic in self.topics
             if (name := topic_parts(topic.name)[0]) in relative
@@ -192,12 +192,8 @@ class StoredRuns:
             name = stored.topic.name
             if name in names:
                 yield names[name], stored
-                count += 1
         for _, error in damage:
-            text = str(error)
-            if isinstance(error, BagTruncated | BagCorrupt):
-                text = f'{text}; {count} intact messages before'
-            raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
+            raise error
 
     def messages_of_runs(
         self, wanted: Callable[[int, str], bool] = lambda run, topic: True, *,
@@ -223,7 +219,8 @@ class StoredRuns:
             return (stored for _, stored in mine)
         if all(kept_bytes(name) == sys.maxsize for name, n in self.info.counts.items() if n):
             return iter(self._contents.messages)
-        return stored_messages(self.path, on_damage=lambda error: None)
+        found = intact_records(self.path)
+        return (record for record in found if isinstance(record, StoredMessage))
 
     def whole_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
         """Complete messages on any topics, including images; needs another pass.

@@ -17,9 +17,10 @@ from taxinet_ros.bag.cdr.decode import (
     with_present_names,
 )
 from taxinet_ros.bag.errors import BagForeign
-from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (

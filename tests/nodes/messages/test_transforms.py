@@ -22,11 +22,12 @@ from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.image import frame_of_cdr
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.run_bag import bag_topics
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import message_definition, type_hash
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.place.catalogue import default_runway
