@@ -104,7 +104,7 @@ def compare_bags(
     counts = [read_info(path).counts for path in (one, other)]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])
-        # Older bags have no transforms; these are redundant with odometry.
+        # Bags of taxinet bag split have no transforms; these are redundant with odometry.
         if name not in skip and not (
             is_of_frames(name) and not all(count.get(name) for count in counts))
     ]

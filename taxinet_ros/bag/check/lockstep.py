@@ -411,7 +411,7 @@ def _interval(message: Any) -> RobustnessInterval | None:
 
 
 def _differences(message: Any, values: dict[str, Any]) -> list[str]:
-    """Fields of a message that differ from these values; an older bag lacks some."""
+    """Fields of a message that differ from these values; another recorder's may lack some."""
     return [
         f'{name}: recorded {told!r}, from the messages {value!r}' for name, value in values.items()
         if _exactly(told := getattr(message, name, value)) != _exactly(value)

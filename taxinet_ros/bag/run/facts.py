@@ -133,7 +133,7 @@ class NodeFacts:
         implementation: name of the implementation, e.g. ``taxinet``; or the changed gains.
         fingerprint: SHA-256 of its weights or package, or ''.
         origin: ``NAME of PACKAGE VERSION`` if a package provided it (for the simulator: its
-            world); in earlier versions only the world's name, or ''.
+            world), or ''.
     """
 
     implementation: str

@@ -346,11 +346,9 @@ class _SamplesReader:
         )
 
     def _note(self, clearance: Clearance | None) -> str:
-        if not self._reads_others or (clearance is not None and clearance.anybody):
+        if clearance is None or clearance.anybody:
             return ''
-        return 'nobody is on the ground, so nothing could violate a formula about others' if (
-            clearance is not None
-        ) else 'of a version without others on the ground: no verdict on formulas about them'
+        return 'nobody is on the ground, so nothing could violate a formula about others'
 
     def _partial(self) -> dict[str, str]:
         """One line per topic that is missing, begins late, or ends a step or more too early."""

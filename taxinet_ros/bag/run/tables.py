@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.cdr.decode import typestore, with_present_names
+from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.topics import is_topic
@@ -122,9 +122,7 @@ def _table(rows: list[dict[str, Any]], topic: TopicInfo) -> pd.DataFrame:
 
 @lru_cache(maxsize=64)
 def _units_within(type_name: str, definition: str) -> Mapping[str, str]:
-    topic = with_present_names(
-        TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
-    )
+    topic = TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
     try:
         # The store rejects types with very many parts, so this walk is short.
         return dict(_walk(typestore(topic).fielddefs, type_name, _commented(topic)))
