@@ -7,7 +7,6 @@ and optionally the camera frames against re-rendered ones.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,8 +50,8 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
     )
 
 
-def check_description(info: BagInfo) -> Check:
-    """Check ``metadata.yaml`` against the storage files."""
+def check_description(info: BagInfo, *, sound: bool) -> Check:
+    """Check ``metadata.yaml`` against the storage files; ``sound``: whether these are intact."""
     if info.path.is_file():
         why = f'a single file has no {METADATA_FILE}'
         return Check(name='description', looked_at=why, skipped=True)
@@ -65,7 +64,7 @@ def check_description(info: BagInfo) -> Check:
         return Check(name='description', looked_at=METADATA_FILE, findings=found)
     wrong = [
         Finding(where=METADATA_FILE, what=what, mend=RECOVER)
-        for what in _contradictions(info, description)
+        for what in _contradictions(info, description, sound=sound)
     ]
     return Check(
         name='description', looked_at=f'{METADATA_FILE} matches the file',
@@ -98,82 +97,35 @@ def _topic_troubles(topic: TopicInfo) -> Iterator[str]:
         yield f'QoS: {error}'
 
 
-def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
+def _contradictions(info: BagInfo, told: Mapping[str, Any], *, sound: bool) -> Iterator[str]:
     version = told.get('version')
     if not isinstance(version, int) or not 0 < version <= VERSION:
         yield f'version is {_short(version)}; known up to {VERSION}'
     files = [file.name for file in storage_files(info.path)]
     # rosbag2 unpacks a compressed file next to it, but metadata.yaml still names the original.
-    packed = [f'{name}.zstd' for name in files]
-    there: dict[str, object] = {
-        'storage_identifier': 'mcap',
-        'message_count': sum(info.counts.values()),
-        'relative_file_paths': packed if told.get('relative_file_paths') == packed else files,
-        'duration': {'nanoseconds': info.end_ns - info.start_ns},
-    }
-    if any(info.counts.values()):
-        there['starting_time'] = {'nanoseconds_since_epoch': info.start_ns}
-    for key, value in there.items():
-        if told.get(key) != value:
-            yield f'{key} is {_short(told.get(key))}, in the bag {_short(value)}'
-    yield from _topic_contradictions(info, told.get('topics_with_message_count'))
+    if told.get('relative_file_paths') not in (files, [f'{name}.zstd' for name in files]):
+        yield f'relative_file_paths is {_short(told.get("relative_file_paths"))}, not {files}'
+    count = sum(info.counts.values())
+    if told.get('message_count') != count:
+        yield f'message_count is {_short(told.get("message_count"))}, in the bag {count}'
     words = info.metadata.get(RUN_METADATA)
-    if words is not None and _inner(info) != _without(told, words_beside(info.path, words)):
-        yield 'differs from the description within the file'
+    if words is not None and sound:
+        beside = words_beside(info.path, words)
+        inner = _inner(info)
+        for key in dict.fromkeys([*inner, *told]):
+            value = told.get(key)
+            if key == 'custom_data' and isinstance(value, Mapping):
+                value = {name: text for name, text in value.items() if name not in beside}
+            if value != inner.get(key):
+                yield f'{_short(key)} differs from the description within the file'
 
 
-def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
-    """The metadata without the entries that are only in ``metadata.yaml``."""
-    custom = told.get('custom_data')
-    if not isinstance(custom, Mapping):
-        return dict(told)
-    return {**told, 'custom_data': {k: v for k, v in custom.items() if k not in beside}}
-
-
-def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:
+def _inner(info: BagInfo) -> Mapping[str, Any]:
+    """Copy of the metadata in the storage file; empty if missing or invalid."""
     try:
-        claimed = {str(entry['topic_metadata']['name']): entry for entry in _list(told)}
-    except (TypeError, KeyError, AttributeError):
-        yield 'topics_with_message_count is not a list of topics'
-        return
-    for topic in info.topics:
-        entry = claimed.pop(topic.name, None)
-        if entry is None:
-            yield f'lacks topic {topic.name}'
-            continue
-        told_of, there = entry['topic_metadata'], _topic_fields(topic)
-        wrong = [key for key, value in there.items() if told_of.get(key, value) != value]
-        if entry.get('message_count') != info.counts[topic.name]:
-            wrong.append('message_count')
-        if wrong:
-            yield f'topic {topic.name}: {", ".join(wrong)} differ from the bag'
-    for name, entry in claimed.items():
-        if entry.get('message_count') != 0:  # rosbag2's file omits topics without messages.
-            yield f'lists topic {_short(name)}, which is not in the bag'
-
-
-def _topic_fields(topic: TopicInfo) -> dict[str, object]:
-    fields: dict[str, object] = {'name': topic.name, 'type': topic.type}
-    if topic.type_hash:
-        fields['type_description_hash'] = topic.type_hash
-    with suppress(ValueError):
-        # rosbags and rosbag2 match topics by QoS: with a difference they find no messages.
-        fields['offered_qos_profiles'] = list(qos_profiles(topic.qos))
-    return fields
-
-
-def _inner(info: BagInfo) -> object:
-    """Metadata in the storage file, or None if missing or invalid."""
-    try:
-        return load_yaml(info.metadata['rosbag2']['serialized_metadata'])
-    except (KeyError, ValueError):
-        return None
-
-
-def _list(value: object) -> list[Any]:
-    if not isinstance(value, list):
-        raise TypeError(f'{value!r} is no list')
-    return value
+        return dict(load_yaml(info.metadata['rosbag2']['serialized_metadata']))
+    except (KeyError, ValueError, TypeError):
+        return {}
 
 
 def _short(value: object) -> str:
@@ -313,7 +265,7 @@ def check_bag(path: Path) -> Checkup:
         info=info,
         checks=(
             check_bytes(info, damage),
-            check_description(info),
+            check_description(info, sound=not damage),
             check_types(info),
             *_run_checks(recording),
         ),

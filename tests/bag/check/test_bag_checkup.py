@@ -222,12 +222,12 @@ def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
     ('message_count: 135', 'message_count: 134', 'message_count is 134, in the bag 135'),
-    ('message_count: 16', 'message_count: 15', 'message_count differ from the bag'),
-    ('depth: 16', 'depth: 10', 'offered_qos_profiles differ from the bag'),
+    ('message_count: 16', 'message_count: 15', "'topics_with_message_count' differs from the desc"),
+    ('depth: 16', 'depth: 10', "'topics_with_message_count' differs from the desc"),
     ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
-    ('name: /clock', 'name: /clocks', 'lacks topic /clock'),
+    ('name: /clock', 'name: /clocks', "'topics_with_message_count' differs from"),
     ('version: 9', 'version: 10', 'version is 10; known up to 9'),
-    ('nanoseconds: 1500000000', 'nanoseconds: 15', 'duration is'),
+    ('nanoseconds: 1500000000', 'nanoseconds: 15', "'duration' differs from the description"),
 ])
 def test_given_a_description_that_lies_when_checked_then_it_is_told(
     tmp_path: Path, old: str, new: str, reason: str
