@@ -1,4 +1,4 @@
-"""Thousands of mutated files: reading, checking and mending them ends in a typed error or a result.
+"""Hundreds of mutated files: reading, checking and mending them ends in a typed error or a result.
 
 A third are mutated as they are, which their checksums catch; the others within a chunk without a
 checksum, so that nonsense reaches definitions, descriptions and messages.
@@ -77,11 +77,11 @@ def test_given_mutated_files_when_read_then_none_passes_for_a_whole_one(
     files: Callable[[int, int], Iterator[Path]],
 ) -> None:
     ends = Counter[str]()
-    for path in files(20, 2000):
+    for path in files(20, 600):
         ends[f'messages {end_of(lambda p: deque(read_messages(p), maxlen=0), path)}'] += 1
         ends[f'info {end_of(read_info, path)}'] += 1
     assert ends['messages ok'] == 0
-    assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 200
+    assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 60
 
 
 def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_is_imported(
@@ -95,13 +95,13 @@ def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_i
     for use in uses.values():
         use(tmp_path / 'sound.mcap')
     modules, ends = set(sys.modules), Counter[str]()
-    for number, path in enumerate(files(21, 100)):
+    for number, path in enumerate(files(21, 60)):
         saved = tmp_path / 'saved' / str(number)
         uses['recover'] = lambda path, saved=saved: recover(path, saved)
         for name, use in uses.items():
             ends[f'{name} {end_of(use, path)}'] += 1
     assert ends['tables ok'] == 0
-    assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 10
+    assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 5
     assert set(sys.modules) == modules
 
 

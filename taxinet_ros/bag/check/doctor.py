@@ -146,90 +146,49 @@ def _without_place(error: BagError) -> str:
     return _without_path(error).removeprefix(f'at byte {error.offset}: ')
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameComparison:
-    """Comparison of recorded frames with re-rendered ones.
-
-    Attributes:
-        recorded: number of frames in the bag.
-        equal: number of byte-identical frames.
-        first_seq: control step of the first different frame, or None.
-        first_pixels: number of different pixels in it.
-        first_difference: maximum difference of a colour value in it, 0..255.
-        trouble: why frames could not be rendered, or ''.
-    """
-
-    recorded: int
-    equal: int
-    first_seq: int | None = None
-    first_pixels: int = 0
-    first_difference: int = 0
-    trouble: str = ''
-
-    @property
-    def ok(self) -> bool:
-        """Whether all recorded frames are equal to re-rendered ones."""
-        return self.equal == self.recorded and not self.trouble
-
-
 def check_recorded_frames(recording: Recording) -> Check:
-    """Check the recorded frames of a bag; see :func:`compare_recorded_frames`."""
+    """Render the recorded frames of a bag again and compare every byte."""
     try:
         again = recorded_world(recording.path, recording.run).again_words
         if again:
             return Check(name='frames', looked_at=f'not compared: {again}', skipped=True)
-        found = compare_recorded_frames(recording)
+        return _compared_frames(recording)
     except (BagError, UsageError) as error:
         return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
-    words = f'{found.equal} of {found.recorded} equal re-rendered ones'
-    if not found.recorded:
-        return Check(name='frames', looked_at='no frames to compare', skipped=True)
-    if found.ok:
-        return Check(name='frames', looked_at=f'{words}, bit for bit')
-    finding = Finding(where=f'/{IMAGE}', what=found.trouble)
-    if found.first_seq is not None:
-        finding = Finding(
-            where=f'step {found.first_seq}',
-            what=f'the first different frame: {found.first_pixels} pixels differ, by up to '
-            f'{found.first_difference} of 255',
-        )
-    return Check(name='frames', looked_at=words, findings=(finding,))
 
 
-def compare_recorded_frames(recording: Recording) -> FrameComparison:
-    """Re-render all recorded frames of a bag and compare them.
-
-    Raises:
-        BagError, UsageError: the bag cannot be read.
-    """
+def _compared_frames(recording: Recording) -> Check:
     recorded = equal = 0
-    first: dict[str, int] = {}
-    trouble = ''
+    lost, findings = '', list[Finding]()
     states = recording.observations()
     for frame in recording.frames(render=False):
         recorded += 1
-        seq, image = frame.seq, frame.image
         try:
-            now = None if trouble else next((s.image for s in states if s.seq == seq), None)
+            now = None if lost else next((one.image for one in states if one.seq == frame.seq), None)
         except WorldDiffers as error:
-            trouble, now = str(error), None
+            lost, now = str(error), None
         if now is None:
-            trouble = trouble or f'step {seq} has a frame but no recorded state'
-        elif now.shape == image.shape and now.tobytes() == image.tobytes():
+            lost = lost or f'step {frame.seq} has a frame but no recorded state'
+        elif now.shape == frame.image.shape and now.tobytes() == frame.image.tobytes():
             equal += 1
-        elif not first:
-            first = _difference(seq, image, now)
-    return FrameComparison(recorded=recorded, equal=equal, trouble=trouble, **first)
+        elif not findings:
+            what = f'the first different frame: {_difference(frame.image, now)}'
+            findings.append(Finding(where=f'step {frame.seq}', what=what))
+    if not recorded:
+        return Check(name='frames', looked_at='no frames to compare', skipped=True)
+    if lost:
+        findings.append(Finding(where=f'/{IMAGE}', what=lost))
+    return Check(
+        name='frames', findings=tuple(findings), looked_at=f'{equal} of {recorded} equal '
+        f're-rendered ones{"" if findings else ", bit for bit"}',
+    )
 
 
-def _difference(seq: int, recorded: Frame, rendered: Frame) -> dict[str, int]:
+def _difference(recorded: Frame, rendered: Frame) -> str:
     if recorded.shape != rendered.shape:
-        return {'first_seq': seq, 'first_pixels': rendered[..., 0].size, 'first_difference': 255}
+        return f'its shape is {recorded.shape}, re-rendered {rendered.shape}'
     away = np.abs(recorded.astype(np.int16) - rendered.astype(np.int16)).max(axis=2)
-    return {
-        'first_seq': seq, 'first_pixels': int(np.count_nonzero(away)),
-        'first_difference': int(away.max()),
-    }
+    return f'{np.count_nonzero(away)} pixels differ, by up to {away.max()} of 255'
 
 
 @dataclass(frozen=True, kw_only=True)
