@@ -164,7 +164,8 @@ def _compared_frames(recording: Recording) -> Check:
     for frame in recording.frames(render=False):
         recorded += 1
         try:
-            now = None if lost else next((one.image for one in states if one.seq == frame.seq), None)
+            here = () if lost else (one.image for one in states if one.seq == frame.seq)
+            now = next(iter(here), None)
         except WorldDiffers as error:
             lost, now = str(error), None
         if now is None:

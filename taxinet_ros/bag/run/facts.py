@@ -38,7 +38,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -70,7 +70,7 @@ class RecordedRun:
     fork: str = ''
 
 
-def recorded_run(recording: StoredRuns) -> RecordedRun:
+def recorded_run(recording: Recording) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
     scenario: Any = None
@@ -188,7 +188,7 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def run_facts(recording: StoredRuns) -> RunFacts | None:
+def run_facts(recording: Recording) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
     told = _FactsReader(recording.path)
     for relative, stored in recording.messages(_FACT_TOPICS):

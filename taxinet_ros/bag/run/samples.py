@@ -50,7 +50,7 @@ from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
@@ -131,7 +131,7 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def run_samples(
-    recording: StoredRuns, names: Collection[str] | None = None
+    recording: Recording, names: Collection[str] | None = None
 ) -> list[RunSamples]:
     """Samples of every run in a recording; damage is reported in the result, not raised.
 
@@ -160,7 +160,7 @@ class _NotPlainError(Exception):
     """The bag is not a single run as logged by the recorder of taxinet_ros."""
 
 
-def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
+def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
     """Fast path for regular recordings of one run; None for others."""
     if recording.damaged_places or recording.unchecked:
         return None
@@ -174,7 +174,7 @@ def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _Sample
     return reader
 
 
-def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[RunSamples]:
+def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
     """General path: separates runs and reports damage."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]

@@ -24,7 +24,7 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 LONGEST_ARRAY = 40
 """Maximum length of an array with a column per element; a 6 x 6 covariance fits."""
@@ -51,7 +51,7 @@ _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
 
 
 def topic_tables(
-    recording: StoredRuns, topics: Collection[str] | None
+    recording: Recording, topics: Collection[str] | None
 ) -> dict[str, pd.DataFrame]:
     """See :meth:`.recording.Recording.tables`."""
     chosen = _chosen(recording, topics)
@@ -100,7 +100,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value.item() if isinstance(value, np.generic) else value
 
 
-def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
     """Selected topics by name, in the order of the file."""
     path, known = recording.path, recording.topics
     if wanted is None:
