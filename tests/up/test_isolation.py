@@ -169,7 +169,7 @@ def standing(tmp_path):
         pass
     context = Context()
     rclpy.init(context=context, domain_id=number)
-    foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none', alone=False)
+    foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none')
     executor = EventsExecutor(context=context)
     nodes = [
         kind(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in given.items()])
@@ -228,7 +228,7 @@ def test_f5_given_a_graph_that_came_after_the_choice_then_no_verdict_is_its_and_
     standing, tmp_path, monkeypatch
 ):
     first_choice(standing, monkeypatch)
-    monkeypatch.setattr(domain, '_is_free', lambda number: True)
+    monkeypatch.setattr(domain, 'in_use', lambda number: False)
     assert short_campaign(tmp_path / 'c', runs=2) == 4
     broken, sound = read_table(tmp_path / 'c').to_dict('records')
     assert (broken['outcome'], broken['kind']) == ('INFRA_ERROR', 'intruder'), broken
@@ -248,16 +248,7 @@ def test_f5_given_a_port_of_dds_that_another_program_has_then_that_domain_is_pas
             assert other != number
 
 
-def test_f5_given_another_middleware_then_a_domain_is_listened_to_before_it_is_chosen(monkeypatch):
-    found = [['somebody'], []]
-    monkeypatch.setattr(domain, 'anybody_here', lambda number: None)
-    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: found.pop(0))
-    with own_domain():
-        assert found == []
-
-
 def test_f5_given_all_domains_in_use_then_one_line_says_so(monkeypatch):
-    monkeypatch.setattr(domain, 'anybody_here', lambda number: True)
-    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: ['somebody'])
+    monkeypatch.setattr(domain, 'in_use', lambda number: True)
     with pytest.raises(UsageError, match='all ROS domains from 1 to 100 are in use; end a graph'):
         own_domain().__enter__()
