@@ -121,7 +121,8 @@ def test_r6_given_a_node_killed_amid_a_run_then_the_sampler_goes_on_and_the_next
     assert {name for name in before if after[name] != before[name]} == {module}
     bag = graph.out / f'table-{seed}-00001'
     assert read_info(bag).complete
-    assert all(not check.findings for check in check_bag(bag).checks)
+    found = [check.findings for check in check_bag(bag).checks if check.findings]
+    assert not found
 
 
 def test_given_ctrl_c_amid_a_run_then_the_run_the_bag_and_the_graph_end_in_order(tmp_path):
