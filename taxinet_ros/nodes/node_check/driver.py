@@ -12,15 +12,12 @@ import dataclasses
 import math
 import signal
 import time
-import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
@@ -36,7 +33,6 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TrackingError
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
-from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT
 from taxinet_ros.nodes.graph.node_process import NodeProcess
@@ -61,7 +57,6 @@ from taxinet_ros.nodes.node_check.record import (
 )
 from taxinet_ros.nodes.running.domain import own_domain, require_discovery
 from taxinet_ros.nodes.running.executor import NodeExecutor
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_for
 
 START_S: Final = 30.0
@@ -96,7 +91,7 @@ class CheckOptions:
 
     Attributes:
         start: starts the node's process; None if the user starts it.
-        role: its role; None to detect it from its publishers.
+        role: its role; None to detect it from the publishers of the node started.
         domain: ROS domain; None for a free one.
         frames: number of messages per run.
         patience_s: timeout for an answer; three times as long for READY [s].
@@ -126,7 +121,6 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
         role = ROLES[options.role or 'perception']
         if options.start is None:
             say(f'waiting for your node on ROS domain {domain} (ROS_DOMAIN_ID={domain})')
-            role = ROLES[options.role] if options.role else _standing(domain)
         with _stage(options, role, domain) as stage:
             stage.find()
             seems = ROLES[options.role] if options.role else stage.looks_like()
@@ -135,26 +129,6 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
         with _stage(options, seems, domain) as stage:
             stage.find()
             return stage.drive()
-
-
-def _standing(domain: int) -> Role:
-    """Role of a node already running or expected on a domain, by its name."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    probe = Node(
-        'taxinet_probe', context=context, enable_rosout=False, start_parameter_services=False
-    )
-    try:
-        for _ in range(round(_AWAITED_S / _LOOK_S)):
-            for role in ROLES.values():
-                if role.node in probe.get_node_names():
-                    return role
-            time.sleep(_LOOK_S)
-    finally:
-        leave_graph(probe)
-        rclpy.try_shutdown(context=context)
-    names = ' or '.join(role.node for role in ROLES.values())
-    raise UsageError(f'no node called {names} on ROS domain {domain} within {_AWAITED_S:g} s')
 
 
 @contextlib.contextmanager
@@ -197,7 +171,6 @@ class Stage:
         }
         for node in self._nodes.values():
             spinning.add(node)
-        self._ours = self._own_participant()
         self._late_ear = (interface.MTL_MONITOR, role.answers)
         for topic in interface.TOPICS:
             for name, node in self._nodes.items():
@@ -215,15 +188,6 @@ class Stage:
         """End the node if it was started here."""
         if self._process is not None:
             self._process.end()
-
-    def _own_participant(self) -> tuple[int, ...]:
-        """The kit's DDS participant, shared by all its endpoints."""
-        name = f'taxinet_check_{uuid.uuid4().hex}'
-        watcher = self._nodes[interface.SIMULATOR]
-        probe = watcher.create_publisher(RunStatus, name, 1)
-        ends = watcher.get_publishers_info_by_topic(name)
-        watcher.destroy_publisher(probe)
-        return _participant(ends[0])
 
     # The rest of the graph ---------------------------------------------------------------------
 
@@ -359,7 +323,7 @@ class Stage:
                         node=one.node_name, topic=topic, publishes=publishes,
                         type_name=one.topic_type, qos=one.qos_profile,
                     ) for one in found
-                    if one.node_name != NAMELESS and _participant(one) != self._ours
+                    if one.node_name not in (NAMELESS, *self._nodes)
                 ]
         self._record.ends = ends
         theirs = self._theirs()
@@ -576,11 +540,6 @@ class Stage:
             after_s=after_s, traceback=_TRACEBACK in said,
             left=left[-1].removeprefix(CHILDREN_LEFT) if left and after_s is not None else '',
         )
-
-
-def _participant(end: Any) -> tuple[int, ...]:
-    """Participant of an endpoint: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
-    return tuple(end.endpoint_gid[:12])
 
 
 def _run_status(run: Run, state: int) -> RunStatus:

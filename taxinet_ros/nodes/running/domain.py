@@ -138,7 +138,11 @@ def refuse_neighbours(domain: int, namespace: str = '/') -> None:
     if not (far or in_use(domain)):
         return
     if found := _clocks_on(domain, clock):
-        raise UsageError(another_graph(domain, found, clock))
+        verb = 'publishes' if len(found) == 1 else 'publish'
+        raise UsageError(
+            f'another graph is on ROS domain {domain}: {" and ".join(found)} {verb} {clock}; end '
+            'it (a killed one disappears after about 20 s), or set another ROS_DOMAIN_ID'
+        )
     _made_sure_of.add((domain, clock))
 
 
@@ -163,9 +167,16 @@ def _clocks_on(domain: int, clock: str) -> list[str]:
             f'taxinet_probe_{os.getpid()}', context=context, enable_rosout=False,
             start_parameter_services=False,
         )
+        found: list[str] = []
         deadline = time.monotonic() + _LOOK_S
-        while not (found := clock_keepers(probe, clock)) and time.monotonic() < deadline:
+        while not found and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
+            found = sorted(
+                f'{end.node_namespace.rstrip("/")}/{end.node_name}'
+                for end in probe.get_publishers_info_by_topic(clock)
+                # A publisher may be discovered shortly before its node.
+                if end.node_name != _NAMELESS
+            )
         leave_graph(probe)
     finally:
         rclpy.try_shutdown(context=context)
@@ -194,26 +205,6 @@ def require_free_domain() -> None:
     domain = domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
     if os.environ.get(_RESERVED) != str(domain):
         refuse_neighbours(domain)
-
-
-def clock_keepers(node: Node, clock: str = interface.CLOCK.name) -> list[str]:
-    """Full names of known nodes that publish a clock."""
-    found = node.get_publishers_info_by_topic(clock)
-    return sorted(
-        f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
-        # A publisher may be discovered shortly before its node.
-        if end.node_name != _NAMELESS
-    )
-
-
-def another_graph(domain: int, names: list[str], clock: str = interface.CLOCK.name) -> str:
-    """Error message on another graph on the same domain."""
-    they = ' and '.join(names)
-    verb = 'publishes' if len(names) == 1 else 'publish'
-    return (
-        f'another graph is on ROS domain {domain}: {they} {verb} {clock}; end it (a killed one '
-        'disappears after about 20 s), or set another ROS_DOMAIN_ID'
-    )
 
 
 @contextlib.contextmanager

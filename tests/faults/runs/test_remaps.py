@@ -32,7 +32,7 @@ from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 AWAY = '/elsewhere/x'
 

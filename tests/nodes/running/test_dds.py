@@ -37,8 +37,7 @@ def test_given_a_domain_then_its_ports_tell_whether_a_node_is_there():
 
 def test_given_nobody_there_then_only_who_may_be_on_other_machines_is_looked_for(monkeypatch):
     looked: list[float] = []
-    monkeypatch.setattr(domain, 'clock_keepers', lambda *_, **__: looked.append(1.0) or [])
-    monkeypatch.setattr(domain, '_LOOK_S', 0.1)
+    monkeypatch.setattr(domain, '_clocks_on', lambda *_: looked.append(1.0) or [])
     with own_domain() as number:
         refuse_neighbours(number)
         assert not looked
