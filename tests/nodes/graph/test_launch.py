@@ -15,12 +15,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import yaml
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.launch_plan import (
     ARGUMENTS,
-    CLOCK_REMAP,
     Ending,
     NodePlan,
     check_names,
@@ -191,54 +189,6 @@ def test_given_a_node_that_refuses_then_nothing_idles_and_one_that_dies_is_the_c
     ending.begun(1)
     assert ending.over(1, 'perception', code) == ends
     assert ending.exit_code == (2 if ends else None)
-
-
-@pytest.mark.ros
-def test_r13_given_two_graphs_with_namespaces_on_one_domain_then_each_has_its_own_verdicts(
-    tmp_path,
-):
-    """As the launch file starts them, without launch."""
-    graphs = {
-        'left': words(perception='truth', scenario='nominal', out=str(tmp_path / 'left')),
-        'right/hand': words(perception='original', seed='1', out=str(tmp_path / 'right')),
-    }
-    ends = {}
-    with own_domain() as domain:
-        started: list[tuple[str, subprocess.Popen[bytes]]] = []
-        try:
-            for name, given in graphs.items():
-                given.update(namespace=name, runs='2', images='none')
-                started += [
-                    (f'{name} {node.name}', start(node, given, domain)) for node in plan(given)
-                ]
-            for name in graphs:
-                ends[name] = dict(started)[f'{name} scenario_sampler'].wait()
-        finally:
-            for _, process in started:
-                process.terminate()
-            codes = [process.wait() for _, process in started]
-    assert ends == {'left': 0, 'right/hand': 1}
-    assert sum(codes) == 1
-    # What taxinet run says of the same scenes, each on a domain of its own.
-    assert list(pd.read_csv(tmp_path / 'left' / 'runs.csv')['outcome']) == ['PASS', 'PASS']
-    assert 'FAIL' in list(pd.read_csv(tmp_path / 'right' / 'runs.csv')['outcome'])
-
-
-def start(node: NodePlan, given: dict[str, str], domain: int) -> subprocess.Popen[bytes]:
-    """Start a node as launch_ros does."""
-    options = ['-r', f'__node:={node.name}', '-r', f'__ns:={namespace(given)}']
-    options += ['-r', ':='.join(CLOCK_REMAP)]
-    parameters = {**node.parameters}
-    if node.name == 'scenario_sampler':
-        parameters['set'] = ['duration=1']
-    if parameters:
-        file = Path(given['out']).with_suffix(f'.{node.name}.yaml')
-        file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
-        options += ['--params-file', str(file)]
-    return subprocess.Popen(
-        [str(NODES / node.executable), '--ros-args', *options],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-    )
 
 
 def launched(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
