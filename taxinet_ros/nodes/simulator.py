@@ -91,6 +91,7 @@ _STALLED_S = 1.0
 """Step duration [s] above which the missing nodes count as awaited."""
 
 _RESULT_KEPT_S = 10  # rclpy would keep those of 15 minutes, and list them at each change
+_CERTAIN = (InfraKind.INTRUDER, InfraKind.DIED)
 _SUSPECTED_S = 1.0
 """Time [s] to wait for evidence that another node caused a node's protocol error."""
 
@@ -479,9 +480,10 @@ class Simulator(Node):
         return next((found for found in every if found is not None), None)
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
-        # The error may be caused by a node outside the run.
-        begun = run.started and run.ending is None
-        if begun and kind != InfraKind.INTRUDER and (found := self._intruder(run)) is not None:
+        # The error may be caused by a node outside the run; but one that died may have been started
+        # again.
+        doubtful = run.started and run.ending is None and kind not in _CERTAIN
+        if doubtful and (found := self._intruder(run)) is not None:
             kind, (who, detail) = InfraKind.INTRUDER, found
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
