@@ -127,7 +127,6 @@ def test_given_a_truth_that_is_not_finite_then_there_is_no_verdict(tmp_path):
 COMMANDS = {
     'nan': ({'steering_angle': math.nan}, 'commanded nan rad at 5 m/s'),
     'backwards': ({'speed': -1.0}, 'at -1 m/s'),
-    'of a frame to come': ({'seq': STEP + 1}, f'answered frame {STEP + 1}, which is not out yet'),
     'of two frames': ({'seq': STEP - 1}, f'its answer to frame {STEP - 1} is stamped 0.9 s'),
 }
 
@@ -139,15 +138,6 @@ def test_given_a_command_that_is_none_then_the_controller_is_named(case, tmp_pat
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'protocol')
     assert result.who == interface.STEERING_CONTROLLER
     assert words in result.detail
-
-
-def test_given_an_estimate_of_a_frame_to_come_then_the_perception_is_named(tmp_path):
-    result = tampered_run(
-        tmp_path, ESTIMATE, only_at(STEP, lambda m: changed(m, seq=STEP + 3))
-    )
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'protocol')
-    assert result.who == interface.PERCEPTION
-    assert f'answered frame {STEP + 3}, which is not out yet' in result.detail
 
 
 @pytest.mark.parametrize('topic', [ESTIMATE, COMMAND], ids=lambda topic: topic.publishers[0])
