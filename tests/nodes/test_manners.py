@@ -185,28 +185,6 @@ def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_f
         assert logs['recorder'].read_text().count('waiting for: ') <= 8
 
 
-def test_given_a_remap_that_parts_a_node_then_its_own_line_says_from_whom(tmp_path):
-    log = tmp_path / 'log'
-    expected = (
-        '[perception]: camera/image_raw is remapped to /elsewhere, but simulator publishes '
-        '/camera/image_raw'
-    )
-    with own_domain() as domain:
-        nodes = [
-            start('taxinet_perception', domain, '--ros-args', '-r', 'camera/image_raw:=/elsewhere',
-                  log=log),
-            start('simulator', domain, log=tmp_path / 'other'),
-        ]
-        try:
-            wait_for(lambda: expected in log.read_text(), log.read_text)
-        finally:
-            for node in nodes:
-                node.send_signal(signal.SIGINT)
-            assert [node.wait() for node in nodes] == [0, 0]
-    assert log.read_text().count(expected) == 1
-    assert 'remapped' not in (tmp_path / 'other').read_text()
-
-
 # Parameters ----------------------------------------------------------------------------------
 
 

@@ -541,7 +541,7 @@ def check_node(
         str | None,
         typer.Option(
             metavar='ROLE',
-            help='perception or controller (default: detected from the node)',
+            help='perception or controller (default: detected; --external needs it)',
         ),
     ] = None,
     external: Annotated[
