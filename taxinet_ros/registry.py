@@ -58,12 +58,12 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
     WORLDS: {
         KMWH: 'taxinet_ros.core.world:SimulatedWorld',
-        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+        'xplane': 'taxinet_ros.extras.xplane.world:XPlaneWorld',
     },
     CAMERAS: {
         'ours': 'taxinet_ros.core.camera.camera:Camera',
-        'flightgear': 'taxinet_ros.simulators.flightgear.camera:FlightGearCamera',
-        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
+        'flightgear': 'taxinet_ros.extras.flightgear.camera:FlightGearCamera',
+        'xplane': 'taxinet_ros.extras.xplane.camera:XPlaneCamera',
     },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',

@@ -13,8 +13,8 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt
-from taxinet_ros.simulators.flightgear.camera import FlightGearCamera
-from taxinet_ros.simulators.flightgear.client import (
+from taxinet_ros.extras.flightgear.camera import FlightGearCamera
+from taxinet_ros.extras.flightgear.client import (
     ADDRESS,
     DEFAULT_ADDRESS,
     FlightGear,
@@ -22,7 +22,7 @@ from taxinet_ros.simulators.flightgear.client import (
     failed,
     flightgear_address,
 )
-from taxinet_ros.simulators.flightgear.process import (
+from taxinet_ros.extras.flightgear.process import (
     StartOptions,
     find_program,
     parse_size,

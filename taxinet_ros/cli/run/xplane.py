@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.simulators.xplane.doctor import Doctor
-from taxinet_ros.simulators.xplane.setup import VARIABLE, chosen_setup, read_setup
+from taxinet_ros.extras.xplane.doctor import Doctor
+from taxinet_ros.extras.xplane.setup import VARIABLE, chosen_setup, read_setup
 
 _MARKS = {True: 'ok', False: 'BAD', None: '--'}
 

@@ -23,8 +23,8 @@ from urllib.parse import quote
 from taxinet_ros.core.datarefs import MOST_NUMBER, split_name
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.simulators.limited_http import LimitedConnection
-from taxinet_ros.simulators.xplane.wire import Value, failed
+from taxinet_ros.extras.limited_http import LimitedConnection
+from taxinet_ros.extras.xplane.wire import Value, failed
 
 PORT = 8086
 VERSIONS = ('v3', 'v2', 'v1')

@@ -13,10 +13,10 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.simulators.flightgear import camera as flightgear_camera
-from taxinet_ros.simulators.flightgear import client
-from taxinet_ros.simulators.flightgear.scene import weather_of
-from tests.simulators.flightgear.flightgear_peer import FlightGearPeer, serving
+from taxinet_ros.extras.flightgear import camera as flightgear_camera
+from taxinet_ros.extras.flightgear import client
+from taxinet_ros.extras.flightgear.scene import weather_of
+from tests.extras.flightgear.flightgear_peer import FlightGearPeer, serving
 
 SCENE = Scenario(place='bikf_10', time_of_day_s=13 * 3600.0, cross_track_m=2.0, distance_m=600.0)
 STATE = Aircraft(SCENE).state

@@ -21,8 +21,8 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
-from taxinet_ros.simulators.flightgear import client, process
-from taxinet_ros.simulators.flightgear.camera import FlightGearCamera
+from taxinet_ros.extras.flightgear import client, process
+from taxinet_ros.extras.flightgear.camera import FlightGearCamera
 from taxinet_ros.testing import check_camera
 
 pytestmark = [pytest.mark.flightgear, pytest.mark.slow, pytest.mark.timeout(3600)]

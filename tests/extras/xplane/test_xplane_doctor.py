@@ -16,10 +16,10 @@ from fake_xplane import FakeXPlane
 
 from taxinet_ros.cli.run.xplane import run_xplane_doctor
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
-from taxinet_ros.simulators.xplane import native
-from taxinet_ros.simulators.xplane.doctor import Doctor, Finding
-from taxinet_ros.simulators.xplane.screen import Display
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane import native
+from taxinet_ros.extras.xplane.doctor import Doctor, Finding
+from taxinet_ros.extras.xplane.screen import Display
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
 
 ALL = ('beacon', 'answer', 'aircraft', 'values', 'frames', 'pause', 'start', 'screen', 'view',
        'pictures', 'driving')

@@ -26,7 +26,7 @@ from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion_product
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.flightgear.client import FlightGear, failed
+from taxinet_ros.extras.flightgear.client import FlightGear, failed
 
 Floats = NDArray[np.float64]
 

@@ -25,17 +25,17 @@ from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_fr
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
-from taxinet_ros.simulators.xplane.connect import Position, XPlaneConnect
-from taxinet_ros.simulators.xplane.setup import FROM_BEACON, XPlaneSetup
-from taxinet_ros.simulators.xplane.sky import (
+from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect
+from taxinet_ros.extras.xplane.setup import FROM_BEACON, XPlaneSetup
+from taxinet_ros.extras.xplane.sky import (
     REGENERATE,
     Setting,
     major,
     time_settings,
     weather_settings,
 )
-from taxinet_ros.simulators.xplane.web import WebApi
-from taxinet_ros.simulators.xplane.wire import Value, failed
+from taxinet_ros.extras.xplane.web import WebApi
+from taxinet_ros.extras.xplane.wire import Value, failed
 
 POSITION = 'sim/flightmodel/position/'
 FRAME_MARKS = ('sim/time/total_running_time_sec', 'sim/time/framerate_period')

@@ -20,14 +20,14 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import close_world, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane import camera as camera_module
-from taxinet_ros.simulators.xplane import world as world_module
-from taxinet_ros.simulators.xplane.camera import ViewFromXPlane, XPlaneCamera
-from taxinet_ros.simulators.xplane.screen import check_picture, developed, field_of_view_deg
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup, read_setup
-from taxinet_ros.simulators.xplane.simulator import XPlane, pose_of
-from taxinet_ros.simulators.xplane.sky import time_settings, weather_settings, zulu
-from taxinet_ros.simulators.xplane.world import XPlaneWorld
+from taxinet_ros.extras.xplane import camera as camera_module
+from taxinet_ros.extras.xplane import world as world_module
+from taxinet_ros.extras.xplane.camera import ViewFromXPlane, XPlaneCamera
+from taxinet_ros.extras.xplane.screen import check_picture, developed, field_of_view_deg
+from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup, read_setup
+from taxinet_ros.extras.xplane.simulator import XPlane, pose_of
+from taxinet_ros.extras.xplane.sky import time_settings, weather_settings, zulu
+from taxinet_ros.extras.xplane.world import XPlaneWorld
 
 POSITION = 'sim/flightmodel/position/'
 REGION = 'sim/weather/region/'

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed, floats
+from taxinet_ros.extras.xplane.wire import UdpClient, Value, failed, floats
 
 PORT = 49000
 BEACON_GROUP, BEACON_PORT = '239.255.1.1', 49707

@@ -24,17 +24,17 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.camera import OpenScreen, ViewFromXPlane
-from taxinet_ros.simulators.xplane.screen import Display, Screen
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup
-from taxinet_ros.simulators.xplane.simulator import (
+from taxinet_ros.extras.xplane.camera import OpenScreen, ViewFromXPlane
+from taxinet_ros.extras.xplane.screen import Display, Screen
+from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
+from taxinet_ros.extras.xplane.simulator import (
     HELD,
     MOST_AWAY_M,
     POSITION,
     XPlane,
     pose_of,
 )
-from taxinet_ros.simulators.xplane.wire import failed
+from taxinet_ros.extras.xplane.wire import failed
 
 PERIOD_S = CONTROL_PERIOD_NS / 1e9
 _HIDDEN = (SHADOWS, CROSSING, TRAFFIC, AIRCRAFT_MODEL, GUST, SLOPE)

@@ -14,11 +14,11 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane import native
-from taxinet_ros.simulators.xplane.camera import OpenScreen, ViewFromXPlane
-from taxinet_ros.simulators.xplane.screen import Display, Picture, Screen, check_picture
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup
-from taxinet_ros.simulators.xplane.simulator import (
+from taxinet_ros.extras.xplane import native
+from taxinet_ros.extras.xplane.camera import OpenScreen, ViewFromXPlane
+from taxinet_ros.extras.xplane.screen import Display, Picture, Screen, check_picture
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane.simulator import (
     FLIGHT_TIME,
     FRAME_MARKS,
     HELD,
@@ -27,10 +27,10 @@ from taxinet_ros.simulators.xplane.simulator import (
     XPlane,
     pose_of,
 )
-from taxinet_ros.simulators.xplane.sky import time_settings, weather_settings
-from taxinet_ros.simulators.xplane.web import WebApi
-from taxinet_ros.simulators.xplane.wire import failed
-from taxinet_ros.simulators.xplane.world import CONTROLS, XPlaneWorld
+from taxinet_ros.extras.xplane.sky import time_settings, weather_settings
+from taxinet_ros.extras.xplane.web import WebApi
+from taxinet_ros.extras.xplane.wire import failed
+from taxinet_ros.extras.xplane.world import CONTROLS, XPlaneWorld
 
 _FRAMES = 30
 _STEPS = 10

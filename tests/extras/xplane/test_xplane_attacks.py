@@ -21,13 +21,13 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane.camera import XPlaneCamera
-from taxinet_ros.simulators.xplane.connect import XPlaneConnect
-from taxinet_ros.simulators.xplane.native import NativeUdp, find_simulator
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup
-from taxinet_ros.simulators.xplane.simulator import XPlane
-from taxinet_ros.simulators.xplane.web import WebApi
-from taxinet_ros.simulators.xplane.world import XPlaneWorld
+from taxinet_ros.extras.xplane.camera import XPlaneCamera
+from taxinet_ros.extras.xplane.connect import XPlaneConnect
+from taxinet_ros.extras.xplane.native import NativeUdp, find_simulator
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane.simulator import XPlane
+from taxinet_ros.extras.xplane.web import WebApi
+from taxinet_ros.extras.xplane.world import XPlaneWorld
 
 RAIN = 'sim/weather/region/rain_percent'
 CLOUDS = 'sim/weather/region/cloud_type'

@@ -27,7 +27,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane.screen import (
+from taxinet_ros.extras.xplane.screen import (
     Display,
     Picture,
     Screen,
@@ -35,10 +35,10 @@ from taxinet_ros.simulators.xplane.screen import (
     developed,
     field_of_view_deg,
 )
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup
-from taxinet_ros.simulators.xplane.simulator import POSITION, XPlane, pose_of
-from taxinet_ros.simulators.xplane.sky import Setting
-from taxinet_ros.simulators.xplane.wire import failed
+from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
+from taxinet_ros.extras.xplane.simulator import POSITION, XPlane, pose_of
+from taxinet_ros.extras.xplane.sky import Setting
+from taxinet_ros.extras.xplane.wire import failed
 
 _VIEW = 'sim/graphics/view/'
 _MOVED_M, _TURNED_RAD = 0.05, 2e-3

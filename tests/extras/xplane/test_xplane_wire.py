@@ -15,10 +15,10 @@ from waiting import wait_for
 
 from taxinet_ros.core.datarefs import checked_value, split_name
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane import native
-from taxinet_ros.simulators.xplane.connect import Position, XPlaneConnect, parse_rows
-from taxinet_ros.simulators.xplane.native import NativeUdp, find_simulator, parse_beacon
-from taxinet_ros.simulators.xplane.web import WebApi
+from taxinet_ros.extras.xplane import native
+from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect, parse_rows
+from taxinet_ros.extras.xplane.native import NativeUdp, find_simulator, parse_beacon
+from taxinet_ros.extras.xplane.web import WebApi
 
 RAIN = 'sim/weather/region/rain_percent'
 CLOUDS = 'sim/weather/region/cloud_type'

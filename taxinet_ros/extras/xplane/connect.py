@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.errors import InfraKind
-from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed, floats
+from taxinet_ros.extras.xplane.wire import UdpClient, Value, failed, floats
 
 PORT = 49009
 _HEAD = 5

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.files.plain_values import Section, read_yaml
-from taxinet_ros.simulators.xplane import connect, native, web
-from taxinet_ros.simulators.xplane.connect import XPlaneConnect
-from taxinet_ros.simulators.xplane.web import WebApi
+from taxinet_ros.extras.xplane import connect, native, web
+from taxinet_ros.extras.xplane.connect import XPlaneConnect
+from taxinet_ros.extras.xplane.web import WebApi
 
 VARIABLE = 'TAXINET_XPLANE'
 """Environment variable with the path of the file; without it, everything has its default."""

@@ -19,11 +19,11 @@ from taxinet_ros.core.rig.catalogue import find_camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.simulators.flightgear import camera as flightgear_camera
-from taxinet_ros.simulators.flightgear import client
-from taxinet_ros.simulators.flightgear.scene import eye_of, lens_of, weather_of
+from taxinet_ros.extras.flightgear import camera as flightgear_camera
+from taxinet_ros.extras.flightgear import client
+from taxinet_ros.extras.flightgear.scene import eye_of, lens_of, weather_of
 from taxinet_ros.testing import check_camera
-from tests.simulators.flightgear.flightgear_peer import LINES_M, FlightGearPeer, serving
+from tests.extras.flightgear.flightgear_peer import LINES_M, FlightGearPeer, serving
 
 SCENE = Scenario(place='bikf_10', time_of_day_s=13 * 3600.0, cross_track_m=2.0, distance_m=600.0)
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.simulators.limited_http import LimitedConnection
+from taxinet_ros.extras.limited_http import LimitedConnection
 
 ADDRESS = 'TAXINET_FLIGHTGEAR'
 """Environment variable with the address of the FlightGear to ask, HOST:PORT."""
