@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.processes.child import ChildProcess
 from taxinet_ros.extras.flightgear.client import AIRCRAFT, MOTION, FlightGear, failed
+from taxinet_ros.processes.child import ChildProcess
 
 DEFAULT_SIZE = 480, 288
 """Window that holds the wing camera's view at its own resolution."""

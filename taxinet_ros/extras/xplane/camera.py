@@ -26,7 +26,7 @@ from taxinet_ros.core.scenario_fields import (
     TIME_OF_DAY,
 )
 from taxinet_ros.core.types import AircraftState
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.extras.xplane.screen import (
     Display,
     Picture,
@@ -100,12 +100,7 @@ class ViewFromXPlane:
                 f'the camera {model.name}; make it {math.ceil(width * least)} x '
                 f'{math.ceil(height * least)} or larger'
             )
-        try:
-            xplane.link.command(xplane.setup.view)
-        except InfraError as error:
-            if error.kind != InfraKind.PROTOCOL:
-                raise
-            # API v1 has no commands: the view is selected by hand, and the window says which.
+        xplane.link.command(xplane.setup.view)
         for one in self._settings():
             xplane.link.write(one.name, one.value)
         xplane.frames(xplane.setup.frames)
@@ -114,11 +109,7 @@ class ViewFromXPlane:
         self._check_view()
 
     def _check_view(self) -> None:
-        """Check that the view is where the camera is mounted, and as wide as its picture.
-
-        Raises:
-            InfraError: it is not.
-        """
+        """Check that the view is where the camera is mounted, and as wide as its picture."""
         away_m, away_deg = self.away()
         if not (away_m <= _NEAR_M and away_deg <= _NEAR_DEG):
             raise failed(
