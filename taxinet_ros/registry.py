@@ -1,10 +1,11 @@
-"""Extension points: perceptions, controllers, samplers, worlds, cameras and requirements by name.
+"""Extension points: perceptions, controllers, samplers, worlds, commands and more by name.
 
 Installed packages add extensions through entry points in the groups ``taxinet_ros.perceptions``,
 ``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds``,
-``taxinet_ros.cameras`` and ``taxinet_ros.requirements``; docs/extending.md describes the
-requirements for each. The shipped ones use the same groups. An extension is imported only when its
-name is looked up, so a broken package affects only those who use it.
+``taxinet_ros.cameras``, ``taxinet_ros.requirements`` and ``taxinet_ros.commands``;
+docs/extending.md describes the requirements for each. The shipped ones use the same groups. An
+extension is imported only when its name is looked up, so a broken package affects only those who
+use it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
 WORLDS, CAMERAS, REQUIREMENTS = 'worlds', 'cameras', 'requirements'
+COMMANDS = 'commands'
 OURS = 'taxinet_ros'
 
 KMWH = 'kmwh'
@@ -69,6 +71,14 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'taxinet_ros.core.mtl.specs',
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
     ),
+    COMMANDS: {
+        'forecast': 'taxinet_ros.cli.analysis.commands:forecast_app',
+        'assure': 'taxinet_ros.cli.analysis.commands:assure_app',
+        'evidence': 'taxinet_ros.cli.study.commands:evidence_app',
+        'tune': 'taxinet_ros.cli.study.commands:tune',
+        'flightgear': 'taxinet_ros.cli.run.commands:flightgear_app',
+        'xplane': 'taxinet_ros.cli.run.commands:xplane_app',
+    },
 }
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in
 which they are listed to users. setup.py declares them as entry points."""

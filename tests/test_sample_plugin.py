@@ -85,6 +85,10 @@ def test_given_the_sample_when_its_names_are_given_then_a_run_is_made_and_says_w
     # Its own perception and controller are known by their names, so it can be made once more.
     again = taxinet(site, 'run', '--from', str(bag), cwd=tmp_path)
     assert again.returncode == 0, again.stdout + again.stderr
+    # Its own command reads the bag.
+    turned = taxinet(site, 'turns', str(bag), cwd=tmp_path)
+    assert turned.returncode == 0, turned.stderr
+    assert re.fullmatch(r'\S+: \d+\.\d deg\n', turned.stdout)
 
 
 def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
@@ -208,3 +212,7 @@ def test_given_a_broken_package_when_not_named_then_all_else_goes_on(
     )
     assert fine.returncode in (0, 1), fine.stderr
     assert taxinet(broken, 'falsify', '--help', cwd=tmp_path).returncode == 0
+    assert '\n  turns  ' in taxinet(broken, '--help', cwd=tmp_path).stdout
+    turns = taxinet(broken, 'turns', cwd=tmp_path)
+    assert (turns.returncode, turns.stderr.count('\n')) == (2, 1)
+    assert 'command turns of taxinet-sample 0.1.0: ' in turns.stderr

@@ -20,7 +20,8 @@ from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.cli.help import EXAMPLES
-from taxinet_ros.cli.main import NODES, app
+from taxinet_ros.cli.main import app
+from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.core import topics
 from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
 from taxinet_ros.nodes.running.parameters import Parameter

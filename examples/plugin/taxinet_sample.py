@@ -2,14 +2,17 @@
 
 After installation (``pip install examples/plugin``), the names in pyproject.toml can be used like
 the shipped ones: ``taxinet run nominal --perception bright-paint --controller damped --spec
-gentle``, ``taxinet falsify s_falsif --sampler corners``.
+gentle``, ``taxinet falsify s_falsif --sampler corners``, ``taxinet turns BAG``.
 """
 
 import dataclasses
 import math
+from typing import Annotated
 
 import numpy as np
+import typer
 
+import taxinet_ros as tx
 from taxinet_ros.campaign.samplers.registry import proposer_kind
 from taxinet_ros.campaign.samplers.sampler import Option
 from taxinet_ros.core.camera.camera import Camera
@@ -131,3 +134,10 @@ class NightVision:
 
     def close(self):
         """Nothing to give back: no other program is asked for pictures."""
+
+
+def turns(bag: Annotated[str, typer.Argument(metavar='BAG', help='a recorded run')]) -> None:
+    """Print how far the nose wheel was turned in the runs of a bag."""
+    for run in tx.open_recording(bag):
+        most_rad = run.table('taxi_command')['steering_angle'].abs().max()
+        print(f'{run.run_id}: {math.degrees(most_rad):.1f} deg')

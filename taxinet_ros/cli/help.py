@@ -1,32 +1,11 @@
-"""What ``taxinet --help`` shows beyond each command's own text: the workflow, and examples.
-
-:data:`SECTIONS` gives the commands the order of a working day, :data:`EXAMPLES` has a line or more
-that people can copy for each. Both are checked against the commands when the help is printed.
-"""
+"""What the help shows beyond a command's own text: :data:`EXAMPLES`, lines to copy for each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
-
-SECTIONS = {
-    'Run scenes': ('demo', 'run', 'up', 'node', 'check-node'),
-    'Search for failures': ('falsify', 'estimate', 'merge', 'learned'),
-    'Find the causes': (
-        'why', 'analyze', 'localize', 'explain', 'shrink', 'fork', 'experiment',
-    ),
-    'Judge': (
-        'check', 'plan', 'gate', 'odd', 'forecast', 'compare', 'bisect', 'monitor', 'assure',
-        'evidence', 'spec', 'evaluate',
-    ),
-    'Train': ('dataset', 'train', 'network', 'improve', 'tune', 'case-study'),
-    'Worlds and cameras': ('camera', 'place', 'aircraft', 'flightgear', 'xplane'),
-    'Recordings and tools': ('bag', 'doctor', 'setup-messages', 'plugins', 'bench'),
-}
-"""Sections of the commands, in the order of the workflow."""
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     'demo': ('taxinet demo',),
@@ -138,26 +117,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 """Lines to copy, by command; the tests parse each."""
 
 _VERBATIM = '\b'
-_LONGEST = 300
-"""Characters of a command's line in a list: all of them, on two lines where needed."""
-
-
-class CommandSections(TyperGroup):
-    """Lists its commands in :data:`SECTIONS`; those of no section come last."""
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections to the help."""
-        commands = {
-            name: found for name in self.list_commands(ctx)
-            if (found := self.get_command(ctx, name)) is not None and not found.hidden
-        }
-        width = max(map(len, commands))
-        for title, words in _sections(commands):
-            with formatter.section(title):
-                formatter.write_dl(
-                    [(f'{name:<{width}}', commands[name].get_short_help_str(_LONGEST))
-                     for name in words]
-                )
 
 
 class DefaultCommand(TyperGroup):
@@ -186,14 +145,6 @@ def command_group(help_text: str, cls: type[TyperGroup] = TyperGroup) -> typer.T
             print(context.get_help())
 
     return group
-
-
-def _sections(commands: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
-    told = {name for words in SECTIONS.values() for name in words}
-    for title, words in (*SECTIONS.items(), ('Others', [*commands.keys() - told])):
-        known = [name for name in words if name in commands]
-        if known:
-            yield title, known
 
 
 def add_examples(app: typer.Typer, above: str = '') -> None:

@@ -11,7 +11,6 @@ import atexit
 import contextlib
 import errno
 import functools
-import importlib
 import logging
 import os
 import resource
@@ -20,7 +19,7 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,53 +27,14 @@ import typer
 from typer.exceptions import TyperException
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.cli.analysis.commands import (
-    analyze,
-    assure_app,
-    bisect,
-    check,
-    compare,
-    doctor,
-    explain,
-    forecast_app,
-    fork,
-    gate,
-    localize,
-    monitor,
-    odd_app,
-    plan,
-    spec,
-)
-from taxinet_ros.cli.bag.commands import bag_app
-from taxinet_ros.cli.checked import check_commands
+from taxinet_ros.cli.commands import Commands
 from taxinet_ros.cli.completion import ASKED_BY, answer_shell
-from taxinet_ros.cli.help import CommandSections, add_examples
-from taxinet_ros.cli.options import asks_for_study, given_options
-from taxinet_ros.cli.run.commands import (
-    aircraft_app,
-    check_node,
-    demo,
-    estimate,
-    experiment,
-    falsify,
-    flightgear_app,
-    learned,
-    merge,
-    place_app,
-    plugins,
-    run,
-    shrink,
-    up,
-    xplane_app,
-)
 from taxinet_ros.cli.streams import (
     OutputUnreadError,
     flush_output,
     refuse_special_files,
     standard_streams,
 )
-from taxinet_ros.cli.study.commands import case_study, evidence_app, improve, tune, why
-from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, network_app, train
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
@@ -85,33 +45,6 @@ from taxinet_ros.processes.interrupts import (
     signals_handled,
 )
 from taxinet_ros.version import __version__
-
-NODES = (
-    'simulator',
-    'taxinet_perception',
-    'ground_truth_perception',
-    'steering_controller',
-    'mtl_monitor',
-    'runtime_monitor',
-    'scenario_sampler',
-    'recorder',
-    'bag_player',
-    'scene_markers',
-    'foxglove_server',
-)
-
-
-def start_node(name: str, arguments: Sequence[str]) -> None:
-    """Run a node's ``main`` with ``arguments``; exits by :class:`SystemExit`.
-
-    Raises:
-        UsageError: no such node.
-    """
-    if name not in NODES:
-        raise UsageError(f'unknown node {name!r}; known: {", ".join(NODES)}')
-    sys.argv = [name, *arguments]
-    importlib.import_module(f'taxinet_ros.nodes.{name}').main()
-
 
 _COMPLETING = {'--install-completion', '--show-completion'}
 _FILES_OF_A_NODE = 12
@@ -142,7 +75,7 @@ def _past_typer() -> Iterator[None]:
         raise _Interrupted from interrupt
 
 
-class _Commands(CommandSections):
+class _Commands(Commands):
     def make_context(self, *words: Any, **named: Any) -> Any:
         with _past_typer():
             return super().make_context(*words, **named)
@@ -170,176 +103,6 @@ app = _App(
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
 )
-for command in (
-    run, up, check_node, falsify, estimate, merge, learned, why, shrink, analyze, localize, explain,
-    fork, compare, bisect, experiment, gate, check, plan, plugins, doctor, monitor, spec, demo,
-    train, dataset, evaluate, case_study, improve, tune,
-):
-    app.command()(command)
-app.add_typer(camera_app, name='camera')
-app.add_typer(network_app, name='network')
-app.add_typer(forecast_app, name='forecast')
-app.add_typer(odd_app, name='odd')
-app.add_typer(assure_app, name='assure')
-app.add_typer(evidence_app, name='evidence')
-app.add_typer(place_app, name='place')
-app.add_typer(aircraft_app, name='aircraft')
-app.add_typer(bag_app, name='bag')
-app.add_typer(flightgear_app, name='flightgear')
-app.add_typer(xplane_app, name='xplane')
-
-
-@app.command()
-def setup_messages() -> None:
-    """Build the ROS 2 messages into this virtual environment, once after pip install.
-
-    Needs the extra ros and a C++ compiler; make does it by itself. Without messages, --engine loop,
-    import taxinet_ros and the analysis of recordings work all the same.
-    """
-    from taxinet_ros.cli.messages import run_setup_messages
-
-    raise typer.Exit(run_setup_messages())
-
-
-@app.command()
-def bench(
-    context: typer.Context,
-    subjects: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar='[SUBJECT]...',
-            help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or sequential; or rare [LANDSCAPE]...; '
-            'or searches [SAMPLER|LANDSCAPE]...; or processors',
-        ),
-    ] = None,
-    repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
-    'interleaved')] = 40,
-    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
-    compare: Annotated[
-        Path | None, typer.Option(metavar='OLD.json', help='earlier JSON report to compare with')
-    ] = None,
-    peers: Annotated[
-        str | None,
-        typer.Option(metavar='PYTHON', help='Python interpreter with third-party monitors '
-        'installed: measure them too'),
-    ] = None,
-    guard: Annotated[
-        bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
-    ] = False,
-    runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default 1000); '
-    'processors: of scenes (default 40); screening: budget of a search (default 100, of a network '
-    '20)')] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(help='soak, processors: simulated length of each run (default 3) [s]'),
-    ] = None,
-    minutes: Annotated[
-        float | None,
-        typer.Option(help='soak, chaos: wall-clock limit (default 10 with --pid and for chaos) '
-        '[min]')
-    ] = None,
-    pid: Annotated[
-        int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
-    ] = None,
-    seed: Annotated[int, typer.Option(help='chaos, rare: (first) random seed')] = 0,
-    trials: Annotated[int | None, typer.Option(min=1, help='chaos: number of trials')] = None,
-    trial: Annotated[int | None, typer.Option(min=0, help='chaos: run only this trial')] = None,
-) -> None:
-    """Benchmark every component on one core, or run soak and chaos tests.
-
-    Prints medians, spreads and ratios: the closed loop with ROS 2 (composed or one process per
-    node) and without, the parts of a control step, bytes and memory.
-
-    `taxinet bench soak` runs many short scenes in one process, or watches a running process, and
-    checks memory, file descriptors, threads and shared memory for growth; exit code 1 if any grows.
-
-    `taxinet bench intervals` searches landscapes of known failure rate and reports how often the
-    intervals of `falsify` cover it and how often `gate` passes wrongly.
-
-    `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
-    err and how many runs they take.
-
-    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and
-    reports how often the intervals hold, and on which side they miss.
-
-    `taxinet bench searches` searches landscapes with known failure regions and reports how many of
-    them each sampler finds in 200 runs.
-
-    `taxinet bench screening` compares samplers at equal budgets, in which looks of `screening`
-    count by their cost, on landscapes and, with the name of a network, in closed loops.
-
-    `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
-    the results with undisturbed campaigns; exit code 4 if any differs.
-
-    `taxinet bench processors` digests every frame and message of fixed runs with both networks;
-    with --compare, it repeats those of another machine's --json report and exits with 1 if any bit
-    differs.
-    """
-    words, given = subjects or [], given_options(context)
-    from taxinet_ros.cli.bench.processors import asks_for_processors, run_processors
-
-    if asks_for_processors(words, given):
-        raise typer.Exit(run_processors(
-            scenes=runs, duration_s=duration, old=compare, as_json=as_json,
-        ))
-    if asks_for_study('rare', words, given, also=('seed',)):
-        from taxinet_ros.cli.bench.samplers import run_rare
-
-        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
-    from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
-
-    if asks_for_chaos(words, given):
-        raise typer.Exit(run_chaos(
-            seed=seed, minutes=minutes, trials=trials, trial=trial, as_json=as_json,
-        ))
-    if asks_for_study('intervals', words, given):
-        from taxinet_ros.cli.bench.samplers import run_intervals
-
-        raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('sequential', words, given):
-        from taxinet_ros.cli.bench.samplers import run_sequential
-
-        raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('searches', words, given):
-        from taxinet_ros.cli.bench.samplers import run_searches
-
-        raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('screening', words, given, also=('runs',)):
-        from taxinet_ros.cli.bench.samplers import run_screening
-
-        raise typer.Exit(run_screening(words[1:], repeats=repeats, runs=runs, as_json=as_json))
-    from taxinet_ros.cli.bench.soak import asks_for_soak, run_soak
-
-    if asks_for_soak(words, given):
-        raise typer.Exit(run_soak(
-            runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
-        ))
-    from taxinet_ros.cli.bench.subjects import run_bench
-
-    raise typer.Exit(run_bench(
-        words, repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
-    ))
-
-
-@app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})
-def node(
-    context: typer.Context,
-    name: Annotated[str, typer.Argument(help='simulator, taxinet_perception, …')],
-) -> None:
-    """Start one node, as `ros2 run taxinet_ros NAME` does.
-
-    Arguments after NAME are passed to the node (--ros-args …).
-    """
-    try:
-        start_node(name, context.args)
-    except SystemExit as end:  # as every node ends
-        raise typer.Exit(end.code if isinstance(end.code, int) else ExitCode.INFRA) from None
-
-
-add_examples(app)
-check_commands(app)
 
 
 @app.callback(invoke_without_command=True)

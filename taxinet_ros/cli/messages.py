@@ -7,10 +7,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import typer
+
 import taxinet_ros
 from taxinet_ros.errors import ExitCode, UsageError
 
 _BUILDER = 'build_with_wheels.py'
+
+
+def setup_messages() -> None:
+    """Build the ROS 2 messages into this virtual environment, once after pip install.
+
+    Needs the extra ros and a C++ compiler; make does it by itself. Without messages, --engine loop,
+    import taxinet_ros and the analysis of recordings work all the same.
+    """
+    raise typer.Exit(run_setup_messages())
 
 
 def run_setup_messages() -> int:

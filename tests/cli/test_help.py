@@ -1,6 +1,7 @@
 """``taxinet --help`` and examples: whatever lists commands knows them all."""
 
 import shlex
+import subprocess
 import sys
 
 import pytest
@@ -8,10 +9,12 @@ import typer
 
 from taxinet_ros.campaign.scenes.programs import known_programs
 from taxinet_ros.cli import progress
-from taxinet_ros.cli.help import EXAMPLES, SECTIONS
+from taxinet_ros.cli.commands import OWN, SECTIONS
+from taxinet_ros.cli.help import EXAMPLES
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import COMMANDS, SHIPPED
 
 ROOT = typer.main.get_command(app)
 
@@ -27,10 +30,26 @@ def commands(group=ROOT, above=''):
 
 
 def test_given_the_commands_then_each_is_in_one_section_and_has_an_example():
-    listed = [name for names in SECTIONS.values() for name in names]
-    assert sorted(listed) == sorted(ROOT.commands)
+    assert len(OWN) == sum(map(len, SECTIONS.values())) >= 40
+    assert {name for name, (target, _) in OWN.items() if not target} == set(SHIPPED[COMMANDS])
     assert sorted(EXAMPLES) == sorted(commands())
     assert all(EXAMPLES.values())
+
+
+@pytest.mark.parametrize('name', OWN)
+def test_given_a_command_then_its_line_in_the_list_is_the_first_sentence_of_its_own_text(name):
+    assert ROOT.commands[name].get_short_help_str(300) == OWN[name][1]
+
+
+def test_given_the_help_when_printed_then_no_command_is_imported():
+    code = (
+        'import sys; from taxinet_ros.cli.main import app; '
+        'app(["-h"], standalone_mode=False); '
+        'print([name for name in sys.modules if name.startswith("taxinet_ros.cli.") and '
+        'name.endswith("commands")], "numpy" in sys.modules)'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "['taxinet_ros.cli.commands'] False"
 
 
 @pytest.mark.parametrize('line', [line for lines in EXAMPLES.values() for line in lines])

@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from waiting import wait_for
 
-from taxinet_ros.cli.main import NODES
+from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.foxglove_server import FoxgloveServer
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception

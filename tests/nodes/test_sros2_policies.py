@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sros2_policies import FOLDER, SUPERVISOR, Interface, interfaces, policies
 
-from taxinet_ros.cli.main import NODES
+from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes import interface
 
 pytestmark = pytest.mark.ros

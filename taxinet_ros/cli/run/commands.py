@@ -643,7 +643,7 @@ def plugins(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List perceptions, controllers, samplers, worlds and requirements by name.
+    """List perceptions, controllers, samplers, worlds, commands and more by name.
 
     Those that are shipped and those of installed packages, with the package's version and where
     in it each is; also those that cannot be used, with the reason. Exit code 0; with a NAME, 2

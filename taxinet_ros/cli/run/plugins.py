@@ -10,20 +10,21 @@ from typing import Any
 from rich.console import Console
 
 from taxinet_ros.campaign.samplers.registry import SAMPLERS
+from taxinet_ros.cli.commands import load_extension
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.registry import SHIPPED, Extension, installed
+from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, installed
 
 _USES: Mapping[str, Callable[[str], Any]] = {
     'perceptions': check_perception, 'controllers': check_controller,
     'samplers': SAMPLERS.__getitem__, 'worlds': find_world, 'cameras': find_renderer,
     'requirements': parse_spec,
 }
-"""Function that finds a name for use, by extension point."""
+"""Function that finds a name for use, by extension point; commands are loaded."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,7 +68,10 @@ def show_plugins(name: str | None, *, as_json: bool) -> int:
 
 def _trouble(one: Extension) -> str:
     try:
-        _USES[one.kind](one.name)
+        if one.kind == COMMANDS:
+            load_extension(one)
+        else:
+            _USES[one.kind](one.name)
     except UsageError as error:
         return str(error)
     return ''

@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 from plugins import lay_down
 
 from taxinet_ros import registry
-from taxinet_ros.cli.main import main
+from taxinet_ros.cli.main import app, main
 from taxinet_ros.core.motion.controller import make_controller
 from taxinet_ros.errors import UsageError
 from taxinet_ros.version import __version__
@@ -60,6 +61,34 @@ def test_given_a_name_when_asked_for_then_the_exit_code_says_whether_it_can_be_u
     assert (code, "No module named 'no_such_module'" in told) == (2, True)
     code, told = plugins('nobody')
     assert (code, "nothing is called 'nobody'" in told) == (2, True)
+
+
+def test_given_commands_of_packages_then_they_are_listed_completed_and_called_by_name(
+    plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = 'import typer\ndef mine(word: str):\n    """Say a word."""\n    print(word)\n'
+    group = code + 'app = typer.Typer()\napp.command()(mine)\n'
+    lay_down(tmp_path, 'cmd-group', group, commands='grouped = app')
+    lay_down(tmp_path, 'cmd-odd', 'ODD = 3\n', commands='unread = ODD')
+    lay_down(tmp_path, 'cmd-run', code, commands='run = mine')
+    for name in ('one', 'two'):
+        lay_down(tmp_path, f'cmd-{name}', code, commands='twice = mine')
+    root = typer.main.get_command(app)
+
+    def run(*words: str) -> tuple[int, str]:
+        monkeypatch.setattr(sys, 'argv', ['taxinet', *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return int(end.value.code or 0), ''.join(capsys.readouterr())
+
+    assert list(root.commands)[-3:] == ['grouped', 'twice', 'unread']
+    assert '  grouped         Command of cmd-group 1.2.\n' in run('-h')[1]
+    assert run('grouped', 'mine', 'a') == (0, 'a\n')
+    assert run('run', '-h')[1].startswith('Usage: taxinet run [OPTIONS] ')
+    for name, words in (('unread', 'command unread of cmd-odd 1.2: '), ('twice', 'there are two')):
+        for code, told in (run(name, 'a'), plugins(name)):
+            assert (code, words in told) == (2, True), told
+    assert 'taxinet itself has a command of this name' in plugins('run')[1]
 
 
 @pytest.mark.parametrize(('point', 'name', 'words'), [
