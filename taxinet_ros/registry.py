@@ -76,8 +76,8 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'assure': 'taxinet_ros.cli.analysis.commands:assure_app',
         'evidence': 'taxinet_ros.cli.study.commands:evidence_app',
         'tune': 'taxinet_ros.cli.study.commands:tune',
-        'flightgear': 'taxinet_ros.cli.run.commands:flightgear_app',
-        'xplane': 'taxinet_ros.cli.run.commands:xplane_app',
+        'flightgear': 'taxinet_ros.extras.flightgear.commands:app',
+        'xplane': 'taxinet_ros.extras.xplane.commands:app',
     },
 }
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in

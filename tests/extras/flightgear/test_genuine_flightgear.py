@@ -46,7 +46,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv('XDG_CACHE_HOME', str(tmp_path_factory.mktemp('cache')))
         patch.setenv(client.ADDRESS, f'127.0.0.1:{port}')
         options = process.StartOptions(host='127.0.0.1', port=port)
-        with process.started(options, lambda waited_s: None) as started:
+        with process.started(options) as started:
             yield
             assert not started.dead
 
@@ -126,5 +126,5 @@ def test_given_a_port_that_is_taken_when_started_then_the_line_names_it(
     host, port = client.flightgear_address()
     options = process.StartOptions(host=host, port=port)
     with pytest.raises(UsageError, match=f'{port}: Address already in use; choose another'), \
-            process.started(options, lambda waited_s: None):
+            process.started(options):
         pass

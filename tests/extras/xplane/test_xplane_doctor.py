@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from fake_xplane import FakeScreen, FakeXPlane, setup_of
 
-from taxinet_ros.cli.run.xplane import run_xplane_doctor
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.extras.xplane.commands import xplane_doctor
 from taxinet_ros.extras.xplane.doctor import Doctor, Finding
 from taxinet_ros.extras.xplane.screen import Display
 
@@ -86,7 +87,9 @@ def test_the_command(sim, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv('DISPLAY', raising=False)
     path = tmp_path / 'xplane.yaml'
     path.write_text(f'port: {sim.web_port}\nsettle_s: 0\ntimeout_s: 30\n')
-    assert run_xplane_doctor(path) == ExitCode.INFRA
+    with pytest.raises(typer.Exit) as ended:
+        xplane_doctor(path)
+    assert ended.value.exit_code == ExitCode.INFRA
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f'ok   setup     web at 127.0.0.1:{sim.web_port}, of {path}'
     assert lines[5].startswith(('BAD  view      not_ready: display of the environment',

@@ -447,7 +447,7 @@ def test_errors_of_a_run_name_the_step(sim, monkeypatch, tmp_path):
         one.observe()
         one.advance(AHEAD)
         sim.restart()
-        with pytest.raises(InfraError, match=r'x-plane at step 1: .*(restarted|went back)') as error:
+        with pytest.raises(InfraError, match=r'x-plane at step 1: .*(restart|back)') as error:
             one.observe() if word != 'xplane' else one.advance(AHEAD)
         assert error.value.who == 'x-plane'
         close_world(one)

@@ -1,4 +1,4 @@
-"""The clients of X-Plane's two network interfaces, against a fake one that is well, dead or slow."""
+"""The clients of X-Plane's two interfaces, against a fake one that is well, dead, slow or wrong."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_the_plug_in_names_what_it_does_not_know(sim):
 @pytest.mark.parametrize('reply', [b'', b'RESP', b'RESP\0\1', b'RESP\0\1\2' + bytes(4),
                                    b'RESP\0\2\1' + bytes(4), b'POSI\0\1\1' + bytes(4)])
 def test_replies_to_getd_are_whole(reply):
-    with pytest.raises(InfraError, match='^protocol: x-plane: XPlaneConnect: .* 1 whole rows'):
+    with pytest.raises(InfraError, match=r'^protocol: x-plane: XPlaneConnect: .* 1 whole rows'):
         parse_rows(reply, 1)
 
 
