@@ -82,7 +82,7 @@ suite: $(DONE)/messages $(DONE)/tools
 # A report, for the machine is never as quiet as a test would need; it fails when a ratio that does
 # not depend on the machine is far off.
 bench: $(DONE)/messages
-	$(BIN)/taxinet bench all campaign --repeats $(REPEATS) --guard --json > bench.json
+	$(BIN)/taxinet bench --repeats $(REPEATS) --guard --json > bench.json
 
 # Every warning, of a lost link or heading too, fails the build; so does a test.
 docs: $(DONE)/messages $(DONE)/tools

@@ -60,7 +60,6 @@ from taxinet_ros.files.journal import (
     lost_end,
     parse_journal,
 )
-from taxinet_ros.files.pages import PAGES_NAME, page_sha256
 from taxinet_ros.files.sealed_json import SealedJson, file_sha256, read_sealed
 
 MEND = 'taxinet doctor --mend {folder}'
@@ -458,7 +457,7 @@ def _check_stages(path: Path, found: Examination) -> None:
             found.checked.add(output)
             if not output.is_file():
                 found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
-            elif page_sha256(output) != digest:
+            elif file_sha256(output) != digest:
                 found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
@@ -470,7 +469,7 @@ def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
         if path not in found.checked | places | told
     ]
     found.unchecked += left
-    derived = [path for path in left if path.suffix in _DERIVED or path.name == PAGES_NAME]
+    derived = [path for path in left if path.suffix in _DERIVED]
     for names, what in ((derived, 'made from the rest'), (
         [path for path in left if path not in derived], 'no record to verify against'
     )):

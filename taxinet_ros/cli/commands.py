@@ -154,7 +154,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
         'bench': (
             'bench.commands:bench',
-            'Benchmark every component on one core, or run soak and chaos tests.',
+            'Benchmark camera, closed loop and graph on one core.',
         ),
     },
 }

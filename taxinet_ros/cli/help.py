@@ -92,7 +92,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
     'camera shadow': ('taxinet camera shadow',),
-    'camera compare': ('taxinet camera compare --against mitsuba',),
+    'camera compare': ('taxinet camera compare frames --json',),
     'place list': ('taxinet place list',),
     'place show': ('taxinet place show kmwh_04',),
     'aircraft list': ('taxinet aircraft list',),
@@ -112,7 +112,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
     'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
-    'bench': ('taxinet bench', 'taxinet bench processors --json'),
+    'bench': ('taxinet bench camera loop', 'taxinet bench graph --guard'),
 }
 """Lines to copy, by command; the tests parse each."""
 

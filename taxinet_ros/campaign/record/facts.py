@@ -21,7 +21,6 @@ from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key, by_value
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
 from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
@@ -225,18 +224,6 @@ def record_beside(path: Path) -> Path | None:
         if (folder / LEDGER_NAME).is_file():
             return folder
     return None
-
-
-def add_page_beside(path: Path, page: Path, title: str) -> None:
-    """Add a page to those of the campaign that ``path`` belongs to (:func:`record_beside`), if any.
-
-    Args:
-        path: folder of a campaign, its table or one of its runs.
-        page: the page, see :func:`.add_page`.
-        title: words of the link to it.
-    """
-    if (record := record_beside(path)) is not None:
-        add_page(record, page, title)
 
 
 def read_facts(folder: Path) -> SealedJson | None:

@@ -406,7 +406,7 @@ def shrink(
             workers=workers, out=out, resume=resume, images=images, controller=controller,
             engine=engine, audit=audit, cluster=cluster,
         )
-    raise typer.Exit(run_shrink(options, run, quiet=quiet))
+    raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
 place_app = command_group('Places where runs take place.')

@@ -1,7 +1,6 @@
 """The folder of evidence: written as a whole, and read back with every byte checked.
 
-``MANIFEST`` has the SHA-256 of every other file, in the form of ``sha256sum``. The page is sealed
-by it, so it takes no links to other pages of the campaigns, which come and go; they link to it.
+``MANIFEST`` has the SHA-256 of every other file, in the form of ``sha256sum``.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from taxinet_ros.campaign.past_runs.localisation import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import PLACE, add_page
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed, write_sealed
 from taxinet_ros.study.evidence.document import (
     JSON_NAME,
@@ -106,10 +104,6 @@ def make_evidence(
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    requirement = found.content['requirement']
-    for one in found.inputs.values():
-        words = f' toward {requirement["id"]}' if requirement else ''
-        add_page(one.folder, out / PAGE_NAME, f'Evidence{words} ({out.name})')
     return found
 
 
@@ -155,9 +149,8 @@ def write_evidence(found: Collected, folder: Path) -> None:
 
 
 def write_page(found: Collected, path: Path, json_sha256: str) -> None:
-    """Write the page, without a place for links."""
+    """Write the page."""
     write_report_page(evidence_report(found, json_sha256), path)
-    write_atomically(path, path.read_text(encoding='utf-8').replace(PLACE, '', 1))
 
 
 def manifest_text(folder: Path) -> str:

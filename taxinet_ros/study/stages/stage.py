@@ -20,7 +20,6 @@ from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
-from taxinet_ros.files.pages import page_sha256
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.version import __version__
 
@@ -138,7 +137,7 @@ class Stage:
 
     def results(self, out: Path) -> dict[str, str]:
         """Digests of its existing outputs by name."""
-        return {name: page_sha256(out / name) for name in self.outputs if (out / name).is_file()}
+        return {name: file_sha256(out / name) for name in self.outputs if (out / name).is_file()}
 
 
 def _digest(values: Mapping[str, Any]) -> str:

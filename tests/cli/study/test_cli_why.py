@@ -20,7 +20,6 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.pages import PAGES_NAME
 from taxinet_ros.study.why.investigation import (
     Investigation,
     StoppedError,
@@ -211,9 +210,6 @@ def test_given_a_campaign_without_failures_then_nothing_is_run_and_the_verdict_s
     assert (code, told['verdict']) == (3 if fault is Fault.BENCH else 0, fault.value)
     page = (tmp_path / 'page' / 'why.html').read_text()
     assert told['sentences'][0] in page.replace('&#39;', "'")
-    assert json.loads((folder / PAGES_NAME).read_text())['pages'] == [
-        {'path': '../page/why.html', 'title': 'Why it failed'}
-    ]
 
 
 def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path, taxinet):

@@ -10,13 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flightgear_opinion import compare_light, compare_scene, light_scenes, scenes
 
-from taxinet_ros.analysis.camera.flightgear_opinion import (
-    compare_light,
-    compare_scene,
-    light_scenes,
-    scenes,
-)
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario

@@ -20,7 +20,6 @@ from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.analysis.report.pictures import DARK
 from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.pages import PLACE
 from taxinet_ros.files.sealed_json import sealed_text
 from taxinet_ros.study.evidence.argument import (
     IN_CONTEXT_OF,
@@ -138,7 +137,6 @@ def test_given_the_page_then_it_refers_to_nothing_outside_and_claims_no_more_tha
     found = _Text(page)
     assert found.addresses
     assert all(re.match(r'#|data:', one) for one in found.addresses)
-    assert PLACE not in page  # sealed: no links are filled in later
     text = ' '.join(found.words)
     assert 'Evidence toward REQ-7' in text
     content = json.loads((proven / 'evidence.json').read_text(encoding='utf-8'))
@@ -151,14 +149,6 @@ def test_given_the_page_then_it_refers_to_nothing_outside_and_claims_no_more_tha
         assert limit['words'].split('.')[0] in ' '.join(text.split())
     for item in content['items'].values():
         assert item['sha256'] is None or item['sha256'] in text
-
-
-def test_given_a_campaign_with_pages_then_these_link_to_the_evidence(tmp_path):
-    out = made(tmp_path, requirement=REQUIREMENT)
-    pages = json.loads((tmp_path / 'found' / 'pages.json').read_text(encoding='utf-8'))['pages']
-    assert [(one['path'], one['title']) for one in pages] == [
-        ('../evidence/evidence.html', 'Evidence toward REQ-7 (evidence)')]
-    assert read_evidence(out).troubles == ()
 
 
 def test_given_a_folder_that_is_there_or_refused_inputs_then_nothing_is_written(tmp_path):
