@@ -32,7 +32,7 @@ from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import AircraftState
-from taxinet_ros.simulators.flightgear.camera import FlightGearCamera
+from taxinet_ros.extras.flightgear.camera import FlightGearCamera
 
 SHOWS = frozenset({
     'cross_track_m', 'distance_m', 'heading_rad', 'time_of_day_s', 'date', 'aircraft', 'camera',

@@ -1,6 +1,6 @@
 """Our camera against FlightGear's: its paint is surveyed from above, and found where we project it.
 
-Against the independent stand-in of the camera's tests; tests/simulators/flightgear has the genuine
+Against the independent stand-in of the camera's tests; tests/extras/flightgear has the genuine
 program.
 """
 
@@ -18,10 +18,10 @@ import second_opinion
 
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.simulators.flightgear import camera as flightgear_camera
-from taxinet_ros.simulators.flightgear import client
-from taxinet_ros.simulators.flightgear.scene import weather_of
-from tests.simulators.flightgear.flightgear_peer import FlightGearPeer, serving
+from taxinet_ros.extras.flightgear import camera as flightgear_camera
+from taxinet_ros.extras.flightgear import client
+from taxinet_ros.extras.flightgear.scene import weather_of
+from tests.extras.flightgear.flightgear_peer import FlightGearPeer, serving
 
 pytestmark = pytest.mark.nightly
 SCENES = flightgear_opinion.SCENES

@@ -357,29 +357,6 @@ def shrink(
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
-xplane_app = command_group('X-Plane as camera and as world.')
-
-
-@xplane_app.command('doctor')
-def xplane_doctor(
-    setup: Annotated[
-        Path | None,
-        typer.Option(metavar='FILE.yaml', help='where X-Plane is and how it is used; else that of '
-        'TAXINET_XPLANE, else the defaults'),
-    ] = None,
-) -> None:
-    """Check what a run with X-Plane relies on, in a line each.
-
-    X-Plane has to run, with an aircraft on the ground near the runway. It is paused, its aircraft
-    is placed, driven for a second, and released.
-
-    Exit code 4 if something does not work.
-    """
-    from taxinet_ros.cli.run.xplane import run_xplane_doctor
-
-    raise typer.Exit(run_xplane_doctor(setup))
-
-
 place_app = command_group('Places where runs take place.')
 
 
@@ -655,43 +632,3 @@ def experiment(
             cluster=cluster,
         )
     )
-
-
-flightgear_app = command_group('FlightGear as a camera: start it, and see whether it works.')
-
-
-@flightgear_app.command('start')
-def flightgear_start(
-    at: Annotated[
-        str, typer.Option(metavar='ICAO', help='airport whose terrain is loaded first')
-    ] = 'BIKF',
-    size: Annotated[
-        str, typer.Option(metavar='WIDTHxHEIGHT', help='window; larger for sharper lenses')
-    ] = '480x288',
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=65535, help='port on this machine (default: that of TAXINET_FLIGHTGEAR, '
-            'else 5480)',
-        ),
-    ] = None,
-) -> None:
-    """Start FlightGear under a virtual display, and keep it until Ctrl-C.
-
-    Says when it has loaded; then --camera flightgear takes its pictures from it. Exit code 130
-    after Ctrl-C, 4 if FlightGear ended by itself.
-    """
-    from taxinet_ros.cli.run.flightgear import run_flightgear
-
-    run_flightgear(port=port, airport=at, size=size)
-
-
-@flightgear_app.command('doctor')
-def flightgear_doctor() -> None:
-    """Report whether FlightGear is installed, runs, and shows what is asked for.
-
-    Exit code 4 if anything is missing.
-    """
-    from taxinet_ros.cli.run.flightgear import check_flightgear
-
-    raise typer.Exit(check_flightgear())

@@ -6,17 +6,15 @@ counted in frames and seconds of the simulator; the clock of the wall only limit
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import functools
-import ipaddress
 import itertools
 import math
 import os
-import re
-import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,17 +23,16 @@ from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_fr
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
-from taxinet_ros.simulators.xplane.connect import Position, XPlaneConnect
-from taxinet_ros.simulators.xplane.setup import FROM_BEACON, XPlaneSetup
-from taxinet_ros.simulators.xplane.sky import (
+from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane.sky import (
     REGENERATE,
     Setting,
     major,
     time_settings,
     weather_settings,
 )
-from taxinet_ros.simulators.xplane.web import WebApi
-from taxinet_ros.simulators.xplane.wire import Value, failed
+from taxinet_ros.extras.xplane.wire import Value, address_of, failed
 
 POSITION = 'sim/flightmodel/position/'
 FRAME_MARKS = ('sim/time/total_running_time_sec', 'sim/time/framerate_period')
@@ -57,7 +54,6 @@ _MOST_TRIES = 8
 MOST_AWAY_M = 30_000.0
 _SETTLE_FRAMES = 2
 _RELEASES = 3
-_LOADING_S = 600.0
 _MERIDIAN_M = 111_132.0
 """Length of a degree of latitude at 45° [m]; poses are corrected until they are read back."""
 
@@ -113,7 +109,7 @@ def pose_of(scenario: Scenario, state: AircraftState) -> Pose:
 
 
 class XPlane:
-    """A running X-Plane.
+    """A running X-Plane; all methods raise InfraError where it does not do its part.
 
     Attributes:
         link: open interface.
@@ -121,34 +117,21 @@ class XPlane:
     """
 
     def __init__(self, setup: XPlaneSetup) -> None:
-        """Connect.
+        """Wait for our turn, and connect.
 
         Raises:
             InfraError: nothing answers.
             UsageError: unknown host.
         """
-        self.setup, self._lock = setup, _take_turn(setup)
-        self._up_s = 0.0
+        self.setup, self._up_s = setup, 0.0
         self._watched: Iterator[Callable[[], None]] = iter(())
-        try:
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(_alone(setup))
             self.link = setup.open()
-        except BaseException:
-            os.close(self._lock)
-            raise
-        try:
+            opened.callback(self.link.close)
             self.version = self.link.version or f'{self.number(VERSION):.0f}'
             major(self.version)
-        except ValueError:
-            self.link.close()
-            os.close(self._lock)
-            raise failed(
-                InfraKind.PROTOCOL, f'{self.link.words}: X-Plane {self.version!r:.20} is of no '
-                'known version'
-            ) from None
-        except BaseException:
-            self.link.close()
-            os.close(self._lock)
-            raise
+            self._opened = opened.pop_all()
 
     def close(self, *overrides: str) -> None:
         """Let the aircraft go, resume the simulation, and disconnect.
@@ -156,29 +139,20 @@ class XPlane:
         Args:
             overrides: further overrides to be ended.
         """
-        try:
+        with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been told
             for _ in range(_RELEASES):  # over UDP nothing is confirmed
                 for name in (*overrides, HELD):
                     self.link.write(name, 0.0)
                 self.link.write(SPEED, 1.0)
                 if not any(self.numbers(HELD, PAUSED)):
                     break
-        except InfraError:  # it is gone, which has been told
-            pass
-        finally:
-            self.link.close()
-            os.close(self._lock)
 
     def number(self, name: str) -> float:
         """Read a number."""
         return self.numbers(name)[0]
 
     def numbers(self, *names: str) -> list[float]:
-        """Read numbers.
-
-        Raises:
-            InfraError: one is an array or text.
-        """
+        """Read numbers."""
         return [_number(name, value) for name, value in zip(
             names, self.link.read(*names), strict=True
         )]
@@ -186,11 +160,7 @@ class XPlane:
     # Time
 
     def frames(self, count: int) -> None:
-        """Wait until it has drawn frames.
-
-        Raises:
-            InfraError: it does not.
-        """
+        """Wait until it has drawn frames."""
         limit = _Limit(self.setup.timeout_s)
         last = self._marks()
         while count > 0:
@@ -200,11 +170,7 @@ class XPlane:
             limit.check('it draws no frames: minimised, loading, or hanging?')
 
     def _marks(self) -> list[float]:
-        """What a frame changes.
-
-        Raises:
-            InfraError: X-Plane has been up for less time than before.
-        """
+        """What a frame changes; the time that X-Plane has been up only grows."""
         marks = self.numbers(*FRAME_MARKS)
         if marks[0] < self._up_s:
             raise failed(
@@ -215,16 +181,11 @@ class XPlane:
         return marks
 
     def pause(self, paused: bool) -> None:
-        """Pause or resume, and wait until it has.
-
-        Raises:
-            InfraError: it does not.
-        """
+        """Pause or resume, and wait until it has."""
         self.link.write(SPEED, 0.0 if paused else 1.0)
-        self._until(
-            lambda: bool(self.number(PAUSED)) == paused,
-            'it cannot be paused' if paused else 'it stays paused: is a menu open in it?',
-        )
+        limit = _Limit(self.setup.timeout_s)
+        while bool(self.number(PAUSED)) != paused:
+            limit.check('it cannot be paused' if paused else 'it stays paused')
 
     def run_until(self, flight_time_s: float, since_s: float = -math.inf) -> float:
         """Let the simulation run to a time of its own, and pause it.
@@ -235,9 +196,6 @@ class XPlane:
 
         Returns:
             The time at which it stands, some frames later [s].
-
-        Raises:
-            InfraError: its time does not advance, or goes back.
         """
         limit, last = _Limit(self.setup.timeout_s), self.time_s(since_s)
         self.link.write(SPEED, 1.0)
@@ -249,14 +207,7 @@ class XPlane:
         return self.time_s(now)
 
     def time_s(self, least_s: float = -math.inf) -> float:
-        """Time of the simulation [s].
-
-        Args:
-            least_s: time that it has reached already.
-
-        Raises:
-            InfraError: it is before that.
-        """
+        """Time of the simulation [s], which has reached another already."""
         now = self.number(FLIGHT_TIME)
         if now < least_s:
             raise failed(
@@ -266,21 +217,12 @@ class XPlane:
         return now
 
     def check_still(self, time_s: float) -> None:
-        """Check that its time has stood still since a moment, as it does while it is paused.
-
-        Raises:
-            InfraError: it has not.
-        """
+        """Check that its time has stood still since a moment, as it does while it is paused."""
         if (now := self.time_s(time_s)) > time_s:
             raise failed(
                 InfraKind.SIM, f'its time went on by {now - time_s:.2f} s though it was paused: '
                 'did somebody resume it?'
             )
-
-    def _until(self, done: Callable[[], bool], otherwise: str) -> None:
-        limit = _Limit(self.setup.timeout_s)
-        while not done():
-            limit.check(otherwise)
 
     # Start of a run
 
@@ -297,17 +239,24 @@ class XPlane:
             UsageError: a dataref of the user cannot be written.
         """
         self.check_aircraft()
-        self.check_datarefs(scenario.dataref_values)
+        for name in scenario.dataref_values:
+            if trouble := self.link.trouble(name):
+                raise UsageError(f'datarefs: {trouble}')
         self.pause(True)
+        away_m = _away_m(self.pose().position, start.position)
+        if not away_m <= MOST_AWAY_M:
+            raise failed(
+                InfraKind.NOT_READY, f'X-Plane is {away_m / 1000:.0f} km from the runway; start it '
+                'there'
+            )
         self.link.write(HELD, 1.0)
-        self._go_there(start)
         self.place(start)
         time = time_settings(scenario, self.setup.settle_s)
         ours = [*time, *weather_settings(scenario, self.version, moves=moves)]
         theirs = [Setting(name=name, value=one) for name, one in scenario.dataref_values.items()]
         for one in (*ours, *theirs):
             self.link.write(one.name, one.value)
-        if major(self.version) >= 12 and getattr(self.link, 'api', '') != 'v1':
+        if major(self.version) >= 12:
             self.link.command(REGENERATE)
         if self.setup.settle_s:
             self.run_until(self.time_s() + self.setup.settle_s)
@@ -327,33 +276,13 @@ class XPlane:
         """Check that one of the things set for the run, each time the next, is still as it was.
 
         All at once would take as many questions as a picture does.
-
-        Raises:
-            InfraError: it is not.
         """
         next(self._watched)()
 
-    def check_datarefs(self, names: Iterable[str]) -> None:
-        """Check that the datarefs of the user exist and can be written.
-
-        Raises:
-            UsageError: one cannot.
-        """
-        for name in names:
-            if trouble := self.link.trouble(name):
-                raise UsageError(f'datarefs: {trouble}')
-
     def check_aircraft(self) -> None:
-        """Check that the required aircraft is loaded.
-
-        Raises:
-            InfraError: it is another.
-            UsageError: the interface tells no names.
-        """
+        """Check that the required aircraft is loaded."""
         if not self.setup.aircraft:
             return
-        if isinstance(self.link, XPlaneConnect):
-            raise UsageError('x-plane: the plug-in tells no names; leave out the key aircraft')
         (name,) = self.link.read(NAME)
         if self.setup.aircraft not in str(name):
             raise failed(
@@ -361,36 +290,8 @@ class XPlane:
                 'load it'
             )
 
-    def _go_there(self, start: Pose) -> None:
-        away_m = _away_m(self.pose().position, start.position)
-        if away_m <= MOST_AWAY_M:
-            return
-        if not self.setup.aircraft_path:
-            raise failed(
-                InfraKind.NOT_READY, f'X-Plane is {away_m / 1000:.0f} km from the runway; start it '
-                'there, or give aircraft_path (API v3)'
-            )
-        assert isinstance(self.link, WebApi)
-        there = start.position
-        self.link.start_flight({
-            'aircraft': {'path': self.setup.aircraft_path},
-            'lle_ground_start': {
-                'latitude': there.latitude_deg, 'longitude': there.longitude_deg,
-                'heading_true': there.heading_deg,
-            },
-        })
-        limit = _Limit(_LOADING_S)
-        while _away_m(self.pose().position, there) > MOST_AWAY_M:
-            limit.check('the flight at the runway has not been loaded')
-        self.pause(True)
-        self.link.write(HELD, 1.0)
-
     def check(self, wanted: Setting) -> None:
-        """Read a setting back.
-
-        Raises:
-            InfraError: it is another.
-        """
+        """Check that a setting is read back as it was set."""
         (now,) = self.link.read(wanted.name)
         asked = wanted.value if isinstance(wanted.value, tuple) else (wanted.value,)
         told = now if isinstance(now, tuple) else (_number(wanted.name, now),)
@@ -422,9 +323,6 @@ class XPlane:
 
         X-Plane's local coordinates, heights and headings follow from a frame of its own, so what
         is read back differs at first.
-
-        Raises:
-            InfraError: it does not get there.
         """
         for tried in range(_MOST_TRIES):
             now = self.pose()
@@ -467,36 +365,22 @@ class XPlane:
             self.link.write(f'{POSITION}{name}', value)
 
 
-def _take_turn(setup: XPlaneSetup) -> int:
-    """Wait until no other run of this user uses this X-Plane; closing the file ends the turn."""
-    name = re.sub(r'[^A-Za-z0-9.]', '_', f'{_address(setup.host)}-{setup.port}')
-    path = Path(tempfile.gettempdir(), f'taxinet-xplane-{os.getuid()}-{name}.lock')
+@contextlib.contextmanager
+def _alone(setup: XPlaneSetup) -> Iterator[None]:
+    """Context in which no other run of this user uses this X-Plane; waits for it."""
+    name = f'taxinet-xplane-{os.getuid()}-{address_of(setup.host)}-{setup.port}.lock'
+    path = Path(tempfile.gettempdir(), name)
     try:
-        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        lock = path.open('a')
     except OSError as error:
         raise failed(InfraKind.NOT_READY, f'{path}: {error.strerror}') from error
-    try:
+    with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             warn_once(f'x-plane at {setup.host}:{setup.port}: another run uses it; waiting')
             fcntl.flock(lock, fcntl.LOCK_EX)
-    except BaseException:
-        os.close(lock)
-        raise
-    return lock
-
-
-def _address(host: str) -> str:
-    """One word for all names of a host, so that runs that name it otherwise take turns too."""
-    try:
-        found = {one[4][0] for one in socket.getaddrinfo(host, None) if host != FROM_BEACON}
-    except (OSError, ValueError):
-        return host
-    addresses = sorted(str(one) for one in found)
-    if any(ipaddress.ip_address(one.partition('%')[0]).is_loopback for one in addresses):
-        return 'this_machine'
-    return addresses[0] if addresses else host
+        yield
 
 
 class _Limit:

@@ -26,8 +26,8 @@ from taxinet_ros.core.scenario_fields import (
     TIME_OF_DAY,
 )
 from taxinet_ros.core.types import AircraftState
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.simulators.xplane.screen import (
+from taxinet_ros.errors import InfraKind, UsageError
+from taxinet_ros.extras.xplane.screen import (
     Display,
     Picture,
     Screen,
@@ -35,10 +35,10 @@ from taxinet_ros.simulators.xplane.screen import (
     developed,
     field_of_view_deg,
 )
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup
-from taxinet_ros.simulators.xplane.simulator import POSITION, XPlane, pose_of
-from taxinet_ros.simulators.xplane.sky import Setting
-from taxinet_ros.simulators.xplane.wire import failed
+from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
+from taxinet_ros.extras.xplane.simulator import POSITION, XPlane, pose_of
+from taxinet_ros.extras.xplane.sky import Setting
+from taxinet_ros.extras.xplane.wire import failed
 
 _VIEW = 'sim/graphics/view/'
 _MOVED_M, _TURNED_RAD = 0.05, 2e-3
@@ -100,12 +100,7 @@ class ViewFromXPlane:
                 f'the camera {model.name}; make it {math.ceil(width * least)} x '
                 f'{math.ceil(height * least)} or larger'
             )
-        try:
-            xplane.link.command(xplane.setup.view)
-        except InfraError as error:
-            if error.kind != InfraKind.PROTOCOL:
-                raise
-            # API v1 has no commands: the view is selected by hand, and the window says which.
+        xplane.link.command(xplane.setup.view)
         for one in self._settings():
             xplane.link.write(one.name, one.value)
         xplane.frames(xplane.setup.frames)
@@ -114,11 +109,7 @@ class ViewFromXPlane:
         self._check_view()
 
     def _check_view(self) -> None:
-        """Check that the view is where the camera is mounted, and as wide as its picture.
-
-        Raises:
-            InfraError: it is not.
-        """
+        """Check that the view is where the camera is mounted, and as wide as its picture."""
         away_m, away_deg = self.away()
         if not (away_m <= _NEAR_M and away_deg <= _NEAR_DEG):
             raise failed(

@@ -7,21 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.core.datarefs import split_name
+from taxinet_ros.extras.xplane import connect, web
+from taxinet_ros.extras.xplane.connect import XPlaneConnect
+from taxinet_ros.extras.xplane.web import WebApi
 from taxinet_ros.files.plain_values import Section, read_yaml
-from taxinet_ros.simulators.xplane import connect, native, web
-from taxinet_ros.simulators.xplane.connect import XPlaneConnect
-from taxinet_ros.simulators.xplane.web import WebApi
 
 VARIABLE = 'TAXINET_XPLANE'
 """Environment variable with the path of the file; without it, everything has its default."""
-FROM_BEACON = 'beacon'
-"""Word for a host that is found by its beacon."""
 WIRES = {'web': web.PORT, 'connect': connect.PORT}
-"""Usual port of the interfaces that can place an aircraft to the centimetre."""
+"""Usual port of each interface."""
 
 _KEYS = (
-    'wire', 'host', 'port', 'timeout_s', 'aircraft', 'aircraft_path', 'view', 'display',
-    'region_px', 'settle_s', 'frames',
+    'wire', 'host', 'port', 'timeout_s', 'aircraft', 'view', 'display', 'region_px', 'settle_s',
+    'frames',
 )
 _MOST_PX = 16384
 
@@ -32,12 +30,10 @@ class XPlaneSetup:
 
     Attributes:
         wire: a key of :data:`WIRES`.
-        host: its address, or ``beacon``.
+        host: its name or address.
         port: of the interface.
         timeout_s: wait for each answer [s]; questions are asked three times.
         aircraft: required part of the name of the loaded aircraft; '' for any.
-        aircraft_path: aircraft that is loaded, at the place, where X-Plane is elsewhere
-            (API v3), relative to X-Plane's folder; ''  to refuse instead.
         view: command that selects a view without cockpit.
         display: X11 display to take pictures from; '' for that of the environment.
         region_px: left, top, width and height of X-Plane's picture there; None for the first
@@ -51,7 +47,6 @@ class XPlaneSetup:
     port: int = web.PORT
     timeout_s: float = 5.0
     aircraft: str = ''
-    aircraft_path: str = ''
     view: str = 'sim/view/forward_with_nothing'
     display: str = ''
     region_px: tuple[int, int, int, int] | None = None
@@ -65,12 +60,9 @@ class XPlaneSetup:
             InfraError: nothing answers there.
             UsageError: unknown host.
         """
-        host = self.host
-        if host == FROM_BEACON:
-            host = native.find_simulator(self.timeout_s).host
         if self.wire == 'connect':
-            return XPlaneConnect(host, self.port, timeout_s=self.timeout_s)
-        return WebApi(host, self.port, timeout_s=self.timeout_s)
+            return XPlaneConnect(self.host, self.port, timeout_s=self.timeout_s)
+        return WebApi(self.host, self.port, timeout_s=self.timeout_s)
 
 
 def read_setup(path: Path) -> XPlaneSetup:
@@ -81,16 +73,16 @@ def read_setup(path: Path) -> XPlaneSetup:
     """
     top = Section(path, read_yaml(path, option=VARIABLE), _KEYS)
     wire = top.word('wire', tuple(WIRES), 'web')
-    if 'aircraft_path' in top and wire != 'web':
-        raise top.wrong('has no effect without the web API; leave it out', 'aircraft_path')
+    if 'aircraft' in top and wire != 'web':
+        raise top.wrong('has no effect: the plug-in tells no names; leave it out', 'aircraft')
     view = top.text('view', XPlaneSetup.view)
     top.check('view', lambda: split_name(view))
     return XPlaneSetup(
         wire=wire, host=top.text('host', XPlaneSetup.host),
         port=top.whole('port', 1, 65535, WIRES[wire]),
         timeout_s=top.number('timeout_s', 0.1, 600, XPlaneSetup.timeout_s),
-        aircraft=top.text('aircraft', ''), aircraft_path=top.text('aircraft_path', ''),
-        view=view, display=top.text('display', ''), region_px=_region(top),
+        aircraft=top.text('aircraft', ''), view=view, display=top.text('display', ''),
+        region_px=_region(top),
         settle_s=top.number('settle_s', 0, 600, XPlaneSetup.settle_s),
         frames=top.whole('frames', 1, 100, XPlaneSetup.frames),
     )

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.simulators.limited_http import LimitedConnection
 
 ADDRESS = 'TAXINET_FLIGHTGEAR'
 """Environment variable with the address of the FlightGear to ask, HOST:PORT."""
@@ -40,7 +39,6 @@ AIRCRAFT, MOTION = 'ufo', 'external'
 _ANSWER_S = 60.0
 """A frame takes a fraction of a second; on a busy machine, seconds."""
 _PPM = re.compile(rb'P6\s([1-9]\d{0,4})\s([1-9]\d{0,4})\s255\s')
-_MOST_BYTES = 1 << 26
 _RUN, _PICTURE = '/run.cgi?value=nasal', '/screenshot?type=ppm'
 
 
@@ -81,7 +79,7 @@ class FlightGear:
         self.host, self.port = address or flightgear_address()
         # It answers in the frame after that of a request, each connection for itself.
         self._connection, self._second = (
-            LimitedConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
+            http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S) for _ in range(2)
         )
         for connection in (self._connection, self._second):
             weakref.finalize(self, connection.close)
@@ -189,7 +187,7 @@ class FlightGear:
     def _answer(self, connection: http.client.HTTPConnection, path: str) -> bytes:
         with self._reported():
             response = connection.getresponse()
-            answer = response.read(_MOST_BYTES)
+            answer = response.read()
         if response.status != 200:
             self.close()
             raise failed(

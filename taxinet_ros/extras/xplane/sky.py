@@ -17,6 +17,8 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS
+from taxinet_ros.errors import InfraKind
+from taxinet_ros.extras.xplane.wire import failed
 
 _KNOT_MPS = 1852 / 3600
 _LAYERS, _WINDS = 3, 13
@@ -69,11 +71,11 @@ def major(version: str) -> int:
     """Major version: 11 of ``11.55`` and of ``115501``.
 
     Raises:
-        ValueError: it is none.
+        InfraError: it is none.
     """
     head = version.partition('.')[0]
     if not (head.isascii() and head.isdigit() and len(head) > 1):
-        raise ValueError(f'version {version!r:.40}')
+        raise failed(InfraKind.PROTOCOL, f'X-Plane {version!r:.20} is of no known version')
     return int(head[:2])
 
 

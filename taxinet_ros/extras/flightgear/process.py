@@ -14,13 +14,13 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.extras.flightgear.client import AIRCRAFT, MOTION, FlightGear, failed
 from taxinet_ros.processes.child import ChildProcess
-from taxinet_ros.simulators.flightgear.client import AIRCRAFT, MOTION, FlightGear, failed
 
 DEFAULT_SIZE = 480, 288
 """Window that holds the wing camera's view at its own resolution."""
@@ -96,24 +96,6 @@ def find_program(name: str) -> str:
     return found
 
 
-def program_version() -> str:
-    """Version of the installed FlightGear.
-
-    Raises:
-        UsageError: it is not installed, or does not start.
-    """
-    try:
-        told = subprocess.run(
-            [find_program('fgfs'), '--version'], capture_output=True, text=True, timeout=60,
-            check=False, env={**os.environ, 'QT_QPA_PLATFORM': 'offscreen'},
-        ).stdout
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise UsageError(f'flightgear: fgfs --version: {type(error).__name__}') from error
-    lines = told.splitlines()
-    found = next((line for line in lines if line.lower().startswith('flightgear version')), '')
-    return found.partition(':')[2].strip() or (lines[0].strip() if lines else 'unknown')
-
-
 def home_folder() -> Path:
     """FlightGear's own folder for caches, apart from the user's."""
     cache = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
@@ -121,12 +103,11 @@ def home_folder() -> Path:
 
 
 @contextlib.contextmanager
-def started(options: StartOptions, on_wait: Callable[[float], None]) -> Iterator[ChildProcess]:
+def started(options: StartOptions) -> Iterator[ChildProcess]:
     """Context of a FlightGear that has loaded; it ends, with its display, at the end.
 
     Args:
         options: how it is started.
-        on_wait: called every half second with the time waited [s].
 
     Raises:
         UsageError: a program is missing, its folder cannot be made, or the address is taken.
@@ -156,7 +137,7 @@ def started(options: StartOptions, on_wait: Callable[[float], None]) -> Iterator
         with ChildProcess(
             'fgfs', command, log=log, environment=environment, killed_with_parent=True,
         ) as process:
-            _await_loaded(process, options, log, on_wait)
+            _await_loaded(process, options, log)
             yield process
 
 
@@ -206,9 +187,7 @@ def _display(program: str, size_px: tuple[int, int]) -> Iterator[str]:
                 os.close(one)
 
 
-def _await_loaded(
-    process: ChildProcess, options: StartOptions, log: Path, on_wait: Callable[[float], None]
-) -> None:
+def _await_loaded(process: ChildProcess, options: StartOptions, log: Path) -> None:
     flightgear, begun_s = FlightGear((options.host, options.port)), time.monotonic()
     try:
         while True:
@@ -222,7 +201,6 @@ def _await_loaded(
             with contextlib.suppress(InfraError):  # it answers late, and slowly
                 if flightgear.value('/sim/sceneryloaded') is True:
                     return
-            on_wait(waited_s)
             time.sleep(_POLL_S)
     finally:
         flightgear.close()

@@ -1,4 +1,4 @@
-"""A fake X-Plane for tests: its three network interfaces, a little physics, and a screen.
+"""A fake X-Plane for tests: its two network interfaces, a little physics, and a screen.
 
 Written after the published descriptions of the interfaces, not after our clients. One request is
 one frame of the simulator, so nothing depends on the clock of the machine.
@@ -20,6 +20,8 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pymap3d
+
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
 
 FRAME_S = 1 / 60
 REF = 47.25, -119.45
@@ -70,13 +72,11 @@ class FakeXPlane:
         self.lock = threading.RLock()
         self.requests: list[str] = []
         self.commands: list[str] = []
-        self.flights: list[tuple[str, Any]] = []
         self.clients: list[Any] = []
         self.refuse_traffic = False
-        self.refused: set[str] = set()
         self.udp_fault: Callable[[bytes], list[bytes]] = lambda packet: [packet]
         self.http_fault: Callable[[BaseHTTPRequestHandler], bool] = lambda handler: False
-        self.frozen_screen = self.obeys_nothing = False
+        self.frozen_screen = False
         self.size = 1280, 720
         self.view_off = 0.0, 0.0, 0.0
         self.up_while_paused = True
@@ -193,9 +193,11 @@ class FakeXPlane:
             value[f'{position}local_{axis}'] += value[f'{position}local_v{axis}'] * FRAME_S
 
     def restart(self) -> None:
-        """Another session: other ids."""
+        """Another session: other ids, and open connections end."""
         with self.lock:
             self.first_id += 10**9
+            for name in ('total_running_time_sec', 'total_flight_time_sec'):
+                self.values[f'sim/time/{name}'] = 0.0
 
     def screen(self) -> np.ndarray:
         """A picture that depends on where the aircraft is, (height, width, 3) uint8."""
@@ -207,7 +209,7 @@ class FakeXPlane:
 
     def set(self, name: str, value: Any, index: int | None = None) -> None:
         with self.lock:
-            if self.obeys_nothing or name in READ_ONLY or name not in self.values:
+            if name in READ_ONLY or name not in self.values:
                 return
             if index is not None:
                 self.values[name][index] = value
@@ -219,8 +221,7 @@ class FakeXPlane:
     # Interfaces
 
     def __enter__(self) -> FakeXPlane:
-        self.native = self._udp(self._answer_native)
-        self.connect = self._udp(self._answer_connect)
+        self.connect = self._udp()
         fake = self
 
         class Handler(_Handler):
@@ -232,7 +233,6 @@ class FakeXPlane:
         self.server = Server(('127.0.0.1', 0), Handler)
         self.web_port = self.server.server_address[1]
         threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
-        self.native_port = self.native.getsockname()[1]
         self.connect_port = self.connect.getsockname()[1]
         return self
 
@@ -245,23 +245,15 @@ class FakeXPlane:
         for client in self.clients:
             client.close()
         self.close_web()
-        for one in (self.native, self.connect):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+        with contextlib.suppress(OSError):
+            self.connect.shutdown(socket.SHUT_RDWR)
+        self.connect.close()
 
     def close_web(self) -> None:
         self.server.shutdown()
         self.server.server_close()
 
-    def beacon(self, **changes: Any) -> bytes:
-        told = {
-            'major': 1, 'minor': 2, 'host': 1, 'version': 121400, 'role': 1,
-            'port': self.native_port, **changes,
-        }
-        return b'BECN\0' + struct.pack('<BBiiIH', *told.values()) + b'hangar\0' + b'\x2f\xbf'
-
-    def _udp(self, answer: Callable[[bytes], Iterator[bytes]]) -> socket.socket:
+    def _udp(self) -> socket.socket:
         one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         one.bind(('127.0.0.1', 0))
 
@@ -275,7 +267,9 @@ class FakeXPlane:
                     return
                 with self.lock:
                     self.frame()
-                    replies = [made for reply in answer(packet) for made in self.udp_fault(reply)]
+                    replies = [
+                        made for reply in self._answer(packet) for made in self.udp_fault(reply)
+                    ]
                 with contextlib.suppress(OSError):  # closed meanwhile
                     for reply in replies:
                         one.sendto(reply, sender)
@@ -283,38 +277,7 @@ class FakeXPlane:
         threading.Thread(target=serve, daemon=True).start()
         return one
 
-    def number(self, name: str) -> float | None:
-        """One element as a float, as UDP tells it."""
-        path, bracket, index = name.partition('[')
-        if name in self.values:
-            value = self.values[name]
-        elif path in self.values and bracket:
-            value = self.values[path][int(index[:-1])]
-        else:
-            return None
-        return None if isinstance(value, list | bytes) else float(value)
-
-    def _answer_native(self, packet: bytes) -> Iterator[bytes]:
-        tag, body = packet[:5], packet[5:]
-        if tag == b'RREF\0' and len(packet) == 413:
-            rate, index = struct.unpack_from('<ii', body)
-            name = body[8:].partition(b'\0')[0].decode()
-            value = self.number(name)
-            self.requests.append(f'RREF {rate} {name}')
-            if rate and value is not None:
-                yield b'RREF,' + struct.pack('<if', index, value)
-        elif tag == b'DREF\0' and len(packet) == 509:
-            (value,) = struct.unpack_from('<f', body)
-            name = body[4:].partition(b'\0')[0].decode()
-            path, bracket, index = name.partition('[')
-            if name in self.values or not bracket:
-                self.set(name, value)
-            else:
-                self.set(path, value, int(index[:-1]))
-        elif tag == b'CMND\0':
-            self.commands.append(body.partition(b'\0')[0].decode())
-
-    def _answer_connect(self, packet: bytes) -> Iterator[bytes]:
+    def _answer(self, packet: bytes) -> Iterator[bytes]:
         tag, body = packet[:4], packet[5:]
         if tag == b'GETD':
             yield self._rows(body)
@@ -331,10 +294,6 @@ class FakeXPlane:
             yield struct.pack('<4sxBdddffff', b'POSI', 1, *told, 1.0)
         elif tag == b'POSI':
             self._place(struct.unpack('<4sxBdddffff', packet)[2:8])
-        elif tag == b'SIMU':
-            self.values['sim/operation/override/override_planepath'] = [body[0]] * 20
-        elif tag == b'CTRL':
-            self.requests.append(f'CTRL {struct.unpack("<4sxffffbfB", packet)[3:5]}')
         elif tag == b'COMM':
             self.commands.append(body[1:1 + body[0]].decode())
 
@@ -378,9 +337,16 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         self.serve('POST')
 
+    def setup(self) -> None:
+        super().setup()
+        self.session = self.sim.first_id
+
     def serve(self, method: str) -> None:
         length = int(self.headers.get('Content-Length') or 0)
         body = json.loads(self.rfile.read(length)) if length else None
+        if self.session != self.sim.first_id:
+            self.close_connection = True
+            return
         if self.sim.http_fault(self):
             return
         with self.sim.lock:
@@ -409,8 +375,6 @@ class _Handler(BaseHTTPRequestHandler):
         if len(parts) < 3 or parts[0] != 'api' or parts[1] not in sim.versions:
             return 404, {'error_code': 'not_found', 'error_message': 'no such path'}
         match (method, *parts[2:]):
-            case 'GET', 'datarefs', 'count':
-                return 200, {'data': len(sim.values)}
             case 'GET', 'datarefs':
                 return self.listed([value for key, value in parse_qsl(url.query)
                                     if key == 'filter[name]'])
@@ -424,9 +388,6 @@ class _Handler(BaseHTTPRequestHandler):
                 ]}
             case 'POST', 'command', ident, 'activate':
                 sim.commands.append(COMMANDS[int(ident)])
-                return 200, None
-            case ('PATCH' | 'POST'), 'flight' if parts[1] == 'v3':
-                sim.flights.append((method, body))
                 return 200, None
         return 404, {'error_code': 'not_found', 'error_message': 'no such path'}
 
@@ -477,3 +438,22 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             sim.set(name, body['data'])
         return 200, None
+
+
+class FakeScreen:
+    """The screen of a fake X-Plane."""
+
+    def __init__(self, sim: FakeXPlane) -> None:
+        self.sim = sim
+
+    def grab(self) -> np.ndarray:
+        return self.sim.screen()
+
+    def close(self) -> None:
+        pass
+
+
+def setup_of(sim: FakeXPlane, **more: Any) -> XPlaneSetup:
+    """The setup with which a fake X-Plane is used."""
+    port = sim.connect_port if more.get('wire') == 'connect' else sim.web_port
+    return XPlaneSetup(**{'port': port, 'settle_s': 0.1, 'timeout_s': 30.0, **more})

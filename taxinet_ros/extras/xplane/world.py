@@ -24,17 +24,17 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.camera import OpenScreen, ViewFromXPlane
-from taxinet_ros.simulators.xplane.screen import Display, Screen
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup, chosen_setup
-from taxinet_ros.simulators.xplane.simulator import (
+from taxinet_ros.extras.xplane.camera import OpenScreen, ViewFromXPlane
+from taxinet_ros.extras.xplane.screen import Display, Screen
+from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
+from taxinet_ros.extras.xplane.simulator import (
     HELD,
     MOST_AWAY_M,
     POSITION,
     XPlane,
     pose_of,
 )
-from taxinet_ros.simulators.xplane.wire import failed
+from taxinet_ros.extras.xplane.wire import failed
 
 PERIOD_S = CONTROL_PERIOD_NS / 1e9
 _HIDDEN = (SHADOWS, CROSSING, TRAFFIC, AIRCRAFT_MODEL, GUST, SLOPE)
@@ -58,11 +58,7 @@ _MOST_MPS = 100.0
 
 
 class XPlaneWorld(World):
-    """The world of one run.
-
-    Attributes:
-        latest_s: greatest time by which a step has ended late, of X-Plane's own [s].
-    """
+    """The world of one run."""
 
     reproducible = False
     takes_datarefs = True
@@ -93,7 +89,7 @@ class XPlaneWorld(World):
             )
         self.last_seq = last_step(scenario)
         self._scenario, self._seq = scenario, 0
-        self._lag_m = self._stuck_s = self.latest_s = 0.0
+        self._lag_m = self._stuck_s = 0.0
         setup = setup or chosen_setup()
         start = dataclasses.replace(Aircraft(scenario).state, speed_mps=scenario.speed_mps)
         self._xplane = XPlane(setup)
@@ -147,7 +143,6 @@ class XPlaneWorld(World):
         due_s = self._began_s + self._seq * PERIOD_S
         self._now_s = self._xplane.run_until(due_s, self._now_s)
         late_s = self._now_s - due_s
-        self.latest_s = max(self.latest_s, late_s)
         if late_s >= PERIOD_S:
             raise failed(
                 InfraKind.TIMEOUT, f'step {self._seq} ended {late_s:.2f} s of its time late; give '

@@ -26,7 +26,7 @@ from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion_product
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.flightgear.client import FlightGear, failed
+from taxinet_ros.extras.flightgear.client import FlightGear, failed
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class Ground:
             _distance_m(ours, theirs)
             for ours, theirs in zip((runway.threshold_deg, runway.end_deg), ends, strict=True)
         )
-        if self.moved_m > _MOST_AWAY_M:
+        if not self.moved_m <= _MOST_AWAY_M:
             raise UsageError(
                 f'camera flightgear: its nearest runway to that of {place.name} is '
                 f'{self.moved_m:.0f} m away; take a place that FlightGear has, such as bikf_10'
@@ -123,7 +123,7 @@ def _nearest_runway(
     )
     told = [words.split() for words in str(flightgear.value(_OUT)).split(';') if words]
     try:
-        ends = [(_finite(latitude), _finite(longitude)) for _, latitude, longitude in told]
+        ends = [(float(latitude), float(longitude)) for _, latitude, longitude in told]
     except ValueError:
         raise failed(InfraKind.PROTOCOL, f'its runways are {str(told)[:60]!r}') from None
     if len(ends) < 2:
@@ -159,13 +159,6 @@ def _heights(
             yield from map(float, told)
         except ValueError as error:
             raise failed(InfraKind.PROTOCOL, f'its ground heights: {error}') from None
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

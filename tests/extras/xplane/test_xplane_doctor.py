@@ -12,48 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_xplane import FakeXPlane
+import typer
+from fake_xplane import FakeScreen, FakeXPlane, setup_of
 
-from taxinet_ros.cli.run.xplane import run_xplane_doctor
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
-from taxinet_ros.simulators.xplane import native
-from taxinet_ros.simulators.xplane.doctor import Doctor, Finding
-from taxinet_ros.simulators.xplane.screen import Display
-from taxinet_ros.simulators.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane.commands import xplane_doctor
+from taxinet_ros.extras.xplane.doctor import Doctor, Finding
+from taxinet_ros.extras.xplane.screen import Display
 
-ALL = ('beacon', 'answer', 'aircraft', 'values', 'frames', 'pause', 'start', 'screen', 'view',
-       'pictures', 'driving')
-
-
-class FakeScreen:
-    def __init__(self, sim: FakeXPlane) -> None:
-        self.sim = sim
-
-    def grab(self) -> np.ndarray:
-        return self.sim.screen()
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.fixture(autouse=True)
-def no_beacon(monkeypatch: pytest.MonkeyPatch) -> None:
-    def silence(timeout_s: float) -> None:
-        raise native.failed('not_ready', 'none heard')
-
-    monkeypatch.setattr(native, 'find_simulator', silence)
-
-
-@pytest.fixture
-def sim() -> Iterator[FakeXPlane]:
-    with FakeXPlane() as fake:
-        yield fake
+ALL = ('answer', 'values', 'pause', 'start', 'view', 'pictures', 'driving')
 
 
 def examine(sim: FakeXPlane, **more: object) -> dict[str, Finding]:
-    port = sim.connect_port if more.get('wire') == 'connect' else sim.web_port
-    setup = XPlaneSetup(**{'port': port, 'settle_s': 0.1, 'timeout_s': 30.0, **more})
-    found = list(Doctor(setup, open_screen=lambda *_: FakeScreen(sim)).findings())
+    found = list(Doctor(setup_of(sim, **more), open_screen=lambda *_: FakeScreen(sim)).findings())
     assert [one.name for one in found] == list(ALL)
     return {one.name: one for one in found}
 
@@ -61,18 +32,18 @@ def examine(sim: FakeXPlane, **more: object) -> dict[str, Finding]:
 @pytest.mark.parametrize('wire', ['web', 'connect'])
 def test_all_is_well(sim, wire):
     found = examine(sim, wire=wire)
-    assert {one.name for one in found.values() if one.fine is not True} == {'beacon'}
-    assert 'X-Plane 12' in found['answer'].words or '120400' in found['answer'].words
-    assert '400.00 m along the runway' in found['start'].words
+    assert all(one.fine for one in found.values())
+    assert 'X-Plane 12' in found['answer'].words
+    assert 'placed 400.00 m along the runway' in found['start'].words
     assert '0.000 m and 0.0' in found['view'].words
-    assert '10 steps of 0.1 s' in found['driving'].words
+    assert 'in 10 steps of 0.1 s' in found['driving'].words
     assert sim.values['sim/time/sim_speed'] == 1
     assert sim.values['sim/operation/override/override_planepath'][0] == 0
 
 
 def test_what_fails_first_ends_what_builds_on_it(sim):
     found = examine(sim, aircraft='Boeing')
-    assert found['aircraft'].fine is False
+    assert found['answer'].fine is False
     assert found['values'].words == found['driving'].words == 'not checked'
     assert sim.values['sim/time/sim_speed'] == 1
 
@@ -93,14 +64,12 @@ def test_a_window_that_shows_something_else(sim):
 
 
 def test_late_pictures_are_told(sim):
-    plain, left = sim.frame, iter(range(10**9))
-    shown = []
+    plain, shown = sim.frame, []
 
     def late() -> None:
         plain()
         shown.append(sim.pose())
         sim.shown = shown[max(0, len(shown) - 40)]
-        next(left)
 
     sim.frame = late
     assert '; set frames to' in examine(sim)['pictures'].words
@@ -118,12 +87,14 @@ def test_the_command(sim, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv('DISPLAY', raising=False)
     path = tmp_path / 'xplane.yaml'
     path.write_text(f'port: {sim.web_port}\nsettle_s: 0\ntimeout_s: 30\n')
-    assert run_xplane_doctor(path) == ExitCode.INFRA
+    with pytest.raises(typer.Exit) as ended:
+        xplane_doctor(path)
+    assert ended.value.exit_code == ExitCode.INFRA
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f'ok   setup     web at 127.0.0.1:{sim.web_port}, of {path}'
-    assert lines[1].startswith('--   beacon    none heard')
-    assert lines[8].startswith(('BAD  screen    not_ready: display of the environment',
-                                'BAD  screen    x-plane: pictures need the package mss'))
+    assert lines[5].startswith(('BAD  view      not_ready: display of the environment',
+                                'BAD  view      x-plane: pictures need the package mss'))
+    assert lines[6] == '--   pictures  not checked'
     assert len(lines) == 1 + len(ALL)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.simulators.xplane.wire import failed
+from taxinet_ros.extras.xplane.wire import failed
 
 Picture = NDArray[np.uint8]
 

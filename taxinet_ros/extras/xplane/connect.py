@@ -12,20 +12,17 @@ from __future__ import annotations
 import math
 import socket
 import struct
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
-from taxinet_ros.errors import InfraKind
-from taxinet_ros.simulators.xplane.wire import UdpClient, Value, failed, floats
+from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.extras.xplane.wire import Value, address_of, failed
 
 PORT = 49009
-_HEAD = 5
 _POSITION = struct.Struct('<4sxBdddffff')
-_FEW_BYTES = 16384
-_KEEP = -998.0
+_REPLY_BYTES = 16384
 _KEEP_GEAR = -1.0
 _MOST_NAMES = 16
 _T = TypeVar('_T')
@@ -51,14 +48,40 @@ class Position:
     heading_deg: float
 
 
-class XPlaneConnect(UdpClient):
-    """Client of the plug-in in one simulator."""
+class XPlaneConnect:
+    """Client of the plug-in in one simulator, with the methods of the web API's.
+
+    All methods raise InfraError where there is no valid answer in time.
+
+    Attributes:
+        words: what it is and where, for messages.
+        version: of X-Plane, which the plug-in does not tell: ''.
+    """
+
+    version = ''
 
     def __init__(
         self, host: str, port: int = PORT, *, timeout_s: float = 1.0, tries: int = 3
     ) -> None:
-        """Arguments and errors are those of :class:`.UdpClient`."""
-        super().__init__('XPlaneConnect', host, port, timeout_s=timeout_s, tries=tries)
+        """Look up the host and open a socket; nothing is sent yet.
+
+        Args:
+            host: name or address of the simulator.
+            port: of the plug-in.
+            timeout_s: wait for each answer [s].
+            tries: how often a question is sent.
+
+        Raises:
+            UsageError: unknown host.
+        """
+        self.words = f'XPlaneConnect at {host}:{port}'
+        self._address = address_of(host), port
+        self._timeout_s, self._tries = timeout_s, tries
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
 
     def read(self, *names: str) -> list[Value]:
         """Read datarefs as 32-bit floats (GETD)."""
@@ -68,9 +91,8 @@ class XPlaneConnect(UdpClient):
         return found
 
     def _read(self, names: Sequence[str]) -> list[Value]:
-        rows = self._rows(*names)
         values: list[Value] = []
-        for name, row in zip(names, rows, strict=True):
+        for name, row in zip(names, self._rows(*names), strict=True):
             path, index = split_name(name)
             if not row and index is not None:  # the plug-in knows whole arrays only
                 row = self._rows(path)[0][index:index + 1]
@@ -93,7 +115,7 @@ class XPlaneConnect(UdpClient):
         plug-in knows whole arrays, besides X-Plane 11's datarefs whose names end in an index.
         """
         path, index = split_name(name)
-        values = floats(name, value)
+        values = value if isinstance(value, tuple) else (value,)
         if index is not None and not self._rows(name)[0]:
             array = list(self._rows(path)[0])
             if isinstance(value, tuple) or index >= len(array):
@@ -115,44 +137,31 @@ class XPlaneConnect(UdpClient):
         """Nothing: the plug-in does not tell."""
         return ''
 
-    def position(self, aircraft: int = 0) -> Position:
-        """Where an aircraft is (GETP); 0 is the user's."""
-        return self._ask(b'GETP\0' + bytes([aircraft]), parse_position)
+    def position(self) -> Position:
+        """Where the user's aircraft is (GETP)."""
+        return self._ask(b'GETP\0\0', parse_position)
 
-    def place(self, position: Position, aircraft: int = 0) -> None:
-        """Place an aircraft (POSI), its landing gear as it is; nothing is confirmed."""
+    def place(self, position: Position) -> None:
+        """Place the user's aircraft (POSI), its landing gear as it is; nothing is confirmed."""
         self._send(_POSITION.pack(
-            b'POSI', aircraft, position.latitude_deg, position.longitude_deg, position.altitude_m,
+            b'POSI', 0, position.latitude_deg, position.longitude_deg, position.altitude_m,
             position.pitch_deg, position.roll_deg, position.heading_deg, _KEEP_GEAR,
         ))
 
-    def hold(self, held: bool) -> None:
-        """Hold all aircraft, or let them go (SIMU); nothing is confirmed.
-
-        The plug-in calls it a pause, but overrides the paths of the aircraft; time goes on.
-        """
-        self._send(b'SIMU\0' + bytes([held]))
-
-    def control(self, *, rudder: float = _KEEP, throttle: float = _KEEP) -> None:
-        """Set rudder (-1..1, right positive) and throttle (0..1) by CTRL; the rest stays.
-
-        Nothing is confirmed.
-        """
-        self._send(struct.pack(
-            '<4sxffffbfB', b'CTRL', _KEEP, _KEEP, rudder, throttle, int(_KEEP_GEAR), _KEEP, 0
-        ))
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._socket.sendto(packet, self._address)
+        except OSError as error:
+            raise failed(InfraKind.DIED, f'{self.words}: {error.strerror or error}') from error
 
     def _ask(self, question: bytes, parse: Callable[[bytes], _T]) -> _T:
-        for _ in range(self._tries):
+        for _ in range(self._tries):  # packets get lost
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-                until = time.monotonic() + self._timeout_s
+                asking.settimeout(self._timeout_s)
                 try:
-                    asking.sendto(question, self._address)
-                    while (left := until - time.monotonic()) > 0:
-                        asking.settimeout(left)
-                        reply, sender = asking.recvfrom(_FEW_BYTES)
-                        if sender == self._address:
-                            return parse(reply)
+                    asking.connect(self._address)
+                    asking.send(question)
+                    return parse(asking.recv(_REPLY_BYTES))
                 except (TimeoutError, ConnectionError):
                     continue
                 except OSError as error:
@@ -169,21 +178,20 @@ def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
     """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown.
 
     Raises:
-        InfraError: it is malformed.
+        InfraError: it is malformed, or a value is not finite.
     """
-    if len(reply) <= _HEAD or reply[:4] != b'RESP' or reply[_HEAD] != count:
-        raise _malformed(reply, f'RESP with {count} rows')
-    rows, at = [], _HEAD + 1
-    for _ in range(count):
-        if at >= len(reply) or at + 1 + 4 * reply[at] > len(reply):
-            raise _malformed(reply, f'{count} whole rows')
-        row = struct.unpack_from(f'<{reply[at]}f', reply, at + 1)
-        at += 1 + 4 * reply[at]
-        if not all(map(math.isfinite, row)):
-            raise failed(InfraKind.PROTOCOL, f'XPlaneConnect: values {row!r:.80} are not finite')
-        rows.append(row)
-    if at != len(reply):
-        raise _malformed(reply, f'{at} bytes')
+    rows, at = [], 6
+    try:
+        told = reply[5] if reply[:4] == b'RESP' else -1
+        for _ in range(count):
+            rows.append(struct.unpack_from(f'<{reply[at]}f', reply, at + 1))
+            at += 1 + 4 * reply[at]
+    except (IndexError, struct.error):
+        told = -1
+    if told != count:
+        raise _malformed(reply, f'RESP with {count} whole rows')
+    if not all(math.isfinite(one) for row in rows for one in row):
+        raise failed(InfraKind.PROTOCOL, f'XPlaneConnect: values {rows!r:.80} are not finite')
     return rows
 
 
@@ -197,12 +205,6 @@ def parse_position(reply: bytes) -> Position:
         # 34 bytes: plug-ins before 1.3 tell latitude as a float, to a metre.
         raise _malformed(reply, f'POSI in {_POSITION.size} bytes, as of plug-in 1.3')
     _, _, latitude, longitude, altitude, pitch, roll, heading, _ = _POSITION.unpack(reply)
-    finite = all(map(math.isfinite, (latitude, longitude, altitude, pitch, roll, heading)))
-    if not (finite and abs(latitude) <= 90 and abs(longitude) <= 360):
-        raise failed(
-            InfraKind.PROTOCOL, f'XPlaneConnect: the position {latitude:g}, {longitude:g}, '
-            f'{altitude:g} m is not on Earth, or not finite'
-        )
     return Position(
         latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude, pitch_deg=pitch,
         roll_deg=roll, heading_deg=heading,
@@ -214,7 +216,7 @@ def _counted(name: str) -> bytes:
     return bytes([len(name)]) + name.encode()
 
 
-def _malformed(reply: bytes, what: str) -> Exception:
+def _malformed(reply: bytes, what: str) -> InfraError:
     return failed(
         InfraKind.PROTOCOL,
         f'XPlaneConnect: {len(reply)} bytes beginning with {reply[:4]!r}; expected {what}',

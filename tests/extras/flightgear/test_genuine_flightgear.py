@@ -16,8 +16,8 @@ from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
-from taxinet_ros.simulators.flightgear import client, process
-from taxinet_ros.simulators.flightgear.camera import FlightGearCamera
+from taxinet_ros.extras.flightgear import client, process
+from taxinet_ros.extras.flightgear.camera import FlightGearCamera
 from taxinet_ros.testing import check_camera
 
 pytestmark = [pytest.mark.flightgear, pytest.mark.slow, pytest.mark.timeout(3600)]
@@ -41,7 +41,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv('XDG_CACHE_HOME', str(tmp_path_factory.mktemp('cache')))
         patch.setenv(client.ADDRESS, f'127.0.0.1:{port}')
         options = process.StartOptions(host='127.0.0.1', port=port)
-        with process.started(options, lambda waited_s: None) as started:
+        with process.started(options) as started:
             yield
             assert not started.dead
 
@@ -121,5 +121,5 @@ def test_given_a_port_that_is_taken_when_started_then_the_line_names_it(
     host, port = client.flightgear_address()
     options = process.StartOptions(host=host, port=port)
     with pytest.raises(UsageError, match=f'{port}: Address already in use; choose another'), \
-            process.started(options, lambda waited_s: None):
+            process.started(options):
         pass

@@ -27,13 +27,13 @@ from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraKind
-from taxinet_ros.simulators.flightgear.client import (
+from taxinet_ros.extras.flightgear.client import (
     FlightGear,
     check_instance,
     failed,
     flightgear_address,
 )
-from taxinet_ros.simulators.flightgear.scene import (
+from taxinet_ros.extras.flightgear.scene import (
     FEET_M,
     Eye,
     Ground,
