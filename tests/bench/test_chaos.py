@@ -15,6 +15,8 @@ from taxinet_ros.cli.bench import chaos as command
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import InfraError
 
+pytestmark = pytest.mark.nightly
+
 FAKE = r"""
 import json, pathlib, sys, time
 sys.path[:0] = {path!r}

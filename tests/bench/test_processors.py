@@ -16,6 +16,8 @@ from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.instructions import PINS, lacking
 
+pytestmark = pytest.mark.nightly
+
 SCENES, DURATION_S = 2, 0.5
 CHILD = f"""
 import json, sys
@@ -61,7 +63,6 @@ def test_given_fewer_instructions_for_a_library_then_no_bit_changes(
     assert differing_runs(here, elsewhere(SCENES, LESS[library])) == []
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which('qemu-x86_64') is None, reason='qemu-x86_64 is not installed '
                     '(package qemu-user)')
 def test_given_an_emulated_processor_without_avx512_then_no_bit_changes(

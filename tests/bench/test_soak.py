@@ -20,6 +20,8 @@ from taxinet_ros.bench import soak
 from taxinet_ros.bench.soak import FLAT, GROWS, MOST_SAMPLES, UNSETTLED, Series, holdings, trend
 from taxinet_ros.cli.main import _exit_code, app
 
+pytestmark = pytest.mark.nightly
+
 LEAK = """
 import mmap, sys, time
 kept, files = [], []

@@ -28,6 +28,8 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.pages import PAGES_NAME
 
+pytestmark = pytest.mark.nightly
+
 RUNS = 340
 
 

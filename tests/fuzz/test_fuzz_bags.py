@@ -32,6 +32,8 @@ from taxinet_ros.bag.storage.records import (
 )
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope='module')
 def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:

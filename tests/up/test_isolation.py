@@ -31,7 +31,7 @@ from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 SEEDS = {'first': 5, 'second': 6}
 

@@ -20,7 +20,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 ROUNDS, BUSY = 3, 3
 REQUEST = RunRequest(

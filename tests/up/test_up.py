@@ -20,7 +20,7 @@ from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'

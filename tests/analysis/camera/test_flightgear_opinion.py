@@ -24,6 +24,8 @@ from taxinet_ros.simulators.flightgear import client
 from taxinet_ros.simulators.flightgear.scene import weather_of
 from tests.simulators.flightgear.flightgear_peer import FlightGearPeer, serving
 
+pytestmark = pytest.mark.nightly
+
 SCENES = flightgear_opinion.SCENES
 WING, ROLLED = SCENES[0], SCENES[2]
 

@@ -20,6 +20,8 @@ from taxinet_ros.bag.storage.records import HEAD, MAGIC
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 
+pytestmark = pytest.mark.nightly
+
 GOLDEN = Path(__file__).parents[3] / 'bags' / 'golden' / 'truth-nominal'
 BLOCK = 4096
 STEPS, SHAPE = 4, (64, 64)

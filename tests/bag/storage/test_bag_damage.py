@@ -30,6 +30,8 @@ from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.storage.records import encode
 from taxinet_ros.bag.storage.scan import scan
 
+pytestmark = pytest.mark.nightly
+
 
 def test_given_a_file_cut_anywhere_when_read_then_all_before_the_cut_comes(
     whole: bytes, damaged: Callable[[bytes], Path]

@@ -18,6 +18,8 @@ from taxinet_ros.bench.subjects.start_up import holds_step
 from taxinet_ros.errors import InfraError
 from taxinet_ros.processes.child import ChildProcess
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(autouse=True)
 def threads():

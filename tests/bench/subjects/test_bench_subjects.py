@@ -17,6 +17,8 @@ from taxinet_ros.core.camera.camera import STAGES
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(autouse=True)
 def threads() -> Iterator[None]:

@@ -40,7 +40,7 @@ from taxinet_ros.files.atomic import draft_path
 from taxinet_ros.files.journal import parse_journal, read_journal
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 RUNS = 4
 FUZZ = int(os.environ.get('TAXINET_FUZZ', '1'))
 FILES = (LEDGER_NAME, FACTS_NAME, CSV_NAME, PARQUET_NAME)

@@ -108,6 +108,7 @@ def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_pa
         assert said in refused.stderr
 
 
+@pytest.mark.nightly
 def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(whole, tmp_path):
     out = tmp_path / 'c'
     with begun('--workers', '2', '--out', str(out)) as search:
@@ -121,6 +122,7 @@ def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(who
     assert read_table(out)['retries'].sum() <= 1
 
 
+@pytest.mark.nightly
 def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_on(whole, tmp_path):
     out = tmp_path / 'c'
     with begun('--out', str(out), stderr=subprocess.PIPE) as search:
@@ -135,6 +137,7 @@ def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_
     same_runs(whole, out, 'run_id', 'bag', 'retries')
 
 
+@pytest.mark.nightly
 def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_as_if_not(
     whole, tmp_path
 ):

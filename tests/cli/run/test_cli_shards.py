@@ -16,7 +16,7 @@ from taxinet_process import taxinet
 
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 PAGE = (Path(__file__).parents[3] / 'docs' / 'scaling.md').read_text(encoding='utf-8')
 SEARCH = (
     'nominal --runs 5 --perception truth --set duration=1 --seed 4 --sampler halton '

@@ -21,7 +21,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FUTEX, *OTHER_WAITS = {
     'x86_64': ('202', '219', '45'), 'aarch64': ('98', '128', '207'),

@@ -38,7 +38,7 @@ EXAMPLES = HERE.parents[2] / 'examples'
 PATIENT_S = 600.0  # no fault that is waited for
 AT_ONCE = 6
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
 ODD = 'slow,random,away'
