@@ -37,7 +37,7 @@ import types
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 TAXINET = 'from taxinet_ros.cli.main import main; main()'
 _SPAWNED = 'from multiprocessing.spawn import spawn_main;'
@@ -70,6 +70,15 @@ _PR_SET_CHILD_SUBREAPER, _PR_GET_CHILD_SUBREAPER = 36, 37
 _prctl = ctypes.CDLL(None).prctl
 _exit = os._exit  # before user code is loaded, which may not call it
 _start = _posixsubprocess.fork_exec
+
+
+class _Work(NamedTuple):
+    """What a Python is started for: code (``-c``) or a module (``-m``); ``safe``: with ``-P``."""
+
+    kind: str
+    what: str
+    arguments: list[str]
+    safe: bool
 
 
 class _Server:
@@ -175,23 +184,22 @@ def _fork_or_start(*arguments: Any) -> int:
     targets = [0, 1, 2, *(file for file in kept if file not in (0, 1, 2, errors))]
     files = [0 if stdin < 0 else stdin, 1 if stdout < 0 else stdout, 2 if stderr < 0 else stderr]
     return _server.start({
-        'work': work, 'targets': targets, 'environment': environment, 'before': first,
+        'work': tuple(work), 'targets': targets, 'environment': environment, 'before': first,
         'folder': os.getcwd() if folder is None else os.fsdecode(folder),
         'new_session': bool(new_session), 'group': group,
     }, [*files, *targets[3:]])
 
 
-def _work_of(words: list[str], programs: list[str]) -> tuple[bool, str, list[str]] | None:
-    """What a command line asks of Python: code or a module, and its arguments; None: of others."""
+def _work_of(words: list[str], programs: list[str]) -> _Work | None:
+    """What a command line asks of Python; None: something else, or of another program."""
     flags, rest = words[1:2] == ['-P'], words[2:] if words[1:2] == ['-P'] else words[1:]
     if programs != [sys.executable] or len(rest) < 2:
         return None
     kind, what, *own = rest
-    if kind == '-m' and flags and what.startswith('taxinet_ros.'):
-        return False, what, own
-    if kind == '-c' and (what == TAXINET or what.startswith(_SPAWNED)):
-        return True, what, own
-    return None
+    ours = what.startswith('taxinet_ros.') if kind == '-m' else kind == '-c' and (
+        what == TAXINET or what.startswith(_SPAWNED)
+    )
+    return _Work(kind, what, own, safe=bool(flags)) if ours else None
 
 
 def _open(folder: str | bytes | None, *files: int) -> bool:
@@ -275,17 +283,18 @@ def _become(request: dict[str, Any], home: _Home) -> socket.socket | None:
     _take_surroundings(request)
     os.environ.clear()
     os.environ.update({**home.defaults, **request['environment']})
-    code, what, own = request['work']
-    sys.argv = ['-c' if code else '-m', *own]
+    work = request['work'] = _Work(*request['work'])
+    sys.argv = [work.kind, *work.arguments]
     added = request['environment'].get('PYTHONPATH', '').split(os.pathsep)
-    sys.path[:] = [*([''] if code else []), *filter(None, added), *home.path]
+    here = [] if work.safe else [''] if work.kind == '-c' else [os.getcwd()]
+    sys.path[:] = [*here, *filter(None, added), *home.path]
     tempfile.tempdir = None
-    if not (what.startswith(_SPAWNED) or what in _ALONE):
+    if not (work.what.startswith(_SPAWNED) or work.what in _ALONE):
         control = _left_behind(request['targets'], home)
         if control is not None:
             return control
     _open_streams()
-    _name([sys.executable, *(['-c'] if code else ['-P', '-m']), what, *own])
+    _name([sys.executable, *(['-P'] if work.safe else []), work.kind, work.what, *work.arguments])
     signal.pthread_sigmask(signal.SIG_SETMASK, request['blocked'])
     before = pickle.loads(request['before'])
     if before is not None:
@@ -371,7 +380,7 @@ def _run(request: Mapping[str, Any]) -> NoReturn:
     """
     result: object = None
     try:
-        _run_main(*request['work'])
+        _run_main(request['work'])
     except SystemExit as end:
         result = end.code
     except BaseException as error:
@@ -388,16 +397,16 @@ def _run(request: Mapping[str, Any]) -> NoReturn:
     _exit((result or 0) & 0xff)
 
 
-def _run_main(code: bool, what: str, own: Sequence[str]) -> None:
+def _run_main(work: _Work) -> None:
     main = sys.modules['__main__'] = types.ModuleType('__main__')
     main.__dict__['__builtins__'] = builtins
-    if code:
-        exec(compile(what, '<string>', 'exec'), main.__dict__)
+    if work.kind == '-c':
+        exec(compile(work.what, '<string>', 'exec'), main.__dict__)
         return
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', RuntimeWarning)  # the module has been imported before
-        _, spec, compiled = runpy._get_module_details(what)  # type: ignore[attr-defined]
-    sys.argv = [spec.origin, *own]
+        _, spec, compiled = runpy._get_module_details(work.what)  # type: ignore[attr-defined]
+    sys.argv = [spec.origin, *work.arguments]
     runpy._run_code(compiled, main.__dict__, None, '__main__', spec)  # type: ignore[attr-defined]
 
 
