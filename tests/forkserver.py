@@ -41,6 +41,8 @@ from typing import Any, NamedTuple, NoReturn
 
 TAXINET = 'from taxinet_ros.cli.main import main; main()'
 _SPAWNED = 'from multiprocessing.spawn import spawn_main;'
+FORKED = '# forked\n'
+"""First line of other code that a fork may run."""
 _ALONE = (
     'taxinet_ros.cli.start', 'taxinet_ros.campaign.scenes.scenic_child',
     'taxinet_ros.core.perception.onnx.trial',
@@ -197,7 +199,7 @@ def _work_of(words: list[str], programs: list[str]) -> _Work | None:
         return None
     kind, what, *own = rest
     ours = what.startswith('taxinet_ros.') if kind == '-m' else kind == '-c' and (
-        what == TAXINET or what.startswith(_SPAWNED)
+        what == TAXINET or what.startswith((_SPAWNED, FORKED))
     )
     return _Work(kind, what, own, safe=bool(flags)) if ours else None
 
@@ -288,6 +290,7 @@ def _become(request: dict[str, Any], home: _Home) -> socket.socket | None:
     added = request['environment'].get('PYTHONPATH', '').split(os.pathsep)
     here = [] if work.safe else [''] if work.kind == '-c' else [os.getcwd()]
     sys.path[:] = [*here, *filter(None, added), *home.path]
+    sys.excepthook = sys.__excepthook__  # scenic has one of its own
     tempfile.tempdir = None
     if not (work.what.startswith(_SPAWNED) or work.what in _ALONE):
         control = _left_behind(request['targets'], home)
@@ -353,11 +356,13 @@ def _open_streams() -> None:
     for number, name in enumerate(('stdin', 'stdout', 'stderr')):
         raw = io.FileIO(number, 'w' if number else 'r', closefd=False)
         raw.name = f'<{name}>'
-        buffer = io.BufferedWriter(raw) if number else io.BufferedReader(raw)
         before = getattr(sys, f'__{name}__')
+        unbuffered = number > 0 and before.write_through
+        buffer = raw if unbuffered else io.BufferedWriter(raw) if number else io.BufferedReader(raw)
         stream = io.TextIOWrapper(
             buffer, before.encoding, before.errors, '\n',
-            line_buffering=name == 'stderr' or raw.isatty(),
+            line_buffering=not unbuffered and (name == 'stderr' or raw.isatty()),
+            write_through=before.write_through,
         )
         stream.mode = 'w' if number else 'r'
         setattr(sys, name, stream)
