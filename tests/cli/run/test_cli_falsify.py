@@ -159,6 +159,7 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
     same_runs(whole, out)
 
 
+@pytest.mark.nightly
 def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resumed(tmp_path):
     out = tmp_path / 'c'
     long = ('duration=600' if word == 'duration=2' else word for word in WORDS)
