@@ -154,6 +154,7 @@ def searched(
     )
 
 
+@pytest.mark.nightly
 def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() -> None:
     """The samplers' own histograms say three quarters where the truth is 98 %."""
     fails = [0.4 * each for each in (0.02 / 3, 0.02 / 3, 0.98, 0.02 / 3)]
@@ -167,6 +168,7 @@ def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() 
     assert np.mean([one.probabilities['x'][2] for group in groups for one in group]) < 0.85
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('sampler', 'runs', 'fails', 'missed_before'), [
     ('ce', 600, [0.9, *[0.011] * 9], 0.2),
     ('ce', 300, [0.9, 0.3, *[0.02] * 8], 0.1),

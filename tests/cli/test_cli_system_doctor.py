@@ -63,6 +63,7 @@ def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_mend_
     assert 'make' in check.mend
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 @pytest.mark.parametrize(('environment', 'limits', 'name', 'words'), [
     ({'TAXINET_DOMAIN_ID': '999'}, None, 'domain', 'is an integer from 0 to 232'),

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from taxinet_process import TAXINET, taxinet_apart
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 @pytest.fixture(scope='module')

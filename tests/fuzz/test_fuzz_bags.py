@@ -27,6 +27,8 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.storage.records import MAGIC, encode
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope='module')
 def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:

@@ -40,7 +40,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'

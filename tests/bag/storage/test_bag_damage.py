@@ -16,6 +16,8 @@ from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.reader import read_info, read_messages
 
+pytestmark = pytest.mark.nightly
+
 
 def test_given_a_file_cut_anywhere_when_read_then_all_before_the_cut_comes(
     whole: bytes, damaged: Callable[[bytes], Path]

@@ -22,6 +22,8 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.mark.parametrize(('content', 'kind', 'reason'), [
     (b'', BagEmpty, 'has no bytes'),

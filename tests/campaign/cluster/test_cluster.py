@@ -34,7 +34,7 @@ from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.journal import read_journal
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.nightly,
     # Dask leaves a socket unclosed where a scheduler dies while it connects.
     pytest.mark.filterwarnings('ignore:unclosed <socket:ResourceWarning'),
 ]

@@ -40,7 +40,7 @@ from taxinet_ros.files.atomic import draft_path
 from taxinet_ros.files.journal import parse_journal, read_journal
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 RUNS = 4
 SEARCH = ('falsify', 'nominal', '--runs', str(RUNS), '--sampler', 'random', '--seed', '3',
           '--images', 'none', '--perception', 'truth', '--set', 'duration_s=1',

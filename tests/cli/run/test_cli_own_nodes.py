@@ -29,7 +29,7 @@ PERCEPTION, CONTROLLER = (
 )
 SHORT = ('--images', 'none', '--set', 'duration=1')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 MINE = """
 class Guess:

@@ -21,6 +21,8 @@ from typer.main import get_command
 
 from taxinet_ros.cli.main import app
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / 'bags' / 'golden' / 'truth-nominal')
 SCRIPT = Path(sys.prefix) / 'bin' / 'taxinet'

@@ -32,7 +32,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.running.domain import own_domain
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 CTRL_C = b'\x03'
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')

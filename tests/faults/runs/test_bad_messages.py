@@ -18,7 +18,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import COMMAND, ESTIMATE, IMAGE, TRUTH
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 STEP = 9
 DURATION = 3.0
