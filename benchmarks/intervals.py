@@ -35,7 +35,7 @@ _SPACE = (
     Dimension(name='kind', weights=(2, 1, 1)),
 )
 _CONFIDENCE = 0.95
-_USUAL = ('random', 'ce', 'ce-verifai', 'mab')
+_USUAL = ('random', 'ce', 'mab')
 """Samplers measured by default: those that are fast enough."""
 
 Rho = Callable[[Point], float]

@@ -20,8 +20,6 @@ from taxinet_ros.instructions import pin
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
     from taxinet_ros.api.compare import compare
-    from taxinet_ros.api.evidence import evidence, verify_evidence
-    from taxinet_ros.api.forecast import load_forecast
     from taxinet_ros.api.fork import fork
     from taxinet_ros.api.odd import odd_coverage
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
@@ -38,6 +36,8 @@ if TYPE_CHECKING:
     from taxinet_ros.core.user_code import UserCodeError
     from taxinet_ros.core.verdict.outcome import Outcome
     from taxinet_ros.errors import InfraError, RecordError, UsageError
+    from taxinet_ros.extras.evidence.api import evidence, verify_evidence
+    from taxinet_ros.extras.forecast.api import load_forecast
     from taxinet_ros.version import __version__ as __version__
 
 __all__ = [
@@ -83,8 +83,8 @@ _MODULES = {
         'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
     ),
     'taxinet_ros.api.compare': ('compare',),
-    'taxinet_ros.api.evidence': ('evidence', 'verify_evidence'),
-    'taxinet_ros.api.forecast': ('load_forecast',),
+    'taxinet_ros.extras.evidence.api': ('evidence', 'verify_evidence'),
+    'taxinet_ros.extras.forecast.api': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
     'taxinet_ros.api.odd': ('odd_coverage',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),

@@ -41,8 +41,8 @@ _NETWORKS = (
     'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
-    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
-    'tpe', 'cmaes', 'splitting', 'screening',
+    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',
+    'tpe', 'cmaes', 'splitting',
 )
 
 
@@ -72,10 +72,11 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
     ),
     COMMANDS: {
-        'forecast': 'taxinet_ros.cli.analysis.commands:forecast_app',
-        'assure': 'taxinet_ros.cli.analysis.commands:assure_app',
-        'evidence': 'taxinet_ros.cli.study.commands:evidence_app',
-        'tune': 'taxinet_ros.cli.study.commands:tune',
+        'forecast': 'taxinet_ros.extras.forecast.commands:forecast_app',
+        'assure': 'taxinet_ros.extras.assurance.commands:assure_app',
+        'evidence': 'taxinet_ros.extras.evidence.commands:evidence_app',
+        'tune': 'taxinet_ros.extras.tune.commands:tune',
+        'live-monitor': 'taxinet_ros.extras.live_monitor.commands:live_monitor',
         'flightgear': 'taxinet_ros.extras.flightgear.commands:app',
         'xplane': 'taxinet_ros.extras.xplane.commands:app',
     },

@@ -21,12 +21,15 @@ from packaging.version import Version
 
 import taxinet_ros
 
+pytestmark = pytest.mark.nightly
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 PREFIX = Path(sys.prefix)
 EXECUTABLES = {
     'bag_player',
     'foxglove_server',
     'ground_truth_perception',
+    'live_monitor',
     'mtl_monitor',
     'recorder',
     'runtime_monitor',
@@ -37,6 +40,7 @@ EXECUTABLES = {
     'taxinet',
     'taxinet_perception',
 }
+LIVE = 'taxinet_ros.extras.live_monitor.node'
 TF2_MSGS = REPOSITORY / 'msg_defs' / 'tf2_msgs'
 MESSAGES = sorted((REPOSITORY / 'msg_defs' / 'msg').glob('*.msg'))
 ROS_NAME = re.compile(r'<(?:depend|exec_depend)>(\w+)</')
@@ -227,8 +231,11 @@ def test_given_the_installation_when_ros2_looks_for_executables_then_all_are_the
 def test_given_an_executable_when_its_module_is_imported_then_it_has_a_main(name: str) -> None:
     wrapper = (PREFIX / 'lib' / 'taxinet_ros' / name).read_text()
     assert wrapper == (REPOSITORY / 'scripts' / name).read_text()
-    module = 'taxinet_ros.cli.start' if name == 'taxinet' else f'taxinet_ros.nodes.{name}'
-    assert ('import main' if name == 'taxinet' else f'start_node("{name}")') in wrapper
+    module, start = {
+        'taxinet': ('taxinet_ros.cli.start', 'import main'),
+        'live_monitor': (LIVE, f'start_module("{LIVE}")'),
+    }.get(name, (f'taxinet_ros.nodes.{name}', f'start_node("{name}")'))
+    assert start in wrapper
     assert callable(importlib.import_module(module).main)
 
 

@@ -206,7 +206,7 @@ def rate_of(
     Args:
         rows: rows of a campaign.
         hit: whether a judged run is of the kind.
-        planned: runs fixed before the first one; those of a shard are a part of all indices.
+        planned: runs fixed before the first one.
     """
     outcomes = {row.index: row.outcome for row in rows}
     counted = without_gaps(outcomes, planned)

@@ -39,7 +39,7 @@ _TABLE = '.parquet'
 _STARTS = (
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
-    (b'{"chain":"', 'a journal'),
+    (b'{"sum":"', 'a journal'),
     (b'{"event":', 'a journal'),
     (b'run_id,index,', 'a table of runs'),
     (b'rosbag2_bagfile_information:', 'the description of a bag'),

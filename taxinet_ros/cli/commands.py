@@ -37,14 +37,6 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'run.commands:estimate',
             'Estimate the probability of rare failures, down to one in a hundred thousand.',
         ),
-        'merge': (
-            'run.commands:merge',
-            'Merge the shards of a search into the campaign that it would be without --shard.',
-        ),
-        'learned': (
-            'run.commands:learned',
-            'Combine the learned distributions of searches with different seeds.',
-        ),
     },
     'Find the causes': {
         'why': ('study.commands:why', 'Find out why a campaign or a run failed, and what to do.'),
@@ -98,6 +90,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         'assure': (
             '', 'Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
         ),
+        'live-monitor': ('', 'Evaluate formulas on topics of any robot as messages arrive.'),
         'evidence': ('', 'Write evidence toward a requirement, all by hash, and verify it.'),
         'spec': (
             'analysis.commands:spec',
@@ -165,7 +158,8 @@ line of the list, which is the first sentence of the command's own text."""
 OWN = {name: listed for section in SECTIONS.values() for name, listed in section.items()}
 """Commands of this package by name. No other package can have the name of one."""
 
-_CONTEXT_SETTINGS = {'node': {'ignore_unknown_options': True, 'allow_extra_args': True}}
+_PASSED_ON = {'ignore_unknown_options': True, 'allow_extra_args': True}
+_CONTEXT_SETTINGS = {'node': _PASSED_ON, 'live-monitor': _PASSED_ON}
 
 
 def added() -> list[Extension]:

@@ -25,8 +25,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'estimate': (
         'taxinet estimate s_falsif --perception taxinet --runs 4000 --workers 2 --engine loop',
     ),
-    'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
-    'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),
     'why': ('taxinet why bags/found', 'taxinet why bags/found/RUN'),
     'analyze': ('taxinet analyze bags/found',),
     'localize': ('taxinet localize bags/found --workers 2',),
@@ -62,6 +60,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
     'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
+    'live-monitor': ('taxinet live-monitor --ros-args --params-file monitor.yaml',),
     'evidence write': (
         'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',
         "taxinet evidence write bags/found --claim '99 %' --odd s_falsif --out bags/evidence",
@@ -109,7 +108,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
-    'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
     'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
     'bench': ('taxinet bench camera loop', 'taxinet bench graph --guard'),

@@ -415,8 +415,7 @@ SamplerOption = Annotated[
     str | None,
     typer.Option(
         help='how scenes are chosen: active (finds rare failures in all failure regions), '
-        'screening (the same, and looks before it runs), random, '
-        'halton, sobol, grid, coverage (where no run has been), ce, ce-verifai, mab, bo, '
+        'random, halton, sobol, grid, coverage (where no run has been), ce, mab, bo, '
         "tpe, cmaes, or a name that a package adds (default: the program's verifaiSamplerType, "
         'else active)',
         autocompletion=complete_sampler,
@@ -467,14 +466,6 @@ UntilOption = Annotated[
         autocompletion=one_of(
             'failures=', 'half-width=', 'min-satisfaction=', 'max-off-runway=',
         ),
-    ),
-]
-ShardOption = Annotated[
-    str | None,
-    typer.Option(
-        '--shard', metavar='I/N',
-        help='run only every N-th run, from the I-th on (1/N to N/N), with a sampler that ignores '
-        'results; taxinet merge joins the shards',
     ),
 ]
 BudgetOption = Annotated[

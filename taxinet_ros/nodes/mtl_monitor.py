@@ -27,7 +27,6 @@ from taxinet_ros.core.types import NO_ESTIMATE
 from taxinet_ros.core.verdict.judge import Judge
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.live_monitor.node import LIVE_PARAMETERS, RESTART, LiveMonitor
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header, robustness_message
@@ -35,7 +34,6 @@ from taxinet_ros.nodes.messages.step import StepCollector, StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Usage,
-    any_given,
     published_topics,
     refuse_unknown,
     subscribed_topics,
@@ -45,13 +43,11 @@ _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.CO
 
 USAGE = Usage(
     executable=interface.MTL_MONITOR,
-    does='Evaluates each run of the graph by its formulas. With parameters other than diagnostics, '
-    'it evaluates numeric fields of any topics instead, standalone, without a simulator.',
+    does='Evaluates each run of the graph by its formulas. For topics of any robot, without a '
+    'simulator, there is live_monitor.',
     publishes=published_topics(interface.MTL_MONITOR),
     subscribes=subscribed_topics(interface.MTL_MONITOR),
-    other=f'with parameters: subscribes to the topics in signals, serves {RESTART} '
-    '(std_srvs/srv/Trigger)',
-    parameters=(diagnostics.PARAMETER, *LIVE_PARAMETERS),
+    parameters=(diagnostics.PARAMETER,),
 )
 
 
@@ -169,8 +165,6 @@ class MtlMonitor(Participant):
             self._progress.publish(self.progress(seq, stamp_ns))
 
     def _conclude(self, seq: int, stamp_ns: int) -> None:
-        if self.spoken_into():
-            return  # and the simulator then ends the run
         judgement = self._judge.judgement
         results = [
             robustness_message(spec, reading, self.run_id, seq, stamp_ns)
@@ -182,13 +176,8 @@ class MtlMonitor(Participant):
 
 
 def main() -> None:
-    """Entry point of ``ros2 run taxinet_ros mtl_monitor``; with parameters, standalone."""
-    run_node(lambda: (LiveMonitor if stands_alone() else MtlMonitor)(), usage=USAGE)
-
-
-def stands_alone() -> bool:
-    """Whether the command line selects the standalone monitor, outside any graph."""
-    return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER.name])
+    """Entry point of ``ros2 run taxinet_ros mtl_monitor``."""
+    run_node(MtlMonitor, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -64,7 +64,6 @@ def test_given_fewer_instructions_for_a_library_then_no_bit_changes(
     assert differing_runs(here, elsewhere(SCENES, LESS[library])) == []
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which('qemu-x86_64') is None, reason='qemu-x86_64 is not installed '
                     '(package qemu-user)')
 def test_given_an_emulated_processor_without_avx512_then_no_bit_changes(

@@ -95,7 +95,6 @@ def test_given_what_hides_an_edge_then_it_is_not_found_and_a_picture_without_it_
     assert find_edges(np.zeros(SIZE), noise, FREE, FAR).summary()['p95_px'] is None
 
 
-@pytest.mark.slow
 def test_given_places_cameras_and_poses_then_edges_of_paint_are_within_a_pixel_of_mitsubas(
     mitsuba,
 ):

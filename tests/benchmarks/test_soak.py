@@ -20,6 +20,8 @@ from soak import FLAT, GROWS, MOST_SAMPLES, UNSETTLED, Series, holdings, trend
 
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 LEAK = """
 import mmap, sys, time
 kept, files = [], []

@@ -27,6 +27,8 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 RUNS = 340
 
 

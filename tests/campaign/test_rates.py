@@ -89,7 +89,7 @@ def test_given_any_results_then_the_draws_are_the_same_and_uniform(word):
         assert 0.2 < np.mean([point[0] for _, point in drawn[0]]) < 0.8
 
 
-@pytest.mark.parametrize('word', ['halton', 'sobol', 'grid', 'ce-verifai'])
+@pytest.mark.parametrize('word', ['halton', 'sobol', 'grid'])
 def test_t1_given_a_search_of_which_nothing_was_drawn_then_there_is_no_rate(word):
     """A grid that is not whole had intervals that held the rate in 0 to 26 % of cases."""
     found = failure_rate(search(word, 60, 1, true=0.5))
@@ -98,7 +98,7 @@ def test_t1_given_a_search_of_which_nothing_was_drawn_then_there_is_no_rate(word
     assert 'floor=0.3' in found.why_not
     some = failure_rate(search(word, 60, 1, true=0.5, floor=0.5))
     assert some.rate is not None
-    assert some.drawn == 30 or word == 'ce-verifai'
+    assert some.drawn == 30
     assert f'of the {some.drawn} runs that the program itself drew' in some.rests_on
 
 
@@ -226,14 +226,13 @@ def test_s1_given_a_bandit_and_a_region_of_one_per_cent_then_gate_does_not_pass_
         assert gate_result(rows, options, planned=300).verdict is not Verdict.PASS
 
 
-@pytest.mark.parametrize('word', ['ce', 'ce-verifai', 'mab', 'tpe', 'cmaes'])
+@pytest.mark.parametrize('word', ['ce', 'mab', 'tpe', 'cmaes'])
 def test_t2_given_any_sampler_then_gate_does_not_pass_at_half_the_true_failure_rate(word):
     """All runs that an optimiser chose may satisfy: they are no proof."""
     runs = 80
     options = GateOptions(min_satisfaction=0.75)
-    floor = {} if drawn_share(word, {}) else {'floor': 0.3}
     for seed in range(2):
-        rows = search(word, runs, seed, shape='diagonal', true=0.5, **floor)
+        rows = search(word, runs, seed, shape='diagonal', true=0.5)
         assert gate_result(rows, options, planned=runs).verdict is not Verdict.PASS
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from taxinet_ros.cli.main import main
 
-# Small networks; planted evidence; labelled folders.
-for _room in ('core', 'study/evidence', 'training'):
+# Small networks; labelled folders.
+for _room in ('core', 'training'):
     _folder = str(Path(__file__).resolve().parents[1] / _room)
     if _folder not in sys.path:
         sys.path.append(_folder)

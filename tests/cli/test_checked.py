@@ -22,10 +22,10 @@ from taxinet_ros.campaign.record import facts, table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.assurance import judge
+from taxinet_ros.extras.evidence import evidence
+from taxinet_ros.extras.tune import tuning
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study import tuning
-from taxinet_ros.study.assurance import judge
-from taxinet_ros.study.evidence import document
 from taxinet_ros.study.improve import loop
 from taxinet_ros.study.improve import options as improve_options
 from taxinet_ros.study.stages import config, log
@@ -37,7 +37,7 @@ OUTPUT_FILES = {
     'aircraft show --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
     'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
     'check-node --log',
-    'forecast calibrate --out', 'forecast show --plot', 'gate --junit', 'learned --out',
+    'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
     'odd export --out', 'place show --out', 'train --out',
 }
@@ -46,7 +46,7 @@ OUTPUT_FOLDERS = {
     'bag replay --out', 'bag split --out', 'bisect --out', 'case-study --out', 'compare --out',
     'dataset --out', 'demo --out', 'estimate --out', 'evidence write --out', 'experiment --out',
     'explain --out', 'falsify --out', 'fork --out', 'gate --out', 'improve --out',
-    'localize --out', 'merge --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
+    'localize --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
     'why --out',
 }
 
@@ -80,7 +80,7 @@ def campaign(tmp_path, monkeypatch):
     shutil.copytree(BAGS / 'learn-ce-2', 'c')
     run = tmp_path / 'c' / 'run'
     shutil.copytree(BAG, run)
-    (tmp_path / 'c' / 'ledger-of-may').write_text('{"chain":"00","event":"campaign"}\n')
+    (tmp_path / 'c' / 'ledger-of-may').write_text('{"sum":"00","event":"campaign"}\n')
     write_sealed(tmp_path / 'c' / 'forecast', {'a': 1})
     return tmp_path / 'c'
 
@@ -110,7 +110,7 @@ def test_given_the_names_of_records_then_all_are_known():
         fault_localisation.JSON_NAME, judge.SCENES_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
         judge.RESULT_NAME,
         config.STUDY_NAME, log.LOG_NAME, improve_options.FACTS_NAME, loop.ROUNDS_NAME,
-        document.JSON_NAME, document.MANIFEST_NAME, dataset_folder.LABELS, dataset_folder.FACTS,
+        evidence.JSON_NAME, evidence.MANIFEST_NAME, dataset_folder.LABELS, dataset_folder.FACTS,
         dataset_folder.REQUEST, image_folder.FOREIGN_LABELS,
     }
     assert names == RECORD_NAMES

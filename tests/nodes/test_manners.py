@@ -28,7 +28,6 @@ from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.foxglove_server import FoxgloveServer
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-from taxinet_ros.nodes.live_monitor.node import LiveMonitor
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
@@ -41,7 +40,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'
@@ -51,7 +50,7 @@ CLASSES: dict[str, type[Any]] = {
     'taxinet_perception': TaxinetPerception,
     'ground_truth_perception': GroundTruthPerception,
     'steering_controller': SteeringController,
-    'mtl_monitor': LiveMonitor,
+    'mtl_monitor': MtlMonitor,
     'recorder': Recorder,
     'runtime_monitor': RuntimeMonitor,
     'scenario_sampler': StandaloneSampler,
@@ -186,28 +185,6 @@ def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_f
         assert logs['recorder'].read_text().count('waiting for: ') <= 8
 
 
-def test_given_a_remap_that_parts_a_node_then_its_own_line_says_from_whom(tmp_path):
-    log = tmp_path / 'log'
-    expected = (
-        '[perception]: camera/image_raw is remapped to /elsewhere, but simulator publishes '
-        '/camera/image_raw'
-    )
-    with own_domain() as domain:
-        nodes = [
-            start('taxinet_perception', domain, '--ros-args', '-r', 'camera/image_raw:=/elsewhere',
-                  log=log),
-            start('simulator', domain, log=tmp_path / 'other'),
-        ]
-        try:
-            wait_for(lambda: expected in log.read_text(), log.read_text)
-        finally:
-            for node in nodes:
-                node.send_signal(signal.SIGINT)
-            assert [node.wait() for node in nodes] == [0, 0]
-    assert log.read_text().count(expected) == 1
-    assert 'remapped' not in (tmp_path / 'other').read_text()
-
-
 # Parameters ----------------------------------------------------------------------------------
 
 
@@ -216,13 +193,12 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
     """What each node tells of its own parameters."""
     given = {
         'bag_player': {'bag': str(bag)},
-        'mtl_monitor': {'signals': ['cte=/odom:pose.pose.position.y'], 'specs': ['a=cte <= 1']},
         'scenario_sampler': {'out': str(tmp_path_factory.mktemp('sampler') / 'c')},
         'foxglove_server': {'port': 0},
     }
     found = {}
     with own_domain() as domain:
-        for name, kind in {**CLASSES, 'graph_monitor': MtlMonitor}.items():
+        for name, kind in CLASSES.items():
             context = Context()
             rclpy.init(context=context, domain_id=domain)
             overrides = [Given(key, value=value) for key, value in given.get(name, {}).items()]
@@ -233,8 +209,6 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
                 node.close()
                 leave_graph(node)
                 rclpy.shutdown(context=context)
-    # One executable with two faces.
-    found['mtl_monitor'] = [*found.pop('graph_monitor'), *found['mtl_monitor']]
     return found
 
 

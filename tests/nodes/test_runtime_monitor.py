@@ -15,10 +15,10 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.monitor import make_monitor
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.extras.assurance.recorded import judge_recording
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
-from taxinet_ros.study.assurance.recorded import judge_recording
 
 pytestmark = pytest.mark.ros
 

@@ -18,7 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from taxinet_ros.analysis.report.parts import Report, Section
-from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_drawing, view_picture
+from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
@@ -123,7 +123,7 @@ def _read_runs(report: Report, on_progress: Callable[[str], None]) -> _Runs:
 def _section(
     section: Section, runs: _Runs, on_progress: Callable[[str], None]
 ) -> dict[str, Any]:
-    pictures = [view_drawing(drawing) for drawing in section.drawings]
+    pictures = []
     for picture in section.pictures:
         on_progress(f'picture {picture.name}')
         pictures.append(view_picture(picture))

@@ -56,23 +56,6 @@ class Picture:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Drawing:
-    """A drawing of lines and text, which stays sharp at any size.
-
-    Attributes:
-        name, title, caption: see :class:`Picture`.
-        svg: gives it as SVG in a theme's colours, without reference to other files; deterministic.
-        size_px: width and height [CSS px].
-    """
-
-    name: str
-    title: str
-    caption: str
-    svg: Callable[[Theme], str]
-    size_px: tuple[int, int]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Column:
     """A column of a table.
 
@@ -132,7 +115,7 @@ class Section:
         sentences: paragraphs of plain text.
         commands: shell commands, below the sentences.
         links: other pages, below the commands.
-        drawings, pictures, tables: in display order.
+        pictures, tables: in display order.
     """
 
     name: str
@@ -140,7 +123,6 @@ class Section:
     sentences: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     links: tuple[Link, ...] = ()
-    drawings: tuple[Drawing, ...] = ()
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
 

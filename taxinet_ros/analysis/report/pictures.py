@@ -17,7 +17,7 @@ from matplotlib.rcsetup import cycler
 from matplotlib.style import context as style_context
 from PIL import Image
 
-from taxinet_ros.analysis.report.parts import Drawing, Picture, Theme
+from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.files.atomic import write_atomically
 
 # Okabe-Ito blue and vermilion, as in the other pictures; on dark pages lighter shades of these
@@ -105,19 +105,6 @@ def view_picture(picture: Picture) -> PictureView:
     return PictureView(
         name=picture.name, title=picture.title, caption=picture.caption,
         light=_address(picture, LIGHT), dark=_address(picture, DARK), width=width, height=height,
-    )
-
-
-def view_drawing(drawing: Drawing) -> PictureView:
-    """Give a drawing the form of a picture, for light and dark pages."""
-    light, dark = (
-        'data:image/svg+xml;base64,' + base64.b64encode(drawing.svg(theme).encode()).decode('ascii')
-        for theme in (LIGHT, DARK)
-    )
-    width, height = drawing.size_px
-    return PictureView(
-        name=drawing.name, title=drawing.title, caption=drawing.caption, light=light, dark=dark,
-        width=width, height=height,
     )
 
 

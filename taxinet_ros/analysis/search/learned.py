@@ -81,8 +81,7 @@ def _evidence_words(search: Search) -> list[str]:
     most = max(evidence.values(), key=lambda each: sum(each.amounts))
     return [
         f'learned from failures worth {most.failures:.0f} drawn by the program itself, and drawn '
-        'towards the program where they are few; several seeds together have intervals '
-        '(taxinet learned)'
+        'towards the program where they are few'
     ]
 
 

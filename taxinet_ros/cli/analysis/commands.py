@@ -349,14 +349,6 @@ def doctor(
             'some; without it, this machine is checked',
         ),
     ] = None,
-    mend: Annotated[
-        bool,
-        typer.Option(
-            '--mend',
-            help='rebuild tables and campaign.json from the ledger; keep a copy of a damaged '
-            'ledger and continue with its intact lines',
-        ),
-    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this machine, or every file in a results folder.
@@ -367,19 +359,16 @@ def doctor(
 
     With a folder: checks every ledger line, tables against the ledger, each bag against its row and
     each dataset image against its label, and finds leftovers of killed processes. Exit codes: 0 no
-    findings, 3 something is incomplete or damaged, 2 nothing to check.
+    findings, 3 something is incomplete or damaged, 2 nothing to check. The command that made it
+    goes on with `--resume`.
     """
-    from taxinet_ros.errors import UsageError
-
     if folder is None:
         from taxinet_ros.cli.system import run_system_doctor
 
-        if mend:
-            raise UsageError('--mend: only with the folder of a CAMPAIGN')
         raise typer.Exit(run_system_doctor(as_json=as_json))
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
-    raise typer.Exit(run_results_doctor(folder, mended=mend, as_json=as_json))
+    raise typer.Exit(run_results_doctor(folder, as_json=as_json))
 
 
 def gate(
@@ -664,104 +653,6 @@ def spec(
     show_specs(formulas, duration_s=duration, settings=settings or (), as_json=as_json)
 
 
-forecast_app = command_group('Lower bounds on the final robustness of runs in progress.')
-_ForecastArgument = Annotated[
-    Path, typer.Argument(metavar='FORECAST', help='file made by taxinet forecast calibrate')
-]
-
-
-@forecast_app.command('calibrate')
-def calibrate_forecast(
-    campaign: CampaignArgument,
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar='FILE.json', writable=True, dir_okay=False, help='file to write; must be new'
-        ),
-    ],
-    spec: Annotated[
-        str | None,
-        typer.Option(metavar='NAME', help='requirement to forecast (default: the headline)'),
-    ] = None,
-    every: Annotated[float, typer.Option(metavar='SECONDS', help='time between bounds')] = 1.0,
-    as_json: JsonOption = False,
-) -> None:
-    """Calibrate a forecast on a campaign's runs.
-
-    Takes the runs that the program itself drew, with their bags; frames are not needed. Every other
-    run trains the forecast, the others calibrate it.
-    """
-    from taxinet_ros.cli.analysis.forecast import calibrate_forecast
-
-    raise typer.Exit(
-        calibrate_forecast(campaign, out, spec=spec, every_s=every, as_json=as_json)
-    )
-
-
-@forecast_app.command('check')
-def check_forecast(
-    forecast: _ForecastArgument,
-    campaign: CampaignArgument,
-    confidence: Annotated[
-        list[float] | None,
-        typer.Option(metavar='SHARE', help='confidence to check; repeatable (default: 0.9, 0.95)'),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure on a campaign with another seed how often the bounds hold.
-
-    Exit codes: 0 measured; 3 the campaign differs from the one calibrated on, so that there is no
-    guarantee to be checked.
-    """
-    from taxinet_ros.cli.analysis.forecast import check_forecast
-
-    raise typer.Exit(check_forecast(
-        forecast, campaign, confidences=confidence or (0.9, 0.95), as_json=as_json
-    ))
-
-
-@forecast_app.command('show')
-def show_forecast(
-    forecast: _ForecastArgument,
-    bags: Annotated[
-        list[Path],
-        typer.Argument(metavar='BAG...', help='folders or .mcap files of runs, also unfinished'),
-    ],
-    at: Annotated[
-        float | None,
-        typer.Option(metavar='SECONDS', help='only the run up to here (default: all there is)'),
-    ] = None,
-    confidence: Annotated[float, typer.Option(metavar='SHARE', help='of the bounds')] = 0.9,
-    guarantee: Annotated[
-        str,
-        typer.Option(
-            metavar='WORD', help='run: the bounds of all moments hold together; step: the bound of '
-            'one moment, chosen beforehand'
-        ),
-    ] = 'run',
-    run_id: RunOption = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar='FILE.png', writable=True, dir_okay=False, help='picture of the bounds over '
-            'time'
-        ),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Print and draw the bound on the final robustness of runs, as far as they have come.
-
-    Exit codes: 0; 3 a run is of another program, network or sampler than those calibrated on, so
-    that its bound has no guarantee, or that is unknown.
-    """
-    from taxinet_ros.cli.analysis.forecast import ShowOptions, show_forecast
-
-    raise typer.Exit(show_forecast(forecast, bags, ShowOptions(
-        at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id, plot=plot,
-        as_json=as_json,
-    )))
-
-
 odd_app = command_group('Operational design domains (ODD), and what campaigns cover of one.')
 _OddArgument = Annotated[
     str, typer.Argument(metavar='ODD', help='name of a shipped ODD, or a YAML file (docs/odd.md)')
@@ -837,110 +728,3 @@ def export_odd(
     from taxinet_ros.cli.analysis.odd import export_odd
 
     raise typer.Exit(export_odd(odd, out))
-
-
-assure_app = command_group(
-    'Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
-)
-
-
-@assure_app.command('calibrate')
-def assure_calibrate(
-    program: Annotated[
-        str, typer.Argument(metavar='SCENARIO', help='program whose scenes the perception is used '
-        'to, such as that of its training')
-    ],
-    perception: Annotated[str, typer.Option(help='network: word or file')],
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar='FILE.npz', writable=True, dir_okay=False, help='calibration; must be new'
-        ),
-    ],
-    runs: Annotated[
-        int, typer.Option(min=1, max=100_000, help='runs that set the thresholds; a quarter as '
-        'many more say what is usual')
-    ] = 84,
-    rate: Annotated[
-        float, typer.Option(help='largest share of satisfied runs with an alarm, in these scenes, '
-        'on average over calibrations')
-    ] = 0.05,
-    seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 1,
-    workers: Annotated[
-        int, typer.Option(min=1, max=64, help='worker processes; same results')
-    ] = 2,
-) -> None:
-    """Calibrate the shipped monitor for a network, on runs without ROS.
-
-    Its four checks ask whether the picture is familiar, whether the estimates follow from each
-    other, whether there is paint where they say that the line is, and whether they move as the
-    picture is moved. Thresholds are conformal.
-    """
-    from taxinet_ros.cli.analysis.assure import run_calibrate
-    from taxinet_ros.study.assurance.calibrate import CalibrateOptions
-
-    raise typer.Exit(run_calibrate(CalibrateOptions(
-        perception=perception, program=program, runs=runs, rate=rate, seed=seed, workers=workers,
-        out=out,
-    )))
-
-
-@assure_app.command('judge')
-def assure_judge(
-    program: Annotated[
-        str, typer.Argument(metavar='SCENARIO', help='program whose scenes are driven')
-    ],
-    perception: Annotated[str, typer.Option(help='network: word or file')],
-    monitor: Annotated[
-        str, typer.Option(help='original, taxinet, a file of calibrate, or FILE.py:NAME')
-    ],
-    fallback: Annotated[
-        list[str] | None,
-        typer.Option(metavar='WHAT', help='stop, slow or second:PERCEPTION; repeatable'),
-    ] = None,
-    controller: Annotated[str, typer.Option(help='steering, a name, or FILE.py:NAME')] = 'steering',
-    runs: Annotated[int, typer.Option(min=1, max=100_000, help='scenes')] = 100,
-    seed: Annotated[int, typer.Option(min=0, help='random seed of the scenes')] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, max=64, help='worker processes; same results')
-    ] = 2,
-    out: Annotated[
-        Path | None, typer.Option(help='folder for runs and summary; must be new')
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Judge a monitor and its fallbacks in the loop: alarms, misses, lead times, and what it saves.
-
-    Drives the same scenes without ROS: once with the monitor only watching, and once more for each
-    fallback where it raised an alarm.
-    """
-    from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
-    from taxinet_ros.cli.analysis.assure import run_judge
-    from taxinet_ros.core.user_code import short_word
-    from taxinet_ros.study.assurance.judge import JudgeOptions
-
-    name = f'assure-{Path(program).stem}-{short_word(perception)}-seed{seed}'
-    raise typer.Exit(run_judge(
-        JudgeOptions(
-            program=program, perception=perception, controller=controller, monitor=monitor,
-            fallbacks=tuple(fallback or ('stop',)), runs=runs, seed=seed, workers=workers,
-            out=out or new_folder(DEFAULT_ROOT / name),
-        ),
-        as_json=as_json,
-    ))
-
-
-@assure_app.command('show')
-def assure_show(
-    bag: Annotated[Path, typer.Argument(metavar='BAG', help='the bag of a run')],
-    run: RunOption = None,
-    monitor: Annotated[
-        str | None, typer.Option(help="original, taxinet, a file of calibrate, or FILE.py:NAME "
-        "(default: the run's own)")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Say when and why a monitor raises the alarm in a recorded run, to the bit as in the run."""
-    from taxinet_ros.cli.analysis.assure import run_show
-
-    raise typer.Exit(run_show(bag, run, monitor, as_json=as_json))

@@ -209,9 +209,8 @@ def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | C
         return WorkerPool(command, options.workers, campaign.out / 'logs')
     elsewhere = dataclasses.replace(campaign, out=Path(OUT))
     return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), campaign.out, runs=options.runs,
-        in_flight=options.in_flight, fingerprint=facts['perception_sha256'],
-        on_machine=search.book.add_machine,
+        cluster, campaign_worker_command(elsewhere, facts), campaign.out,
+        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
     )
 
 

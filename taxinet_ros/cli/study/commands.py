@@ -1,4 +1,4 @@
-"""Commands on whole studies: ``why``, ``case-study``, ``improve``, ``tune``, ``evidence``."""
+"""Commands on whole studies: ``why``, ``case-study``, ``improve``."""
 
 from __future__ import annotations
 
@@ -7,17 +7,11 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.completion import complete_gain
-from taxinet_ros.cli.help import DefaultCommand, command_group
 from taxinet_ros.cli.options import (
     AuditOption,
     ClusterOption,
     EngineOption,
     JsonOption,
-    PerceptionOption,
-    ProcessesCountOption,
-    SeedOption,
-    SpecOption,
     VariedOption,
     given_options,
     refuse_given,
@@ -194,162 +188,3 @@ def improve(
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
     raise typer.Exit(run_improve(options, out, workers, engine, audit, cluster))
-
-
-def tune(
-    program: Annotated[
-        str, typer.Argument(metavar='[SCENARIO]', help='program whose scenes the gains should '
-        'handle')
-    ] = 's_falsif',
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(metavar='steering.GAIN=LOW:HIGH', help='gain to vary, and its range; '
-        'repeatable (default: cte_gain_rad_per_m, max_intercept_rad and heading_gain, from a '
-        'quarter to four times the default)'),
-    ] = None,
-    initial: Annotated[
-        list[str] | None,
-        typer.Option(
-            '--set', metavar='steering.GAIN=VALUE', help='initial gain; repeatable',
-            autocompletion=complete_gain,
-        ),
-    ] = None,
-    candidates: Annotated[
-        int, typer.Option(min=2, help='gains to try, the initial ones first')
-    ] = 50,
-    scenes: Annotated[int, typer.Option(min=1, help='scenes of the search')] = 40,
-    unseen: Annotated[
-        int, typer.Option(min=1, help='other scenes, on which the result is judged')
-    ] = 200,
-    perception: PerceptionOption = 'taxinet',
-    spec: SpecOption = None,
-    seed: SeedOption = 0,
-    workers: ProcessesCountOption = 2,
-    out: Annotated[
-        Path | None, typer.Option(help='folder for result and record; finished runs in it are kept')
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Tune the steering law: search gains that maximise the worst-case robustness over scenes.
-
-    The gains found are judged, beside the initial ones, on scenes that the search has not seen.
-    Runs are in the closed loop without ROS. After an interrupt, the same command continues. Exit
-    code 3 if no gains are better beyond doubt.
-    """
-    from taxinet_ros.cli.study.tune import TuneArguments, run_tune
-
-    raise typer.Exit(run_tune(TuneArguments(
-        program=program, perception=perception, vary=vary or (), settings=initial or (),
-        specs=spec or (), candidates=candidates, scenes=scenes, unseen=unseen, seed=seed,
-        workers=workers, out=out, as_json=as_json,
-    )))
-
-
-evidence_app = command_group(
-    'Write evidence toward a requirement, all by hash, and verify it. '
-    'taxinet evidence CAMPAIGN... --out DIR is short for taxinet evidence write CAMPAIGN...',
-    DefaultCommand,
-)
-
-
-@evidence_app.command('write')
-def write_evidence(
-    campaigns: Annotated[
-        list[Path], typer.Argument(metavar='CAMPAIGN...', help='folders of finished campaigns')
-    ],
-    out: Annotated[Path, typer.Option(metavar='DIR', help='folder to write; must be new')],
-    requirement: Annotated[
-        str | None,
-        typer.Option(metavar='TEXT|FILE', help="the requirement in words, 'REQ-7: The aircraft "
-                     "shall …', or a file with that; the formula is that of the campaigns"),
-    ] = None,
-    claim: Annotated[
-        str | None,
-        typer.Option(metavar='SHARE', help='least share of satisfied runs that is claimed, 0.99 or '
-                     '99%; supported, refuted or undetermined by the 95 % interval'),
-    ] = None,
-    spec: Annotated[
-        str | None,
-        typer.Option(metavar='NAME', help='formula of claim and ODD (default: the headline)'),
-    ] = None,
-    odd: Annotated[
-        str | None, typer.Option(metavar='NAME|FILE.yaml', help='operational design domain: which '
-                                 'of its conditions were run')
-    ] = None,
-    localized: Annotated[
-        list[Path] | None,
-        typer.Option('--localize', metavar='DIR', help='results of taxinet localize on one of the '
-                     'campaigns; repeatable'),
-    ] = None,
-    localize_runs: Annotated[
-        int, typer.Option(metavar='N', min=0, help='drive so many failed runs of each campaign '
-                          'again with perfect estimates, and add the results')
-    ] = 0,
-    monitors: Annotated[
-        list[Path] | None,
-        typer.Option('--monitor-table', metavar='DIR', help='results of taxinet assure judge with '
-                     'the network of a campaign; repeatable'),
-    ] = None,
-    perception: Annotated[
-        list[str] | None,
-        typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
-                     'repeatable'),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Write evidence toward a requirement: one page, JSON, an argument as SVG, a manifest.
-
-    Binds requirement, formula, program, scenes, network, training data, tool versions and records
-    by SHA-256; gives rates with intervals, ODD cells, causes, monitor and known limits. Campaigns
-    that differ in program, formula or network are kept apart; damaged and unfinished ones are
-    refused. Same inputs, same bytes. Exit codes: 0 written, and the claim, if any, is supported; 1
-    it is refuted; 3 it is undetermined.
-    """
-    from taxinet_ros.cli.study.evidence import WriteOptions, run_evidence
-    from taxinet_ros.study.evidence.document import EvidenceOptions, parse_claim
-
-    raise typer.Exit(run_evidence(WriteOptions(
-        evidence=EvidenceOptions(
-            campaigns=tuple(campaigns), requirement=requirement, spec=spec, odd=odd,
-            claim=None if claim is None else parse_claim(claim), monitors=tuple(monitors or ()),
-            localisations=tuple(localized or ()), networks=tuple(perception or ()),
-        ),
-        out=out, localize_runs=localize_runs, as_json=as_json,
-    )))
-
-
-@evidence_app.command('verify')
-def verify_evidence(
-    folder: Annotated[
-        Path, typer.Argument(metavar='DIR', help='folder that taxinet evidence has written')
-    ],
-    campaign: Annotated[
-        list[Path] | None,
-        typer.Option(metavar='PATH', help='campaign, or other input, that has moved; repeatable'),
-    ] = None,
-    sample: Annotated[
-        int, typer.Option(metavar='N', min=0, help='runs to drive again and compare to the bit')
-    ] = 5,
-    seed: Annotated[int, typer.Option(min=0, help='random seed that chooses them')] = 0,
-    perception: Annotated[
-        list[str] | None,
-        typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
-                     'repeatable'),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Verify evidence: every byte, hash and figure again, and a sample of the runs.
-
-    Exit codes: 0 everything holds; 2 a file or an input is damaged, missing or changed, or a figure
-    is not that of its inputs; 4 a run came out differently; 3 something could not be verified.
-    """
-    from taxinet_ros.cli.study.evidence import run_verify
-    from taxinet_ros.study.evidence.verify import VerifyOptions
-
-    raise typer.Exit(run_verify(
-        VerifyOptions(
-            folder=folder, moved=tuple(campaign or ()), networks=tuple(perception or ()),
-            sample=sample, seed=seed,
-        ),
-        as_json=as_json,
-    ))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import sys
 import textwrap
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,6 @@ from rclpy.utilities import remove_ros_args
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.running.leave import leave_graph
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 _QOS = 'qos_overrides.'
@@ -141,16 +140,6 @@ def refuse_unknown(node: Node) -> None:
         own = sorted(set(known) - set(_OF_RCLPY))
         hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
         raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
-
-
-def any_given(name: str, besides: Collection[str] = ()) -> bool:
-    """Whether the command line sets parameters other than the given ones for a future node."""
-    probe = Node(name, start_parameter_services=False, enable_rosout=False)
-    try:
-        given = {name for name in _given(probe) if not name.startswith(_QOS)}
-        return not given <= set(besides)
-    finally:
-        leave_graph(probe)
 
 
 def _given(node: Node) -> list[str]:

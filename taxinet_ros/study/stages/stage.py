@@ -183,6 +183,7 @@ def with_engine(
 def campaign_stage(
     name: str, program: str, *, sampler: str, seed: int, runs: int, workers: int, weights: str = '',
     perception: str = '', outputs: Sequence[str] = (), needs: str = '',
+    sampler_options: Sequence[str] = (),
 ) -> Stage:
     """Stage with a campaign of a network, without pictures in the bags.
 
@@ -197,10 +198,12 @@ def campaign_stage(
         perception: word or file of a network from outside the study.
         outputs: files written in addition to the table.
         needs: the weights, if they may be missing because there was nothing to learn.
+        sampler_options: options of the sampler, ``KEY=VALUE``.
     """
+    chosen = [word for option in sampler_options for word in ('--sampler-option', option)]
     return Stage(
         name=name, runs=runs, hints=workers_option(workers),
-        words=('falsify', program, '--sampler', sampler, '--seed', str(seed),
+        words=('falsify', program, '--sampler', sampler, *chosen, '--seed', str(seed),
                '--perception', perception or weights, '--images', 'none', '--out', name),
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
         outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs, needs=needs,

@@ -47,6 +47,8 @@ from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
 
+pytestmark = pytest.mark.nightly
+
 SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
 
 

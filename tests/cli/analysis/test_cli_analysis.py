@@ -50,10 +50,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def all_but_the_arms(experiment: Path) -> None:
-    for path in experiment.iterdir():
-        if path.is_file():
-            path.unlink()
 
 
 def exchange_bags(experiment: Path) -> None:
@@ -73,30 +69,10 @@ def exchange(experiment: Path) -> None:
     (experiment / 'other').rename(experiment / 'far')
 
 
-def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that_is_to_come(
-    folder, tmp_path
-):
-    """So it looks after an interrupt between two arms, too."""
-    experiment = shutil.copytree(folder / 'e', tmp_path / 'e')
-    all_but_the_arms(experiment)
-    shutil.rmtree(experiment / 'far')
-    done = taxinet('doctor', experiment)
-    assert done.returncode == 0, done.stdout
-    assert 'an unfinished experiment, without far; continue with --resume' in done.stdout
-
-
 @pytest.mark.parametrize(('change', 'says'), [
     (exchange, 'near/ledger.jsonl: its first '),
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
-    (lambda experiment: (experiment / 'experiment.json').unlink(),
-     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
-    (lambda experiment: (experiment / 'experiment.json').write_text('{}'),
-     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
-    (all_but_the_arms,
-     'experiment.json: has no record of the experiment, although near, far have had their runs'),
-    (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
-     'near: is not there, an arm of the experiment of far'),
     (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
     (hide_the_arm, 'far/runs.csv: '),
 ])

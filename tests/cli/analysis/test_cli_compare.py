@@ -106,6 +106,7 @@ def test_given_a_subset_of_a_tables_scenes_then_it_is_spread_and_as_good_as_fixe
             table.loc[scene.row.index, 'distance_m'], abs=1e-6)
 
 
+@pytest.mark.nightly
 def test_given_networks_in_order_then_the_one_that_broke_the_scene_is_named(
     bag, tmp_path, taxinet
 ):

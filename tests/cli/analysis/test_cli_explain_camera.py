@@ -64,6 +64,7 @@ def bag(served: Peer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run.save_bag(tmp_path_factory.mktemp('bags') / 'theirs')
 
 
+@pytest.mark.nightly
 def test_given_the_runs_camera_then_it_takes_the_moments_again_in_other_scenes(
     bag, peer, taxinet, tmp_path
 ):

@@ -30,6 +30,7 @@ def test_given_a_shipped_odd_when_shown_then_cells_exclusions_and_counts_are_the
     assert told['feasible'] == {'cells': 29, 'pairs': 339, 'triples': 2041}
 
 
+@pytest.mark.nightly
 def test_given_the_recorded_table_when_measured_then_the_numbers_are_those_of_the_docs(
     taxinet, tmp_path
 ):

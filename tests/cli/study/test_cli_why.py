@@ -31,6 +31,8 @@ from taxinet_ros.study.why.investigation import (
 from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.verdict import Blames, Fault, judge
 
+pytestmark = pytest.mark.nightly
+
 WET = tx.Scenario(
     cross_track_m=-5.0, distance_m=620.0, heading_rad=math.radians(19), clouds='stratus',
     rain_fraction=0.9, time_of_day_s=8 * 3600, duration_s=5.0,
@@ -78,7 +80,6 @@ def looked_into(path: Path, taxinet, tmp_path: Path, **options):
     return found, stages
 
 
-@pytest.mark.slow
 @pytest.mark.ros
 def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_confirmed(
     tmp_path, taxinet

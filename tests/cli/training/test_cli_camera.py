@@ -15,6 +15,8 @@ from taxinet_ros.cli.main import main
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 
+pytestmark = pytest.mark.nightly
+
 Output = tuple[int, str, str]
 
 

@@ -24,6 +24,8 @@ from taxinet_ros.extras.flightgear.scene import eye_of, lens_of, weather_of
 from taxinet_ros.testing import check_camera
 from tests.extras.flightgear.flightgear_peer import LINES_M, FlightGearPeer, serving
 
+pytestmark = pytest.mark.nightly
+
 SCENE = Scenario(place='bikf_10', time_of_day_s=13 * 3600.0, cross_track_m=2.0, distance_m=600.0)
 
 

@@ -20,7 +20,7 @@ from taxinet_ros.extras.flightgear import client, process
 from taxinet_ros.extras.flightgear.camera import FlightGearCamera
 from taxinet_ros.testing import check_camera
 
-pytestmark = [pytest.mark.flightgear, pytest.mark.slow, pytest.mark.timeout(3600)]
+pytestmark = [pytest.mark.nightly, pytest.mark.flightgear, pytest.mark.timeout(3600)]
 
 NOON = Scenario(place='bikf_10', time_of_day_s=13 * 3600.0, cross_track_m=0.0, distance_m=700.0)
 STRIPES_M = (28.33, -28.85)

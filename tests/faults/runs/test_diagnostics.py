@@ -19,24 +19,20 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from tampering import tamper
 from waiting import wait_for
 
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes import interface, mtl_monitor
+from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR, STEERING_CONTROLLER
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.messages.convert import death_notice
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.leave import leave_graph
-from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.nodes.simulator import Simulator
-from taxinet_ros.nodes.steering_controller import SteeringController
 
 pytestmark = pytest.mark.ros
 
@@ -230,30 +226,6 @@ def test_ros21_given_nobody_who_asks_or_an_answer_that_fails_then_the_run_is_non
     assert (told.level, told.message) == (ERROR, 'ValueError: no idea')
 
 
-def test_ros21_given_a_remap_that_parts_a_node_then_it_warns_from_whom(tmp_path):
-    with own_domain() as domain, NodeExecutor(domain) as spinning, gathering(domain) as gatherer:
-        rule = ['--ros-args', '-r', 'taxi_command:=/elsewhere']
-        spinning.add(SteeringController(context=spinning.context, cli_args=rule))
-        spinning.add(Simulator(context=spinning.context))
-        words = 'no run; taxi_command is remapped to /elsewhere, but simulator subscribes to /taxi'
-        told = Future()
-        with once(
-            lambda: gatherer.told(STEERING_CONTROLLER, WARN, words),
-            lambda: told.set_result(None),
-        ):
-            spin_until(spinning.executor, told)
-
-
-@pytest.mark.parametrize(('given', 'alone'), [
-    ('diagnostics:=0.5', False), ('specs:=[phi_always]', True),
-])
-def test_ros21_given_how_often_to_tell_then_the_monitor_is_still_that_of_the_graph(given, alone):
-    with own_domain() as domain:
-        rclpy.init(args=['--ros-args', '-p', given], domain_id=domain)
-        try:
-            assert mtl_monitor.stands_alone() is alone
-        finally:
-            rclpy.try_shutdown()
 
 
 def test_ros21_given_too_little_space_then_the_recorder_warns(tmp_path: Path, monkeypatch):

@@ -1,1 +1,0 @@
-"""Live monitoring: signals read from topics, sampled and held."""

@@ -1,0 +1,721 @@
+"""Judge a monitor in the closed loop: the same scenes without it, and with each of its fallbacks.
+
+Every scene is driven once with a monitor beside it, which changes nothing, and once more for each
+fallback if the monitor raised an alarm; without one, the run with it is the same run. The monitor
+beside goes on after its alarm, so the same runs tell what other thresholds would have done.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.campaign.options import check_new, make_out
+from taxinet_ros.campaign.rates import Rate, rate, share_bounds
+from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monitor
+from taxinet_ros.core.assurance.switch import (
+    WATCH,
+    Alarm,
+    Assured,
+    alarm_of,
+    check_controller,
+    make_controller,
+    monitored,
+)
+from taxinet_ros.core.control_step import rolling_on
+from taxinet_ros.core.loop import Step, run_closed_loop
+from taxinet_ros.core.motion.controller import Controller, SteeringGains
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M, parse_spec
+from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.journal import Journal, damaged_line, open_journal
+from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.training.data.dataset import draw_scenes
+
+WITHOUT = 'without'
+"""What a run without monitor is called."""
+REACH_S = 10.0
+"""Time within which the requirement lets the aircraft reach the line."""
+TRIALS_NAME, ALARMS_NAME, RESULT_NAME = 'trials.csv', 'alarms.csv', 'assurance.json'
+SCENES_NAME = 'scenes.jsonl'
+"""Journal of the scenes that are done; the same command goes on after them."""
+FACTORS = tuple(2.0 ** (half / 2) for half in range(-5, 7))
+"""Multiples of all thresholds for which the first alarm is noted too."""
+BRAKING_S = 2.0
+"""An alarm that comes this long before the aircraft leaves the runway lets it stop before [s]."""
+WANTED_RATIO = 10.0
+"""How many times less often a monitored aircraft should leave the runway."""
+_ALARM_NAMES = ('scene', *(f'{factor:.4g}' for factor in FACTORS))
+Progress = Callable[[str, int, int], None]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgeOptions:
+    """Options of a judgement.
+
+    Attributes:
+        program: scenes.
+        perception, controller, monitor: words.
+        fallbacks: words, each driven.
+        runs: number of scenes.
+        seed: of the scenes.
+        workers: processes; same results.
+        out: new folder, or one of an earlier judgement.
+
+    Raises:
+        UsageError: a word is unknown, or the folder has something else.
+    """
+
+    program: str
+    perception: str
+    controller: str
+    monitor: str
+    fallbacks: tuple[str, ...]
+    runs: int
+    seed: int
+    workers: int
+    out: Path
+
+    def __post_init__(self) -> None:
+        check_perception(self.perception)
+        check_controller(self.controller)
+        if len(set(self.fallbacks)) != len(self.fallbacks) or WATCH in self.fallbacks:
+            raise UsageError(
+                f'--fallback: each once, and without {WATCH}, which is driven in any case'
+            )
+        for word in self.words.values():
+            check_controller(word)
+        if not (self.out / SCENES_NAME).is_file():
+            check_new(self.out)
+
+    @property
+    def fingerprints(self) -> Mapping[str, str]:
+        """Fingerprints of the perception, and of the controllers by fallback."""
+        controllers = {name: check_controller(word) for name, word in self.words.items()}
+        return {**controllers, 'perception': check_perception(self.perception)}
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """Words of the controllers, by fallback; that which only watches first."""
+        return {
+            fallback: monitored(self.controller, self.monitor, fallback)
+            for fallback in (WATCH, *self.fallbacks)
+        }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """One run of a scene.
+
+    Attributes:
+        scene: number of the scene.
+        fallback: :data:`WITHOUT`, or the fallback.
+        satisfied: whether it satisfies the requirement.
+        rho_m: robustness [m].
+        left_runway: whether it left the runway.
+        duration_s: length of the run [s].
+        due_s: until when an alarm is in time [s]: when a failed run leaves the 1.5 m for the
+            stretch that violates the requirement; 10 s if it never was within them; NaN if it is
+            satisfied.
+        reached: whether it was within the 1.5 m in the first 10 s; a failed run that was not never
+            left them.
+        off_s: when it leaves the runway [s]; NaN if it does not.
+        alarm_s: when the monitor first raises an alarm [s]; NaN if never.
+        reason: the check that did.
+    """
+
+    scene: int
+    fallback: str
+    satisfied: bool
+    rho_m: float
+    left_runway: bool
+    duration_s: float
+    due_s: float
+    reached: bool
+    off_s: float
+    alarm_s: float
+    reason: str
+
+
+def due_s(times_s: Sequence[float], cte_m: Sequence[float]) -> float:
+    """Until when an alarm is in time: see :attr:`Trial.due_s`.
+
+    Args:
+        times_s: of the steps, from 0.
+        cte_m: true cross-track errors.
+
+    Returns:
+        NaN if the error stays within the tolerance from 10 s on.
+    """
+    outside = [abs(cte) > CENTRELINE_TOLERANCE_M for cte in cte_m]
+    for step, (time_s, out) in enumerate(zip(times_s, outside, strict=True)):
+        if not out or time_s < REACH_S:
+            continue
+        while step > 0 and outside[step - 1]:
+            step -= 1
+        return times_s[step] if step else REACH_S
+    return math.nan
+
+
+def reached(times_s: Sequence[float], cte_m: Sequence[float]) -> bool:
+    """Whether a run is within the tolerance in its first 10 s. Arguments as of :func:`due_s`."""
+    return any(
+        abs(cte) <= CENTRELINE_TOLERANCE_M
+        for time_s, cte in zip(times_s, cte_m, strict=True) if time_s <= REACH_S
+    )
+
+
+class Watching:
+    """A monitor beside a run, until it leaves the runway; its first alarm is not the end.
+
+    Attributes:
+        alarm: the first alarm; None if there was none.
+        alarms_s: time of the first alarm for each of :data:`FACTORS` [s]; NaN if never.
+    """
+
+    def __init__(self, monitor: RuntimeMonitor, scene: Scenario) -> None:
+        """Begin a run."""
+        monitor.begin(scene)
+        self._monitor, self._before = monitor, rolling_on(scene.speed_mps)
+        self._half_width_m, self._over = scene.line.half_width_m, False
+        self.alarm: Alarm | None = None
+        self.alarms_s = np.full(len(FACTORS), math.nan)
+
+    def take(self, step: Step) -> None:
+        """Judge a step of the run."""
+        now = step.observation
+        self._over |= abs(now.on_track.cte_m) > self._half_width_m
+        if self._over or not np.isnan(self.alarms_s).any():
+            return
+        assert now.image is not None
+        scores = self._monitor.scores(
+            Seen(image=now.image, estimate=step.estimate, command=self._before)
+        )
+        self._before = step.command
+        if self.alarm is None:
+            self.alarm = alarm_of(scores, now.seq)
+        raised = np.isnan(self.alarms_s) & (max(scores.values()) >= np.array(FACTORS))
+        self.alarms_s[raised] = now.stamp_ns / NS_PER_S
+
+
+def drive(
+    number: int, fallback: str, scene: Scenario, perception: Perception, controller: Controller,
+    watching: Watching | None = None,
+) -> Trial:
+    """Make one run.
+
+    Args:
+        number: number of the scene.
+        fallback: what the run is called.
+        scene: the scene.
+        perception: the perception.
+        controller: the controller.
+        watching: a monitor beside it; None: the controller has one.
+
+    Raises:
+        InfraError: it could not be judged.
+    """
+    times_s: list[float] = []
+    cte_m: list[float] = []
+
+    def take(step: Step) -> None:
+        times_s.append(step.observation.stamp_ns / NS_PER_S)
+        cte_m.append(step.observation.on_track.cte_m)
+        if watching is not None:
+            watching.take(step)
+
+    judged = run_closed_loop(
+        scene, perception, specs=[parse_spec(REQUIREMENT)], controller=controller, on_step=take
+    )
+    outcome = outcome_of(judged)
+    if not outcome.judged:
+        raise InfraError(InfraKind.SIM, 'judge', -1, f'scene {number} could not be judged')
+    off = [t for t, cte in zip(times_s, cte_m, strict=True) if abs(cte) > scene.line.half_width_m]
+    alarm = controller.alarm if isinstance(controller, Assured) else (
+        None if watching is None else watching.alarm
+    )
+    return Trial(
+        scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
+        rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
+        due_s=due_s(times_s, cte_m), reached=reached(times_s, cte_m),
+        off_s=off[0] if off else math.nan,
+        alarm_s=math.nan if alarm is None else alarm.at_s,
+        reason='' if alarm is None else alarm.reason,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """All runs of a scene.
+
+    Attributes:
+        trials: without a fallback, then with each.
+        alarms_s: of the first one, see :class:`Watching`.
+    """
+
+    trials: tuple[Trial, ...]
+    alarms_s: Floats
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> Driven:
+        """From the values of :func:`plain`; null is NaN.
+
+        Raises:
+            LookupError, TypeError, ValueError: they are others.
+        """
+        def known(value: Any) -> Any:
+            return math.nan if value is None else value
+
+        return cls(
+            trials=tuple(
+                Trial(**{name: known(value) for name, value in trial.items()})
+                for trial in values['trials']
+            ),
+            alarms_s=np.array([float(known(time_s)) for time_s in values['alarms_s']]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judges:
+    """What a process needs for the runs: perception, plain controller, monitor, and controllers."""
+
+    perception: Perception
+    controller: Controller
+    monitor: RuntimeMonitor
+    guarded: Mapping[str, Controller]
+
+    def drive_scene(self, number: int, scene: Scenario) -> Driven:
+        """Make all runs of a scene."""
+        watching = Watching(self.monitor, scene)
+        plain = drive(number, WITHOUT, scene, self.perception, self.controller, watching)
+        trials = [plain]
+        for fallback, controller in self.guarded.items():
+            if math.isnan(plain.alarm_s):
+                trials.append(dataclasses.replace(plain, fallback=fallback))
+            else:
+                trials.append(drive(number, fallback, scene, self.perception, controller))
+        return Driven(trials=tuple(trials), alarms_s=watching.alarms_s)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Bounded:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FalseAlarms:
+    """Alarms in satisfied runs.
+
+    Attributes:
+        false_alarms: number of these runs with an alarm.
+        false_share: their share.
+        settled_alarms: of these, those after :data:`REACH_S`, by when the aircraft is on the line.
+        false_per_h: these per hour of satisfied runs after :data:`REACH_S` and until the alarm.
+    """
+
+    false_alarms: int
+    false_share: Rate
+    settled_alarms: int
+    false_per_h: Bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged(FalseAlarms):
+    """How a monitor fares.
+
+    Attributes:
+        runs: number of scenes.
+        satisfied, off: shares without monitor.
+        failed: number of failed runs without monitor.
+        in_time, late, missed: of these, those with an alarm in time, later, or never.
+        left: the same three counts of the failed runs that were within the 1.5 m before.
+        lead_s: quantiles 10, 50 and 90 % over these of the time from the alarm until it is due;
+            negative is late, minus infinity without alarm.
+        unreached: failed runs that were not, and so never left them.
+        unreached_alarm_s: the same quantiles of their alarms since the start; infinity: none.
+        off_missed: runs that leave the runway without an alarm before.
+        off_lead_s: as ``lead_s``, before leaving the runway, over all runs that do.
+        reasons: alarms by check.
+        with_fallback: by fallback.
+        trade: alarms and false alarms by multiple of the thresholds.
+    """
+
+    runs: int
+    satisfied: Rate
+    off: Rate
+    rho_m: tuple[float, float, float]
+    failed: int
+    in_time: int
+    late: int
+    missed: int
+    left: tuple[int, int, int]
+    lead_s: tuple[float, float, float]
+    unreached: int
+    unreached_alarm_s: tuple[float, float, float]
+    off_missed: int
+    off_lead_s: tuple[float, float, float]
+    reasons: Mapping[str, int]
+    with_fallback: Mapping[str, Guarded]
+    trade: tuple[Trade, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trade(FalseAlarms):
+    """What the runs without a fallback tell of other thresholds.
+
+    Attributes:
+        factor: multiple of all thresholds.
+        off_seen: runs that leave the runway with an alarm :data:`BRAKING_S` before, or earlier.
+        off: runs that leave the runway.
+    """
+
+    factor: float
+    off_seen: int
+    off: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guarded:
+    """The same scenes with a fallback.
+
+    Attributes:
+        satisfied, off: shares.
+        rho_m: quantiles 10, 50 and 90 % of the robustness [m].
+        mended, broken: scenes satisfied only with it, and only without it.
+        off_ratio: how many times less often the aircraft leaves the runway; the interval is that of
+            two Clopper-Pearson bounds of 97.5 % each, so it holds however the runs depend.
+    """
+
+    satisfied: Rate
+    off: Rate
+    rho_m: tuple[float, float, float]
+    mended: int
+    broken: int
+    off_ratio: Bounded
+
+
+def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged:
+    """Summarize the runs of all scenes.
+
+    Args:
+        trials: for each scene one :data:`WITHOUT`, and one for each fallback.
+        alarms_s: by scene, see :class:`Watching`.
+
+    Raises:
+        KeyError: a scene has no alarms.
+    """
+    plain = [one for one in trials if one.fallback == WITHOUT]
+    failed = [one for one in plain if not one.satisfied]
+    passed = [one for one in plain if one.satisfied]
+    lost = [one for one in plain if one.left_runway]
+    left = [one for one in failed if one.reached]
+    unreached = [one for one in failed if not one.reached]
+    in_time, late, missed = _in_time_late_missed(failed)
+    reasons: dict[str, int] = {}
+    for one in plain:
+        if one.reason:
+            reasons[one.reason] = reasons.get(one.reason, 0) + 1
+    others = dict.fromkeys(one.fallback for one in trials if one.fallback != WITHOUT)
+    return Judged(
+        runs=len(plain), satisfied=rate(len(passed), len(plain)), off=rate(len(lost), len(plain)),
+        rho_m=_quantiles([one.rho_m for one in plain]),
+        failed=len(failed), in_time=in_time, late=late, missed=missed,
+        **_false_alarms(passed, [one.alarm_s for one in passed]),
+        left=_in_time_late_missed(left),
+        lead_s=_quantiles([one.due_s - _raised_s(one) for one in left]),
+        unreached=len(unreached),
+        unreached_alarm_s=_quantiles([_raised_s(one) for one in unreached]),
+        off_missed=sum(_raised_s(one) > one.off_s for one in lost),
+        off_lead_s=_quantiles([one.off_s - _raised_s(one) for one in lost]),
+        reasons=dict(sorted(reasons.items())),
+        with_fallback={
+            name: _guarded(plain, [one for one in trials if one.fallback == name])
+            for name in others
+        },
+        trade=trade_of(plain, [alarms_s[one.scene] for one in plain]),
+    )
+
+
+def _raised_s(one: Trial) -> float:
+    return math.inf if math.isnan(one.alarm_s) else one.alarm_s
+
+
+def _in_time_late_missed(failed: Sequence[Trial]) -> tuple[int, int, int]:
+    in_time = sum(_raised_s(one) <= one.due_s for one in failed)
+    missed = sum(math.isnan(one.alarm_s) for one in failed)
+    return in_time, len(failed) - in_time - missed, missed
+
+
+def _false_alarms(passed: Sequence[Trial], alarms_s: Sequence[float]) -> dict[str, Any]:
+    """Alarms in satisfied runs: how many, their share, and per hour once the aircraft settled."""
+    ends_s = [
+        one.duration_s if math.isnan(time_s) else time_s
+        for one, time_s in zip(passed, alarms_s, strict=True)
+    ]
+    count = sum(not math.isnan(time_s) for time_s in alarms_s)
+    settled = sum(time_s > REACH_S for time_s in alarms_s)
+    hours = sum(max(end_s - REACH_S, 0.0) for end_s in ends_s) / 3600
+    return {
+        'false_alarms': count, 'false_share': rate(count, len(passed)),
+        'settled_alarms': settled, 'false_per_h': per_hour(settled, hours),
+    }
+
+
+def trade_of(plain: Sequence[Trial], alarms_s: Sequence[Floats]) -> tuple[Trade, ...]:
+    """Alarms and false alarms by multiple of the thresholds.
+
+    Args:
+        plain: the runs without a fallback.
+        alarms_s: of each, see :class:`Watching`.
+    """
+    lost = [number for number, one in enumerate(plain) if one.left_runway]
+    good = [number for number, one in enumerate(plain) if one.satisfied]
+    found = []
+    for which, factor in enumerate(FACTORS):
+        times_s = [float(one[which]) for one in alarms_s]
+        found.append(Trade(
+            **_false_alarms(
+                [plain[number] for number in good], [times_s[number] for number in good]
+            ),
+            factor=factor, off=len(lost),
+            off_seen=sum(times_s[one] <= plain[one].off_s - BRAKING_S for one in lost),
+        ))
+    return tuple(found)
+
+
+def _guarded(plain: Sequence[Trial], guarded: Sequence[Trial]) -> Guarded:
+    pairs = list(zip(plain, guarded, strict=True))
+    lost = sum(one.left_runway for one in guarded)
+    return Guarded(
+        satisfied=rate(sum(one.satisfied for one in guarded), len(guarded)),
+        off=rate(lost, len(guarded)), rho_m=_quantiles([one.rho_m for one in guarded]),
+        mended=sum(now.satisfied and not before.satisfied for before, now in pairs),
+        broken=sum(before.satisfied and not now.satisfied for before, now in pairs),
+        off_ratio=off_ratio(sum(one.left_runway for one in plain), lost, len(plain)),
+    )
+
+
+def off_ratio(before: int, after: int, runs: int) -> Bounded:
+    """Ratio of two shares of the same number of runs, with its 95 % interval.
+
+    Each share has its one-sided Clopper-Pearson bound of 97.5 %, so by Bonferroni the interval
+    holds for dependent runs too.
+
+    Args:
+        before: hits of the first.
+        after: hits of the second.
+        runs: runs of each.
+    """
+    low_before, high_before = share_bounds(before, runs - before, 0.0125)
+    low_after, high_after = share_bounds(after, runs - after, 0.0125)
+    value = before / after if after else (math.inf if before else math.nan)
+    return Bounded(
+        value=value, low=low_before / high_after,
+        high=high_before / low_after if low_after else math.inf,
+    )
+
+
+def per_hour(count: int, hours: float) -> Bounded:
+    """Rate of a Poisson process with its exact 95 % interval (Garwood, Biometrika 28, 1936)."""
+    if hours <= 0:
+        return Bounded(value=math.nan, low=0.0, high=math.inf)
+    from scipy.special import gammaincinv
+
+    low = float(gammaincinv(count, 0.025)) if count else 0.0
+    high = float(gammaincinv(count + 1, 0.975))
+    return Bounded(value=count / hours, low=low / hours, high=high / hours)
+
+
+def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """10, 50 and 90 %; infinite where one of the values that it lies between is."""
+    if not values:
+        return math.nan, math.nan, math.nan
+    shares = (0.1, 0.5, 0.9)
+    with np.errstate(invalid='ignore'):  # infinite from infinite
+        found = np.quantile(values, shares)
+    for method in ('lower', 'higher'):
+        beside = np.quantile(values, shares, method=method)
+        found = np.where(np.isinf(beside), beside, found)
+    low, middle, high = found
+    return float(low), float(middle), float(high)
+
+
+def judge(options: JudgeOptions, progress: Progress) -> Judged:
+    """Make all runs that are not made yet, and write their table and the summary.
+
+    Args:
+        options: what to judge.
+        progress: called with the stage, the scenes done and their number.
+
+    Raises:
+        UsageError: the perception sees no pictures, the program cannot be used, or the folder has
+            runs of other options.
+        InfraError: a run broke.
+    """
+    if not make_perception(options.perception).needs_image:
+        raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
+    scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
+    make_out(options.out)
+    driven = _drive(options, scenes, progress)
+    trials = [trial for one in driven for trial in one.trials]
+    judged = summarize(trials, {one.trials[0].scene: one.alarms_s for one in driven})
+    write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
+    write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
+    write_sealed(
+        options.out / RESULT_NAME, plain_result(options, judged),
+        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME)], [options.out / SCENES_NAME],
+    )
+    return judged
+
+
+def _drive(
+    options: JudgeOptions, scenes: Sequence[Scenario], progress: Progress
+) -> list[Driven]:
+    """Runs of all scenes; those in the journal are taken from it."""
+    path = options.out / SCENES_NAME
+    journal = open_journal(path, 'taxinet assure judge')
+    with contextlib.closing(journal):
+        known = _earlier(options, path, journal)
+        keys = [scene.digest for scene in scenes]
+        missing = [number for number, key in enumerate(keys) if (number, key) not in known]
+        made = len(scenes) - len(missing)
+        found = _runs(options, [(number, scenes[number]) for number in missing])
+        for number, driven in zip(missing, found, strict=True):
+            known[number, keys[number]] = driven
+            journal.append({
+                'event': 'scene', 'scene': number, 'scenario': keys[number],
+                'trials': plain(driven.trials), 'alarms_s': plain(driven.alarms_s.tolist()),
+            })
+            journal.sync()
+            made += 1
+            progress('scenes', made, len(scenes))
+    return [known[number, key] for number, key in enumerate(keys)]
+
+
+def _earlier(
+    options: JudgeOptions, path: Path, journal: Journal
+) -> dict[tuple[int, str], Driven]:
+    """Scenes of earlier sittings, by number and key."""
+    settings = {
+        'event': 'settings', 'requirement': REQUIREMENT, 'fingerprints': dict(options.fingerprints),
+        'monitor': options.monitor, 'fallbacks': list(options.fallbacks),
+    }
+    if not journal.events:
+        journal.append(settings)
+        journal.sync()
+        return {}
+    if journal.events[0] != settings:
+        raise UsageError(
+            f'--out {options.out}: has runs of another perception, controller, monitor or '
+            'fallback; choose another folder'
+        )
+    known = {}
+    for number, event in enumerate(journal.events[1:], 2):
+        try:
+            known[int(event['scene']), str(event['scenario'])] = Driven.from_plain(event)
+        except (LookupError, TypeError, ValueError) as error:
+            raise damaged_line(path, number, str(error)) from error
+    return known
+
+
+def trials_csv(trials: Sequence[Trial]) -> str:
+    """The runs as a table; an empty field is NaN."""
+    text = io.StringIO()
+    names = [field.name for field in dataclasses.fields(Trial)]
+    writer = csv.DictWriter(text, names, lineterminator='\n')
+    writer.writeheader()
+    for one in trials:
+        values = dataclasses.asdict(one)
+        writer.writerow({
+            name: '' if isinstance(x, float) and math.isnan(x) else x for name, x in values.items()
+        })
+    return text.getvalue()
+
+
+def alarms_csv(driven: Sequence[Driven]) -> str:
+    """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
+    lines = [','.join(_ALARM_NAMES)]
+    for one in driven:
+        times = ('' if math.isnan(time_s) else repr(float(time_s)) for time_s in one.alarms_s)
+        lines.append(','.join([str(one.trials[0].scene), *times]))
+    return '\n'.join(lines) + '\n'
+
+
+def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
+    """Options, results and provenance for JSON; null is not known, not bounded, or no alarm."""
+    given = {**dataclasses.asdict(options), 'out': str(options.out)}
+    return {
+        'options': {**given, 'fingerprints': dict(options.fingerprints)},
+        'judged': plain(judged), 'stack': dict(provenance()),
+    }
+
+
+def plain(value: Any) -> Any:
+    """A value for JSON: dataclasses are objects; what is not finite is null."""
+    if isinstance(value, Rate):
+        return plain(value._asdict())
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_worker: list[Judges] = []
+"""The parts of a worker process."""
+
+
+def _start_worker(options: JudgeOptions) -> None:
+    _worker.append(Judges(
+        perception=make_perception(options.perception),
+        controller=make_controller(options.controller, SteeringGains()),
+        monitor=make_monitor(options.monitor),
+        guarded={
+            fallback: make_controller(word, SteeringGains())
+            for fallback, word in options.words.items() if fallback != WATCH
+        },
+    ))
+
+
+def _scene(given: tuple[int, Scenario]) -> Driven:
+    return _worker[-1].drive_scene(*given)
+
+
+def _runs(
+    options: JudgeOptions, scenes: Sequence[tuple[int, Scenario]]
+) -> Iterator[Driven]:
+    """Runs of each scene with its number, in order, whatever the number of processes."""
+    if not scenes:
+        return
+    if options.workers == 1:
+        _start_worker(options)
+        yield from map(_scene, scenes)
+        return
+    with process_pool(options.workers, 'judging worker', _start_worker, options) as pool:
+        yield from pool.map(_scene, scenes, chunksize=2)

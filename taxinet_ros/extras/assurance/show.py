@@ -1,0 +1,232 @@
+"""``taxinet assure``: calibrate run-time monitors, say how they fare, and what they said."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.analysis.report.parts import Picture, Theme
+from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.cli.bag.input import readable_run
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.assurance.monitor import (
+    SUSTAINED,
+    make_monitor,
+    monitor_doubts,
+    monitor_names,
+)
+from taxinet_ros.core.assurance.switch import parts_of
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.extras.assurance.calibrate import CalibrateOptions, calibrate, check_share
+from taxinet_ros.extras.assurance.judge import (
+    ALARMS_NAME,
+    BRAKING_S,
+    REACH_S,
+    RESULT_NAME,
+    TRIALS_NAME,
+    WANTED_RATIO,
+    Bounded,
+    Judged,
+    JudgeOptions,
+    judge,
+    plain_result,
+)
+from taxinet_ros.extras.assurance.recorded import judge_recording
+
+_PAGE_WIDTH = 100
+_OCTAVES = 2
+"""Multiples of the thresholds that the picture shows: 2 to the power of - this to + this."""
+
+
+def run_calibrate(options: CalibrateOptions) -> int:
+    """Calibrate and print the thresholds.
+
+    Raises:
+        UsageError: there are too few satisfied runs, or bad input.
+    """
+    with stage_bars(Console(stderr=True)) as show:
+        found = calibrate(options, show)
+    console = _console()
+    console.print(
+        f'{options.out}: thresholds of {found.runs:,} satisfied runs of {options.program}, seed '
+        f'{options.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
+        f'over calibrations, in 95 % of which each check does in at most '
+        f'{100 * check_share(found):.2g} %',
+        soft_wrap=True,
+    )
+    for name, threshold in found.thresholds.items():
+        console.print(f'  {name}: above {threshold:.3g} for {SUSTAINED} frames', soft_wrap=True)
+    return ExitCode.OK
+
+
+def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
+    """Judge a monitor and print how it fares.
+
+    Raises:
+        UsageError: bad input.
+    """
+    for warning in monitor_doubts(options.monitor, options.perception):
+        Console(stderr=True).print(warning, soft_wrap=True, markup=False, highlight=False)
+    with stage_bars(Console(stderr=True)) as show:
+        judged = judge(options, show)
+    if as_json:
+        print(json.dumps(plain_result(options, judged), indent=2, allow_nan=False))
+        return ExitCode.OK
+    console = _console()
+    for line in judged_lines(judged):
+        console.print(line, soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    table.add_column('fallback')
+    for heading in ('satisfied', 'off the runway', 'rho 10, 50, 90 % [m]', 'mended', 'broken'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    table.add_row(
+        'none', _share(judged.satisfied), _share(judged.off), _numbers(judged.rho_m), '', ''
+    )
+    for name, one in judged.with_fallback.items():
+        table.add_row(
+            name, _share(one.satisfied), _share(one.off), _numbers(one.rho_m),
+            str(one.mended), str(one.broken),
+        )
+    console.print(table)
+    for name, one in judged.with_fallback.items():
+        console.print(f'{name}: {_ratio_words(one.off_ratio)}', soft_wrap=True)
+    picture = write_png(trade_picture(judged), options.out, LIGHT)
+    console.print(
+        f'{options.out}: {TRIALS_NAME}, {ALARMS_NAME}, {picture.name}, {RESULT_NAME}',
+        soft_wrap=True,
+    )
+    return ExitCode.OK
+
+
+def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: bool) -> int:
+    """Print what a monitor says of a recorded run.
+
+    Args:
+        bag: the bag.
+        run_id: which run, if there are several.
+        monitor: word of the monitor; None: that of the run.
+        as_json: print JSON.
+
+    Raises:
+        UsageError: the run has no monitor of a known path, or cannot be judged again.
+    """
+    with readable_run(bag, run_id) as recording:
+        parts = parts_of(recording.run.controller)
+        if monitor is None and parts is None:
+            raise UsageError(
+                f'{bag}: its controller {recording.run.controller or STEERING} has no monitor; '
+                'name one with --monitor'
+            )
+        word = monitor or (parts.monitor if parts is not None else '')
+        if monitor is None and word not in monitor_names():
+            raise UsageError(
+                f'{bag}: its monitor is a file or function of unknown path; name it with --monitor'
+            )
+        found = judge_recording(recording, make_monitor(word))
+    if as_json:
+        alarm = None if found.alarm is None else {
+            **dataclasses.asdict(found.alarm), 'at_s': found.alarm.at_s
+        }
+        largest = {name: x if math.isfinite(x) else None for name, x in found.largest.items()}
+        print(json.dumps(
+            {'monitor': word, 'alarm': alarm, 'largest': largest, 'steps': found.steps}, indent=2,
+        ))
+        return ExitCode.OK
+    console = _console()
+    console.print(
+        f'monitor {word}: {found.alarm or "no alarm"}, {found.steps:,} steps judged',
+        soft_wrap=True,
+    )
+    for name, score in found.largest.items():
+        console.print(f'  {name}: at most {score:.2f} times its threshold', soft_wrap=True)
+    return ExitCode.OK
+
+
+def judged_lines(judged: Judged) -> list[str]:
+    """Lines on the alarms of a monitor."""
+    passed, per_h = judged.runs - judged.failed, judged.false_per_h
+    reached, (in_time, late, missed) = judged.failed - judged.unreached, judged.left
+    reasons = ', '.join(f'{name} {count}' for name, count in judged.reasons.items()) or 'none'
+    return [
+        f'{judged.runs:,} scenes; first alarms by check: {reasons}',
+        f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
+        f'{judged.late:,} later, {judged.missed:,} none',
+        f'{reached:,} of them left the 1.5 m, {in_time:,} with an alarm in time, {late:,} later, '
+        f'{missed:,} none: lead time before {_numbers(judged.lead_s)} s (10, 50, 90 % of all '
+        f'{reached:,}); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
+        f'alarm after {_numbers(judged.unreached_alarm_s)} s',
+        f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
+        f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
+        f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: '
+        f'{_share(judged.false_share)}; {judged.settled_alarms:,} after the first {REACH_S:g} s: '
+        f'{per_h.value:.3g} per hour from then on (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
+    ]
+
+
+def trade_picture(judged: Judged) -> Picture:
+    """Departures without an alarm in time against false alarms, by multiple of the thresholds."""
+    shown = [one for one in judged.trade if abs(math.log2(one.factor)) <= _OCTAVES]
+    false = np.array([100 * one.false_share.rate for one in shown])
+    missed = np.array([one.off - one.off_seen for one in shown])
+
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = figure.subplots()
+        axes.plot(false, missed, color=theme.passed, marker='o', markersize=4, linewidth=1.4)
+        for one, x, y in zip(shown, false, missed, strict=True):
+            own = one.factor == 1
+            axes.annotate(
+                f'{one.factor:.2g}', (x, y), xytext=(4, 4), textcoords='offset points',
+                fontsize=10 if own else 8, color=theme.failed if own else theme.ink,
+            )
+            if own:
+                axes.plot([x], [y], color=theme.failed, marker='o', markersize=7)
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel('satisfied runs with a false alarm [%]')
+        axes.set_ylabel(
+            f'of {shown[0].off} departures, without\nan alarm {BRAKING_S:g} s before'
+        )
+
+    return Picture(
+        name='trade', title='Thresholds', draw=draw,
+        caption='Runs that leave the runway without an alarm in time to brake, against false '
+        'alarms; labels are multiples of all thresholds.',
+    )
+
+
+def _ratio_words(ratio: Bounded) -> str:
+    if math.isnan(ratio.value):
+        return 'no run leaves the runway, with it or without'
+    times = 'never, so infinitely' if math.isinf(ratio.value) else f'{ratio.value:.3g} times'
+    high = 'no upper bound' if math.isinf(ratio.high) else f'{ratio.high:.3g}'
+    holds = 'shown' if ratio.low >= WANTED_RATIO else 'not shown'
+    return (
+        f'leaves the runway {times} less often (95 %: {ratio.low:.3g} to {high}); '
+        f'{WANTED_RATIO:g} times is {holds}'
+    )
+
+
+def _share(share: Rate) -> str:
+    return f'{100 * share.rate:.1f} % ({100 * share.low:.1f}-{100 * share.high:.1f})'
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return ', '.join(
+        '-' if math.isnan(x) else 'none' if math.isinf(x) else f'{x:.2f}' for x in values
+    )
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = _PAGE_WIDTH
+    return console

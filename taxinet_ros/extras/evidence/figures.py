@@ -1,0 +1,282 @@
+"""Figures of a system's runs: rates with intervals, robustness, ODD cells, causes.
+
+Every rate is one of :mod:`taxinet_ros.campaign.rates`: of the runs that the program itself drew. A
+campaign whose scenes were all chosen by a sampler gives counts, and no rate. Several campaigns of
+one system are added up in the open, beside their own figures; as somebody decided to run another
+one after the first, their interval is the one that is valid at any time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.analysis.fault_localisation import Blame
+from taxinet_ros.analysis.odd.coverage import OddCoverage, odd_coverage
+from taxinet_ros.analysis.runs.campaign import read_runs
+from taxinet_ros.campaign.odd.odd_file import Odd
+from taxinet_ros.campaign.rates import (
+    ProgramRate,
+    count_kinds,
+    off_runway_rate,
+    rate,
+    rate_of,
+    without_gaps,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.extras.evidence.inputs import CampaignInput, LocalisationInput
+
+QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+"""Of the robustness."""
+
+
+class Verdict(StrEnum):
+    """What figures say of a goal."""
+
+    SUPPORTED = 'supported'
+    """The whole interval, or a count without any error, meets the target."""
+    REFUTED = 'refuted'
+    """The whole interval, or a count without any error, misses it."""
+    UNDETERMINED = 'undetermined'
+    """The interval contains the target, or there is none."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FormulaRates:
+    """How often one formula is satisfied.
+
+    Attributes:
+        satisfied, violated, undecided: rates of the three; a run is undecided if it was stopped
+            before the formula was.
+    """
+
+    satisfied: ProgramRate
+    violated: ProgramRate
+    undecided: ProgramRate
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the 95 % interval of the satisfied share.
+
+        Undecided runs count as violated for the lower end and as satisfied for the upper one, since
+        their results decided which were stopped.
+        """
+        n, k = self.satisfied.drawn, self.satisfied.drawn_hits
+        if not n:
+            return 0.0, 1.0
+        most = k + self.undecided.drawn_hits
+        anytime = self.satisfied.anytime
+        return rate(k, n, anytime=anytime).low, rate(most, n, anytime=anytime).high
+
+
+def formula_rates(campaigns: Sequence[CampaignInput], spec: str) -> FormulaRates:
+    """Rates of one formula over campaigns of one system.
+
+    Args:
+        campaigns: campaigns that share no run.
+        spec: name of the formula.
+    """
+    def of(hit: Callable[[RunRow], bool]) -> ProgramRate:
+        return pooled([rate_of(one.rows, hit, one.planned) for one in campaigns])
+
+    return FormulaRates(
+        satisfied=of(lambda row: spec in row.robustness and row.robustness[spec].satisfied),
+        violated=of(lambda row: spec in row.robustness and row.robustness[spec].failed),
+        undecided=of(lambda row: spec not in row.robustness or not (
+            row.robustness[spec].satisfied or row.robustness[spec].failed
+        )),
+    )
+
+
+def pooled(rates: Sequence[ProgramRate]) -> ProgramRate:
+    """The sum of the same rate of several campaigns; its interval is valid at any time."""
+    if len(rates) == 1:
+        return rates[0]
+    samplers = dict.fromkeys(one.sampler for one in rates if one.sampler)
+    return ProgramRate(
+        runs=sum(one.runs for one in rates), hits=sum(one.hits for one in rates),
+        drawn=sum(one.drawn for one in rates), drawn_hits=sum(one.drawn_hits for one in rates),
+        anytime=True, sampler=', '.join(samplers),
+    )
+
+
+def claim_verdict(rates: FormulaRates, target: float) -> tuple[Verdict, str]:
+    """What the rates say of "satisfied in at least ``target`` of the runs".
+
+    Args:
+        rates: those of the formula.
+        target: share, 0..1.
+
+    Returns:
+        The verdict by the two-sided 95 % interval, and a sentence without its full stop.
+    """
+    if not rates.satisfied.drawn:
+        return Verdict.UNDETERMINED, rates.satisfied.why_not
+    low, high = rates.ends
+    words = f'95 % interval {interval_words(low, high)}, claim at least {percent(target)} %'
+    if low >= target:
+        return Verdict.SUPPORTED, f'{words}: all of it meets the claim'
+    if high < target:
+        return Verdict.REFUTED, f'{words}: all of it misses the claim'
+    return Verdict.UNDETERMINED, f'{words}: the interval contains the claim'
+
+
+def percent(share: float) -> str:
+    """A share in percent as it was given: a claim of 99.99999 % is not one of 100 %."""
+    return f'{100 * share:.12g}'
+
+
+def interval_words(low: float, high: float) -> str:
+    """Ends of an interval in percent with two decimals, rounded outwards."""
+    return f'{math.floor(1e4 * low + 1e-6) / 100:g}-{math.ceil(1e4 * high - 1e-6) / 100:g} %'
+
+
+def share_json(found: ProgramRate, *, rated: bool = True) -> dict[str, Any]:
+    """Counts of a kind of run and its rate; null where there is none.
+
+    Args:
+        found: the rate.
+        rated: False if it has no interval of its own, as runs were stopped before it was decided.
+    """
+    known = found.rate if rated else None
+    return {
+        'runs': found.runs, 'hits': found.hits, 'drawn': found.drawn,
+        'drawn_hits': found.drawn_hits, 'any_time': found.anytime,
+        'rate': known.rate if known else None, 'low': known.low if known else None,
+        'high': known.high if known else None,
+    }
+
+
+def _counted(one: CampaignInput) -> list[RunRow]:
+    """The runs that the program drew and that count, judged or not."""
+    outcomes = {row.index: row.outcome for row in one.rows}
+    end = without_gaps(outcomes, one.planned)
+    return [row for row in one.rows if row.index < end and row.from_program]
+
+
+def infra_json(campaigns: Sequence[CampaignInput]) -> dict[str, Any]:
+    """Runs that the test bench could not carry out, of those that it tried."""
+    rows = [row for one in campaigns for row in one.rows]
+    broken = [row for row in rows if row.outcome is Outcome.INFRA_ERROR]
+    drawn = [
+        row.outcome is Outcome.INFRA_ERROR for one in campaigns for row in _counted(one)
+        if row.outcome.judged or row.outcome is Outcome.INFRA_ERROR
+    ]
+    anytime = len(campaigns) > 1 or any(
+        rate_of(one.rows, lambda row: True, one.planned).anytime for one in campaigns
+    )
+    found = ProgramRate(
+        runs=sum(row.outcome.judged for row in rows) + len(broken), hits=len(broken),
+        drawn=len(drawn), drawn_hits=sum(drawn), anytime=anytime,
+    )
+    return share_json(found) | {'kinds': count_kinds(row.kind for row in broken if row.kind)}
+
+
+def rho_json(campaigns: Sequence[CampaignInput], spec: str) -> dict[str, Any]:
+    """Quantiles of the robustness of the runs that the program drew; null without any."""
+    values: list[float] = []
+    unknown = 0
+    for one in campaigns:
+        for row in _counted(one):
+            if not row.outcome.judged:
+                continue
+            value = row.rho.get(spec)
+            if value is None or not math.isfinite(value):
+                unknown += 1
+            else:
+                values.append(value)
+    found = np.quantile(np.array(values), QUANTILES).tolist() if values else []
+    return {
+        'runs': len(values), 'not_exact': unknown,
+        'quantiles': [
+            {'share': share, 'rho': value} for share, value in zip(QUANTILES, found, strict=False)
+        ],
+    }
+
+
+def formula_json(campaigns: Sequence[CampaignInput], spec: str) -> dict[str, Any]:
+    """All figures of one formula."""
+    rates = formula_rates(campaigns, spec)
+    decided = not rates.undecided.drawn_hits
+    ends = rates.ends if rates.satisfied.drawn else None
+    return {
+        'formula': spec,
+        'satisfied': share_json(rates.satisfied, rated=decided),
+        'violated': share_json(rates.violated, rated=decided),
+        'undecided': share_json(rates.undecided),
+        'satisfied_at_least': ends[0] if ends else None,
+        'satisfied_at_most': ends[1] if ends else None,
+        'why_no_rate': '' if rates.satisfied.drawn and decided else (
+            rates.satisfied.why_not or 'runs were stopped before the formula was decided, which '
+            'depends on their results: the bounds count them as violated, and as satisfied'
+        ),
+        'rho': rho_json(campaigns, spec),
+    }
+
+
+def counts_json(campaigns: Sequence[CampaignInput], specs: Sequence[str]) -> dict[str, Any]:
+    """Counts, rates and robustness of one campaign, or of several of one system."""
+    rows = [row for one in campaigns for row in one.rows]
+    counts = Counter(row.outcome.value for row in rows)
+    off = [off_runway_rate(one.rows, one.planned) for one in campaigns]
+    known = [one for one in off if one is not None]
+    return {
+        'runs': len(rows),
+        'outcomes': {one.value: counts[one.value] for one in Outcome if counts[one.value]},
+        'samplers': sorted({row.sampler for row in rows if row.sampler}),
+        'formulas': [formula_json(campaigns, spec) for spec in specs],
+        'off_runway': share_json(pooled(known)) if known and len(known) == len(off) else None,
+        'infra': infra_json(campaigns),
+    }
+
+
+def domain_of(
+    campaigns: Sequence[CampaignInput], odd: Odd, spec: str, limit: float | None
+) -> OddCoverage:
+    """What campaigns of one system cover of an ODD.
+
+    Args:
+        campaigns: the campaigns.
+        odd: the domain.
+        spec: formula that defines failure.
+        limit: count the cells that fail less often than this; None: do not.
+
+    Raises:
+        UsageError: no run was judged.
+    """
+    runs = [
+        replace(read_runs(one.folder, spec), label=one.name) for one in campaigns
+    ]
+    return odd_coverage(odd, runs, limit=limit)
+
+
+def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:
+    """Whether every feasible pair of cells has a judged run, and a sentence on it.
+
+    Gaps refute nothing: what happens in them is not known.
+    """
+    pairs = next((one for one in found.strengths if one.t == 2), found.strengths[0])
+    name = 'pairs of cells' if pairs.t == 2 else 'cells'
+    words = f'{pairs.covered:,} of {pairs.feasible:,} feasible {name} of {found.odd.name} were run'
+    return (
+        Verdict.SUPPORTED if pairs.covered == pairs.feasible else Verdict.UNDETERMINED
+    ), words
+
+
+def cause_verdict(one: LocalisationInput) -> tuple[Verdict, str]:
+    """Whether every failed run examined is attributed to a part, and a sentence on it."""
+    blame, examined = one.figures['blame'], one.figures['looked_into']
+    network, controller = blame[Blame.PERCEPTION], blame[Blame.CONTROLLER]
+    words = (
+        f'{network + controller:,} of {examined:,} failed runs examined are attributed: '
+        f'{network:,} to the network, {controller:,} to controller or formula'
+    )
+    known = network + controller == examined
+    return Verdict.SUPPORTED if known else Verdict.UNDETERMINED, words

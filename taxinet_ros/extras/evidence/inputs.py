@@ -1,0 +1,393 @@
+"""What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations.
+
+An input whose checksums do not hold, or that cannot be bound to the campaign it is named with, is
+refused by name. What an input does not say (such as the training data of somebody else's network)
+is kept as unknown, with the reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
+from taxinet_ros.bag.layout import bag_files
+from taxinet_ros.campaign.doctor import examine
+from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.campaign.rates import Planned
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, planned_runs, recorded_world
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.weights import (
+    SUFFIX,
+    ModelCard,
+    card_path,
+    load_card,
+    weights_path,
+)
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.journal import journal_end, parse_journal
+from taxinet_ros.files.sealed_json import file_sha256, read_sealed
+
+TRUTH = 'truth'
+"""The perception without a network."""
+OnBag = Callable[[Path], None]
+_ID = re.compile(r'\s*([A-Za-z0-9][A-Za-z0-9_.-]*)\s*:\s+(.*\S)\s*', re.DOTALL)
+_LONGEST_REQUIREMENT = 4000
+_NEEDED = ('program', 'program_sha256', 'program_text', 'specs', 'perception_sha256', 'seed')
+"""Facts without which runs cannot be bound to program, formula and network."""
+_SYSTEM = (
+    'program', 'program_sha256', 'specs', 'stop_on', 'bounds', 'rates', 'perception',
+    'perception_sha256', 'controller', 'controller_sha256', 'gains', 'timing', 'overrides',
+    'laid_over',
+)
+"""Facts that make two campaigns runs of one system, in one distribution of scenes."""
+
+
+def digest_of(value: Any) -> str:
+    """SHA-256 of a JSON value in its canonical form: sorted keys, no spaces, no NaN."""
+    text = json.dumps(value, sort_keys=True, separators=(',', ':'), allow_nan=False)
+    return text_sha256(text)
+
+
+def text_sha256(text: str) -> str:
+    """SHA-256 of a text in UTF-8."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirement:
+    """A requirement in words.
+
+    Attributes:
+        name: its identifier, such as ``REQ-TAXI-7``.
+        text: its wording, in one line.
+        given: the whole text as given.
+    """
+
+    name: str
+    text: str
+    given: str
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the text as given; of a file, that of its bytes."""
+        return text_sha256(self.given)
+
+
+def read_requirement(given: str) -> Requirement:
+    """Read a requirement from a text ``ID: wording``, or from a file that contains one.
+
+    Raises:
+        UsageError: it has no identifier or no wording, or the file cannot be read.
+    """
+    try:
+        is_file = Path(given).is_file()
+    except (OSError, ValueError):  # a text that is too long for a name, or has a zero
+        is_file = False
+    if not is_file:
+        return requirement_of(given, f'--requirement {given:.60}')
+    try:
+        text = Path(given).read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
+    return requirement_of(text, f'--requirement {given}')
+
+
+def requirement_of(text: str, where: str) -> Requirement:
+    """Split a requirement ``ID: wording``.
+
+    Args:
+        text: the whole text.
+        where: beginning of the error message.
+
+    Raises:
+        UsageError: it has no identifier or no wording, or is too long.
+    """
+    found = _ID.fullmatch(text)
+    if found is None or len(text) > _LONGEST_REQUIREMENT:
+        raise UsageError(
+            f"{where}: expected an identifier, a colon and the wording, as in 'REQ-7: The aircraft "
+            f"shall …', in at most {_LONGEST_REQUIREMENT:,} characters; or a file with that"
+        )
+    return Requirement(name=found[1], text=' '.join(found[2].split()), given=text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignInput:
+    """A finished campaign whose checksums hold.
+
+    Attributes:
+        folder: its folder.
+        name: name of its folder, when the evidence was written.
+        recorded: its ledger.
+        facts: its facts, with the hash of the network of its runs.
+        files: SHA-256 of ``campaign.json``, ledger and tables, by name.
+        bags: SHA-256 of each run's bag by run: of the lines ``SHA-256  NAME`` of its files.
+    """
+
+    folder: Path
+    name: str
+    recorded: RecordedCampaign
+    facts: Mapping[str, Any]
+    files: Mapping[str, str]
+    bags: Mapping[str, str]
+
+    @property
+    def rows(self) -> tuple[RunRow, ...]:
+        """Its runs."""
+        return self.recorded.rows
+
+    @property
+    def planned(self) -> Planned:
+        """Runs planned before the first one."""
+        return planned_runs(self.facts)
+
+    @property
+    def system(self) -> dict[str, Any]:
+        """What it tested: program, formulas, network, controller, world, timing."""
+        world, sha256 = recorded_world(self.facts)
+        return {
+            **{name: self.facts.get(name) for name in _SYSTEM},
+            'world': world, 'world_sha256': sha256,
+        }
+
+
+def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput:
+    """Read a finished campaign and check everything that it has checksums of.
+
+    Args:
+        path: its folder, or the table in it.
+        on_bag: called with each bag before it is checked, which takes time.
+
+    Raises:
+        UsageError: it is no campaign, a table alone, unfinished, or damaged.
+    """
+    folder = path.parent if path.is_file() and path.name == PARQUET_NAME else path
+    if path.is_file() and not (folder / LEDGER_NAME).is_file():
+        raise UsageError(
+            f'{path}: a table alone is no evidence: without {FACTS_NAME} and {LEDGER_NAME} beside '
+            'it, program, formula, network and scenes cannot be bound to its rows by hash; name '
+            "the campaign's folder"
+        )
+    recorded = open_campaign(folder)
+    if not (folder / FACTS_NAME).is_file():
+        raise UsageError(f'{folder}: has no {FACTS_NAME}; restore it')
+    facts = {**recorded.facts, 'perception_sha256': _network_of(recorded)}
+    if lacking := [name for name in _NEEDED if facts.get(name) in (None, {})]:
+        raise UsageError(
+            f'{folder}: its record lacks {", ".join(lacking)}, so runs cannot be bound to program, '
+            'formula and network; run it again with this version'
+        )
+    if recorded.content.unfinished or not recorded.content.finished:
+        raise UsageError(
+            f'{folder}: has not ended in order; finish it by the command that began it, with '
+            '--resume'
+        )
+    if not recorded.rows:
+        raise UsageError(f'{folder}: has no run')
+    if wrong := examine(folder, on_bag).findings:
+        more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
+        raise UsageError(
+            f'{wrong[0].where}: {wrong[0].what}{more}; no evidence is written of damaged results: '
+            f'taxinet doctor {folder}'
+        )
+    return CampaignInput(
+        folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
+        files={
+            name: file_sha256(folder / name)
+            for name in (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
+        },
+        bags={
+            row.run_id: bag_sha256(bag) for row in recorded.rows
+            if (bag := recorded.bag(row)) is not None
+        },
+    )
+
+
+def _network_of(recorded: RecordedCampaign) -> str | None:
+    """Hash of the network of the runs: ``taxinet run`` records it with each run only.
+
+    Raises:
+        UsageError: its runs had several networks, or another one than its facts say.
+    """
+    named: str | None = recorded.facts.get('perception_sha256')
+    used = {row.fingerprint for row in recorded.judged if row.fingerprint or not named}
+    all_of_them = sorted(used | ({named} if named else set()))
+    if len(all_of_them) > 1:
+        listed = ', '.join(f'{one[:12]}…' if one else 'none' for one in all_of_them)
+        raise UsageError(
+            f'{recorded.folder}: its runs had several networks (sha256 {listed}), so there is no '
+            'one system that they are runs of; run them as campaigns of their own'
+        )
+    return all_of_them[0] if all_of_them else named
+
+
+def bag_sha256(bag: Path) -> str:
+    """SHA-256 of a bag: of the lines ``SHA-256  NAME`` of its files, as ``sha256sum`` has them."""
+    return text_sha256(''.join(f'{file_sha256(path)}  {path.name}\n' for path in bag_files(bag)))
+
+
+def read_campaigns(
+    paths: Sequence[Path], on_bag: OnBag = lambda bag: None
+) -> tuple[CampaignInput, ...]:
+    """Read several campaigns, each once.
+
+    Raises:
+        UsageError: as :func:`read_campaign`; or two of them are the same, or share a run.
+    """
+    seen: dict[tuple[Any, ...], CampaignInput] = {}
+    found = tuple(read_campaign(path, on_bag) for path in paths)
+    for one in found:
+        system = digest_of(one.system)
+        for row in one.rows:
+            other = seen.setdefault((system, row.run_id, *row.scene.values()), one)
+            if other is not one:
+                raise UsageError(
+                    f'{one.folder}: has runs that are in {other.folder} too; name each once'
+                )
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkInput:
+    """The perception of a system.
+
+    Attributes:
+        word: its name or file as recorded.
+        sha256: recorded hash of its weights or code; '' for the truth.
+        card: model card, if it has one: training data, seed, command.
+        card_sha256: of the card's file.
+        why_unknown: why the training data are not known; ''.
+    """
+
+    word: str
+    sha256: str
+    card: ModelCard | None = None
+    card_sha256: str = ''
+    why_unknown: str = ''
+
+
+def read_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> NetworkInput:
+    """Find the recorded network and its model card.
+
+    Args:
+        facts: facts of a campaign.
+        given: files to try if it has moved.
+
+    A network that is gone or has changed is no error: its training data are then unknown.
+    """
+    word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
+    shown = Path(word).name if word.endswith((SUFFIX, '.onnx')) else word
+    if not sha256:
+        return NetworkInput(
+            word=shown, sha256='', why_unknown='no network: the controller is given the truth'
+            if word == TRUTH else 'the perception did not report a hash',
+        )
+    why = ''
+    for candidate in (*given, word):
+        path = weights_path(candidate)
+        why = why or _why_unusable(path, sha256)
+        if not _why_unusable(path, sha256):
+            card = card_path(path)
+            return NetworkInput(
+                word=shown, sha256=sha256, card=load_card(card), card_sha256=file_sha256(card)
+            )
+    return NetworkInput(word=shown, sha256=sha256, why_unknown=why)
+
+
+def _why_unusable(path: Path, sha256: str) -> str:
+    """Why a file and its card do not say what the network of this hash was trained on; ''."""
+    if path.suffix != SUFFIX:
+        return 'it is no network of taxinet train, so no model card names its data'
+    if not path.is_file():
+        return 'its file is not there any more; name it with --perception FILE'
+    if file_sha256(path) != sha256:
+        return 'its file has changed since the runs; name the former with --perception FILE'
+    try:
+        own = load_card(card_path(path)).weights_sha256 == sha256
+    except UsageError as error:
+        return f'its model card cannot be used: {error}'
+    return '' if own else 'its model card describes other weights'
+
+
+def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
+    """The word or file by which the recorded perception can be loaded here.
+
+    Raises:
+        UsageError: it is gone, or another one now.
+    """
+    word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
+    why = ''
+    for candidate in (*given, word):
+        try:
+            if check_perception(candidate) == sha256:
+                return candidate
+            why = f'{candidate} has another SHA-256 than the network of the runs'
+        except UsageError as error:
+            why = str(error)
+    raise UsageError(f'{why}; name the network of the runs with --perception FILE')
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalisationInput:
+    """Results of ``taxinet localize`` on one of the campaigns.
+
+    Attributes:
+        folder: their folder.
+        files: SHA-256 of the summary, which has the digest of the trials.
+        campaign: index of the campaign.
+        figures: the findings.
+    """
+
+    folder: Path
+    files: Mapping[str, str]
+    campaign: int
+    figures: Mapping[str, Any]
+
+
+def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> LocalisationInput:
+    """Read the summary of a localisation, and find its campaign by its trials.
+
+    Raises:
+        UsageError: it is none, is damaged, or is not about one of the campaigns.
+    """
+    path, summary = folder / TRIALS_NAME, folder / LOCALISE_NAME
+    for needed in (summary, path):
+        if not needed.is_file():
+            raise UsageError(
+                f'{folder}: no results of taxinet localize: {needed.name} is not there'
+            )
+    sealed = read_sealed(summary)
+    if sealed.journals.get(path.name) != journal_end(path):
+        raise UsageError(f'{path}: is not what {summary.name} was made from; localize again')
+    events = [line.event for line in parse_journal(path.read_bytes()).lines if line.event]
+    try:
+        facts = next(event['facts'] for event in events if event['event'] == 'localize')
+        runs = {event['trial']['run_id'] for event in events if event['event'] == 'trial'}
+    except (StopIteration, LookupError, TypeError) as error:
+        raise UsageError(f'{path}: damaged ({error!r}); localize again') from error
+    found = [
+        number for number, one in enumerate(campaigns)
+        if all(
+            facts.get(name) == one.facts.get(name)
+            for name in ('program_sha256', 'seed', 'specs', 'perception_sha256')
+        ) and runs and runs <= {row.run_id for row in one.recorded.counterexamples}
+    ]
+    if len(found) != 1:
+        why = 'may be about several of these campaigns; name it with one' if found else (
+            'is not about failed runs of any of these campaigns (program, seed, formulas, network '
+            'and runs have to agree)'
+        )
+        raise UsageError(f'{folder}: {why}')
+    return LocalisationInput(
+        folder=folder, campaign=found[0], files={summary.name: file_sha256(summary)},
+        figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
+    )

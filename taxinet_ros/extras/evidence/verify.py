@@ -1,0 +1,421 @@
+"""Verify evidence: every byte, every hash, every figure, and a sample of the runs.
+
+Figures, limits and argument are made again from the inputs by the function that made them first,
+and compared value by value. Runs of the sample are driven again without ROS; their robustness and
+the messages of their bags have to be equal to the bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.check.compare import compare_bags
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.loop_run import Loop, LoopOptions
+from taxinet_ros.campaign.record.facts import FACTS_NAME, recorded_stacks, recorded_world
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.provenance import differences, provenance
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.extras.evidence.evidence import (
+    JSON_NAME,
+    MANIFEST_NAME,
+    SCHEMA,
+    Collected,
+    EvidenceOptions,
+    collect,
+)
+from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
+from taxinet_ros.files.sealed_json import file_sha256
+
+Progress = Callable[[str, int, int], None]
+_LINE = re.compile(r'([0-9a-f]{64})  ([^/\n]+)')
+
+
+@dataclass(kw_only=True)
+class Verification:
+    """What was verified.
+
+    Attributes:
+        checked: number of things that hold, by kind.
+        damaged: what is damaged, missing or changed, or says something else than its inputs.
+        different: runs that came out differently.
+        unchecked: what could not be verified, and why.
+        notes: remarks that are no findings.
+    """
+
+    checked: dict[str, int] = field(default_factory=dict)
+    damaged: list[str] = field(default_factory=list)
+    different: list[str] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything was verified and holds."""
+        return self.code is ExitCode.OK
+
+    @property
+    def code(self) -> ExitCode:
+        """Exit code.
+
+        0 everything holds; 2 files or inputs are damaged, missing or changed, or figures are not
+        those of their inputs; 4 a run cannot be repeated to the bit here; 3 something could not be
+        verified. Never 1, which says that a run violates its requirement.
+        """
+        if self.damaged:
+            return ExitCode.USAGE
+        if self.different:
+            return ExitCode.INFRA
+        return ExitCode.INCOMPLETE if self.unchecked else ExitCode.OK
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifyOptions:
+    """How evidence is verified.
+
+    Attributes:
+        folder: its folder.
+        moved: folders or files of inputs that have moved: campaigns, localisations, ODD.
+        networks: files of networks that have moved.
+        sample: number of runs to drive again.
+        seed: chooses them.
+
+    Raises:
+        UsageError: a negative number.
+    """
+
+    folder: Path
+    moved: tuple[Path, ...] = ()
+    networks: tuple[str, ...] = ()
+    sample: int = 5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.sample < 0:
+            raise UsageError(f'--sample {self.sample}: needs to be 0 or more')
+        for path in self.moved:
+            if not path.exists():
+                raise UsageError(f'--campaign {path}: no such folder')
+
+
+def verify(
+    options: VerifyOptions, on_progress: Progress = lambda stage, done, of: None,
+) -> Verification:
+    """Verify a folder of evidence.
+
+    Args:
+        options: what and how.
+        on_progress: called with the stage, what is done of it, and how much there is.
+
+    Raises:
+        UsageError: the folder is none of evidence.
+    """
+    found = Verification()
+    _check_files(options.folder, found)
+    path = options.folder / JSON_NAME
+    try:
+        content = _read_json(path)
+        again = _again(content, options, found, on_progress)
+    except UsageError as error:
+        found.damaged.append(str(error))
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        found.damaged.append(
+            f'{path}: damaged or edited: a value is missing or of another form ({error!r})'
+        )
+    else:
+        if again is not None:
+            _compare(content, again, options, found)
+            _drive_again(again, options, found, on_progress)
+    return found
+
+
+def _check_files(folder: Path, found: Verification) -> None:
+    """Compare the files of the folder with the manifest."""
+    manifest = folder / MANIFEST_NAME
+    if not folder.is_dir():
+        raise UsageError(f'{folder}: no such folder; name one that taxinet evidence has written')
+    if not any((folder / name).is_file() for name in (MANIFEST_NAME, JSON_NAME)):
+        raise UsageError(f'{folder}: no evidence: neither {MANIFEST_NAME} nor {JSON_NAME} is there')
+    if not manifest.is_file():
+        found.damaged.append(f'{manifest}: is missing')
+        return
+    lines = [_LINE.fullmatch(line) for line in manifest.read_text(errors='replace').splitlines()]
+    listed = {line[2]: line[1] for line in lines if line}
+    if not all(lines):
+        found.damaged.append(f'{manifest}: damaged line {lines.index(None) + 1}')
+    there = {path.name for path in folder.iterdir()} - {MANIFEST_NAME}
+    for name in sorted({*listed, *there}):
+        path = folder / name
+        if name not in there:
+            found.damaged.append(f'{path}: is missing, but listed in {MANIFEST_NAME}')
+        elif name not in listed:
+            found.damaged.append(f'{path}: is not listed in {MANIFEST_NAME}')
+        elif not path.is_file() or file_sha256(path) != listed[name]:
+            found.damaged.append(f'{path}: is not the file that {MANIFEST_NAME} lists')
+    if not found.damaged:
+        found.checked['files'] = len(listed) + 1
+
+
+def _read_json(path: Path) -> Mapping[str, Any]:
+    if not path.is_file():
+        raise UsageError(f'{path}: is missing')
+    content: Mapping[str, Any] = json.loads(path.read_bytes())
+    if content['schema'] != SCHEMA:
+        raise UsageError(
+            f'{path}: is of schema {content["schema"]!r}, this version reads {SCHEMA}'
+        )
+    return content
+
+
+# Inputs ------------------------------------------------------------------------------------------
+
+
+def _again(
+    content: Mapping[str, Any], options: VerifyOptions, found: Verification,
+    on_progress: Progress,
+) -> Collected | None:
+    """The evidence, made again from the inputs; None if one of them is missing or has changed."""
+    by_number = sorted(content['campaigns'], key=lambda one: int(one['id'].rpartition('-')[2]))
+    places = _Places(options)
+    campaigns = tuple(places.folder('campaign', one) for one in by_number)
+    localisations = tuple(
+        places.folder('localisation', one) for one in content['localisations']
+    )
+    odd = places.odd(content['odd'])
+    unused = [path for path in options.moved if path not in places.recorded]
+    places.troubles += [
+        f'--campaign {path}: is none of the inputs, or has changed since the evidence was written'
+        for path in unused
+    ]
+    if places.troubles:
+        found.damaged += places.troubles
+        return None
+    found.checked['hashes of inputs'] = places.hashes
+    requirement = content['requirement']
+    bags = sum(len(one['bags']['each']) for one in by_number)
+    done = itertools.count(1)
+    return collect(
+        EvidenceOptions(
+            campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=odd,
+            localisations=localisations, networks=options.networks,
+        ),
+        options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
+        on_bag=lambda bag: on_progress('bags', min(next(done), bags), bags),
+        requirement=None if requirement is None else requirement_of(
+            requirement['given'], str(options.folder / JSON_NAME)
+        ),
+    )
+
+
+class _Places:
+    """Where inputs are now, found by their hashes.
+
+    Attributes:
+        recorded: paths in the evidence, by where the inputs are.
+        troubles: what is missing or has changed.
+        hashes: number of files that are as recorded.
+    """
+
+    def __init__(self, options: VerifyOptions) -> None:
+        self._options = options
+        self.recorded: dict[Path, str] = {}
+        self.troubles: list[str] = []
+        self.hashes = 0
+
+    def folder(self, kind: str, one: Mapping[str, Any]) -> Path:
+        """Folder of an input: one named as moved with these files, else where it was."""
+        files, what = one['files'], f'{kind} {one.get("name", one["id"])}'
+        place = self._options.folder / one['path']
+        for path in self._options.moved:
+            if all(_sha256(path / name) == sha256 for name, sha256 in files.items()):
+                place = path
+        self.recorded[place] = one['path']
+        if not place.is_dir():
+            self.troubles.append(
+                f'{place}: {what} is not there; if it has moved, name its folder with --campaign'
+            )
+            return place
+        for name, sha256 in files.items():
+            self._check(place / name, sha256)
+        return place
+
+    def odd(self, one: Mapping[str, Any] | None) -> str | None:
+        """Name or file of the ODD."""
+        if one is None:
+            return None
+        place = self._options.folder / one['path']
+        for path in self._options.moved:
+            if _sha256(path) == one['sha256']:
+                place = path
+        if '/' not in one['path'] and not one['path'].endswith('.yaml'):
+            return str(one['path'])  # a shipped one; its hash is compared with the other values
+        self.recorded[place] = one['path']
+        self._check(place, one['sha256'])
+        return str(place)
+
+    def _check(self, path: Path, sha256: str) -> None:
+        now = _sha256(path)
+        self.hashes += now == sha256
+        if not now:
+            self.troubles.append(
+                f'{path}: is missing; if it has moved, name its folder with --campaign'
+            )
+        elif now != sha256:
+            self.troubles.append(
+                f'{path}: has changed since the evidence was written (sha256 {sha256[:12]}… then, '
+                f'{now[:12]}… now); make the evidence again'
+            )
+
+
+def _sha256(path: Path) -> str:
+    return file_sha256(path) if path.is_file() else ''
+
+
+# Values ------------------------------------------------------------------------------------------
+
+
+def _compare(
+    content: Mapping[str, Any], again: Collected, options: VerifyOptions, found: Verification
+) -> None:
+    """Compare every value with that made again."""
+    written, now = ({**one, 'computed_by': None} for one in (content, again.content))
+    wrong = list(value_differences(written, now))
+    found.damaged += [f'{options.folder / JSON_NAME}: {line}' for line in wrong]
+    if not wrong:
+        found.checked['values computed again'] = sum(1 for _ in _leaves(now))
+
+
+def value_differences(written: Any, now: Any, at: str = '') -> Iterator[str]:
+    """Where two JSON values differ, one line a place."""
+    if isinstance(written, Mapping) and isinstance(now, Mapping):
+        for name in sorted({*written, *now}):
+            inner = f'{at}.{name}' if at else str(name)
+            if name not in written or name not in now:
+                yield f'{inner}: {"is missing" if name in now else "is not of these inputs"}'
+            else:
+                yield from value_differences(written[name], now[name], inner)
+    elif isinstance(written, list) and isinstance(now, list) and len(written) == len(now):
+        for number, (one, other) in enumerate(zip(written, now, strict=True)):
+            key = one.get('id', number) if isinstance(one, Mapping) else number
+            yield from value_differences(one, other, f'{at}[{key}]')
+    elif type(written) is not type(now) or written != now:
+        yield f'{at}: is {_short(written)}, of these inputs it is {_short(now)}'
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f'{text[:79]}…'
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    if isinstance(value, Mapping | list):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from _leaves(inner)
+    else:
+        yield value
+
+
+# Runs --------------------------------------------------------------------------------------------
+
+
+def _drive_again(
+    again: Collected, options: VerifyOptions, found: Verification, on_progress: Progress
+) -> None:
+    """Drive a sample of the runs again and compare them to the bit."""
+    if not options.sample:
+        found.notes.append('no run was driven again, as asked by --sample 0')
+        return
+    runs: list[tuple[str, RunRow]] = []
+    for name in sorted(again.inputs):
+        one = again.inputs[name]
+        rows = [(name, row) for row in one.recorded.judged if row.run_id in one.bags]
+        why = not_repeatable(one, options.networks) or (
+            '' if rows else 'no run has its bag here, which alone has the exact scene'
+        )
+        if why:
+            found.unchecked.append(f'{one.folder}: no run can be driven again: {why}')
+        else:
+            runs += rows
+    sample = random.Random(options.seed).sample(runs, min(options.sample, len(runs)))
+    if len(sample) < options.sample and not found.unchecked:
+        found.notes.append(f'there are only {len(sample)} runs to drive again')
+    loops: dict[str, Loop] = {}
+    with tempfile.TemporaryDirectory(prefix='taxinet-evidence-') as scratch:
+        for done, (name, row) in enumerate(sorted(
+            sample, key=lambda each: (each[0], each[1].index)
+        ), 1):
+            one, out = again.inputs[name], Path(scratch) / name
+            if name not in loops:
+                out.mkdir()
+                # From there the bag gets the program's text, as in the campaign.
+                (out / FACTS_NAME).symlink_to((one.folder / FACTS_NAME).resolve())
+                loops[name] = Loop(_loop_options(one, out, options.networks))
+            if difference := run_difference(one, row, loops[name], out):
+                found.different.append(f'{one.folder / row.run_id}: driven again: {difference}')
+            on_progress('runs', done, len(sample))
+    if sample and not found.different:
+        found.checked['runs driven again, equal to the bit'] = len(sample)
+
+
+def not_repeatable(one: CampaignInput, networks: tuple[str, ...] = ()) -> str:
+    """Why no run of a campaign can be driven again here; '' if they can."""
+    if is_free(str(one.facts.get('timing', ''))):
+        return f'free runs: {NOT_REPRODUCIBLE}'
+    try:
+        usable_network(one.facts, networks)
+        return find_world(*recorded_world(one.facts)).again_words
+    except UsageError as error:
+        return str(error)
+
+
+def _loop_options(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> LoopOptions:
+    facts = one.facts
+    world, sha256 = recorded_world(facts)
+    return LoopOptions(
+        perception=usable_network(facts, networks),
+        controller=str(facts.get('controller', STEERING)),
+        controller_sha256=str(facts.get('controller_sha256', '')),
+        gains=dict(facts.get('gains', {})), timing=parse_timing(str(facts.get('timing', ''))),
+        world=world, world_sha256=sha256, out=out, images=str(facts.get('images', 'none')),
+    )
+
+
+def run_difference(one: CampaignInput, row: RunRow, loop: Loop, out: Path) -> str:
+    """Drive a run again; the first difference, or ''.
+
+    Args:
+        one: its campaign.
+        row: its row.
+        loop: what runs it, with bags below ``out``.
+        out: an empty folder.
+    """
+    bag = one.folder / row.bag
+    try:
+        result = loop.run(open_recording(bag).run.request)
+    except (BagError, UsageError) as error:
+        return str(error)
+    if not result.outcome.judged:
+        return f'{result.outcome}: {result.detail}'
+    wrong = [
+        f'rho of {name} was {interval}, is now {result.robustness.get(name)}'
+        for name, interval in row.robustness.items() if result.robustness.get(name) != interval
+    ] or [
+        f'messages of {topic.topic} differ'
+        for topic in compare_bags(bag, out / row.run_id) if not topic.equal
+    ]
+    stack = recorded_stacks(one.facts).get(row.stack, {})
+    if wrong and stack and (other := differences(stack, provenance())):
+        return f'{wrong[0]}; made on another machine or version: {other}'
+    return wrong[0] if wrong else ''

@@ -1,0 +1,1 @@
+"""``taxinet tune``: steering gains that are best in their worst scene."""

@@ -1,0 +1,188 @@
+"""``taxinet tune``: steering gains that satisfy a requirement by the largest worst-case margin."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, read_specs
+from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of_program
+from taxinet_ros.campaign.rates import rate
+from taxinet_ros.campaign.run_command import RunSettings
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.extras.tune.tuning import (
+    GAIN_PREFIX,
+    Candidate,
+    Tuned,
+    TuneOptions,
+    Tuning,
+    tuned_json,
+    varied_gains,
+)
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.processes.interrupts import interrupts
+
+JSON_NAME = 'tune.json'
+
+
+def run_tune(
+    program: str, out: Path | None, *, perception: str, vary: Sequence[str],
+    settings: Sequence[str], specs: Sequence[str], candidates: int, scenes: int, unseen: int,
+    seed: int, workers: int, as_json: bool,
+) -> int:
+    """Search gains, judge them, and print what was found.
+
+    Args:
+        program: program of the scenes.
+        out: folder; None: one below ``bags/``.
+        perception: word or file.
+        vary: ``steering.GAIN=LOW:HIGH`` texts.
+        settings: ``steering.GAIN=VALUE`` of the initial gains.
+        specs: requirements; the first counts.
+        candidates: number of candidates.
+        scenes: number of scenes of the search.
+        unseen: number of others.
+        seed: seed of the scenes of the search and of the proposals; the others' is one more.
+        workers: processes.
+        as_json: print ``tune.json``.
+
+    Returns:
+        Exit code: 0 better gains were found, 3 none that are better beyond doubt, 130 interrupted;
+        the same command continues.
+
+    Raises:
+        UsageError: bad input.
+        InfraError: the initial gains cannot be judged.
+    """
+    console = Console(highlight=False, markup=False, stderr=as_json)
+    judging = Judging(specs=read_specs(specs)) if specs else DEFAULT_JUDGING
+    out = out or DEFAULT_ROOT / f'tune-{Path(program).stem}'
+    varied, start = varied_gains(vary), _start(settings)
+    learning, others = (
+        scenes_of_program(program, runs=runs, seed=each, judging=judging)
+        for runs, each in ((scenes, seed), (unseen, seed + 1))
+    )
+    options = TuneOptions(
+        learning=learning, unseen=others, perception=perception, varied=varied, start=start,
+        candidates=candidates, seed=seed, workers=workers,
+    )
+    with Tuning(options, out) as tuning:
+        console.print(
+            f'tune {program}: {candidates} candidates of {len(varied)} gains on {scenes} scenes, '
+            f'{perception} -> {out}', soft_wrap=True,
+        )
+        tuned = _run(tuning, console)
+    if tuned is None:
+        console.print('interrupted; the same command goes on', soft_wrap=True)
+        return ExitCode.INTERRUPTED
+    text = json.dumps(tuned_json(tuned, options), indent=2, allow_nan=False)
+    write_atomically(out / JSON_NAME, f'{text}\n')
+    for line in (*tuned_lines(tuned, options), f'written: {out / JSON_NAME}'):
+        console.print(line, soft_wrap=True)
+    if as_json:
+        print(text)
+    return ExitCode.OK if tuned.verdict == 'better' else ExitCode.INCOMPLETE
+
+
+def _start(settings: Sequence[str]) -> dict[str, float]:
+    found = {}
+    for text in settings:
+        key, equals, value = text.partition('=')
+        if not equals or not key.startswith(GAIN_PREFIX):
+            raise UsageError(
+                f'--set {text}: expected steering.GAIN=VALUE; scenes are as the program draws them'
+            )
+        name = key.removeprefix(GAIN_PREFIX)
+        found[name] = typed_gain(name, value)
+    SteeringGains(**found)
+    return found
+
+
+def _run(tuning: Tuning, console: Console) -> Tuned | None:
+    asked: list[bool] = []
+    runs, candidates = itertools.count(1), itertools.count(1)
+    options = tuning.options
+    most = options.candidates * len(options.learning.scenes) + 2 * len(options.unseen.scenes)
+
+    def on_candidate(one: Candidate) -> None:
+        number = next(candidates)
+        if one.best:
+            words = 'initial gains' if number == 1 else gain_words(one)
+            console.print(
+                f'{number:4}  rho {one.worst:+.2f} at worst, {one.scene}  {words}', soft_wrap=True,
+            )
+
+    with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
+        return tuning.run(
+            on_candidate, lambda: show('runs, at most', next(runs), most), lambda: bool(asked)
+        )
+
+
+def gain_words(one: Candidate) -> str:
+    """Gains of a candidate as options of a command."""
+    return ' '.join(f'--set {GAIN_PREFIX}{name}={value:.4g}' for name, value in one.gains.items())
+
+
+def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
+    """Text lines on a result."""
+    start, found, scenes = tuned.start, tuned.found, tuned.scenes
+    most = len(tuned.candidates) * scenes
+    broken = sum(one.worst is None for one in tuned.candidates)
+    lines = [
+        f'searched: {len(tuned.candidates)} candidates, {tuned.runs:,} runs; '
+        f'{most - tuned.runs:,} of {most:,} were not needed, as their candidates could not win'
+    ]
+    if broken:
+        lines.append(f'not judged: {broken} candidates, whose runs broke')
+    if tuned.verdict == 'same':
+        return [*lines, f'no candidate is better at its worst than the initial gains '
+                        f'(rho {start.worst:+.2f} in {start.scene}); more --candidates or wider '
+                        'ranges (--vary) may find some']
+    lines.append(
+        f'worst of {scenes} scenes: rho {start.worst:+.2f} before ({start.scene}), '
+        f'{found.worst:+.2f} now ({found.scene})'
+    )
+    rates, change = tuned.satisfied, tuned.rho.change
+    pairs = rates.pairs
+    if tuned.unjudged:
+        lines.append(
+            f'{len(tuned.unjudged)} unseen scenes could not be judged: '
+            f'{", ".join(tuned.unjudged[:5])}'
+        )
+    if pairs:
+        worst = [min(rhos.values()) for rhos in (tuned.before, tuned.after)]
+        lines += [
+            f'on {pairs} unseen scenes: {rate(rates.first, pairs).words()} satisfied before, '
+            f'{rate(rates.second, pairs).words()} now; {rates.only_second} only now, '
+            f'{rates.only_first} only before (McNemar p = {rates.p_value:.2g})',
+            f'worst rho there: {worst[0]:+.2f} before, {worst[1]:+.2f} now; typical change '
+            f'{_interval(change)}',
+        ]
+    lines.append({
+        'better': 'better on scenes that the search has not seen',
+        'worse': 'WORSE on scenes that the search has not seen: keep the initial gains',
+        'unclear': 'not shown to be better on scenes that the search has not seen: keep the '
+        'initial gains; more --unseen scenes may tell',
+    }[tuned.verdict])
+    if tuned.verdict == 'better':
+        lines.append(
+            'next: ' + RunSettings(
+                perception=options.perception, gains=found.gains, judging=options.learning.judging,
+            ).command(options.learning.source, verb='falsify')
+        )
+    return lines
+
+
+def _interval(change: Sequence[float]) -> str:
+    value, low, high = change
+    if math.isnan(low):
+        return f'{value:+.3f}'
+    return f'{value:+.3f} ({low:+.3f} to {high:+.3f})'

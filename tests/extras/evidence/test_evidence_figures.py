@@ -1,0 +1,345 @@
+"""Figures of evidence: rates with known intervals, claims, what is kept apart, what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+
+import pytest
+from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, planted
+
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.evidence.argument import goals
+from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse_claim
+from taxinet_ros.extras.evidence.inputs import read_requirement
+
+
+def collected(*folders, **options):
+    return collect(
+        EvidenceOptions(campaigns=folders, **options), folders[0].parent / 'evidence'
+    ).content
+
+
+def limits(content):
+    return {one['id'] for one in content['limits']}
+
+
+def the_goals(content):
+    return list(goals(content['argument']))
+
+
+def formula(content, system=0, name='phi'):
+    found = content['systems'][system]['figures']['formulas']
+    return next(one for one in found if one['formula'] == name)
+
+
+def test_given_18_of_20_drawn_runs_then_the_interval_is_the_known_one(tmp_path):
+    rho = [0.1 * index for index in range(1, 19)] + [-1.0, -2.0]
+    content = collected(planted(tmp_path / 'a', [PASS] * 18 + [FAIL] * 2, rho=rho))
+    found = formula(content)
+    assert found['satisfied']['rate'] == 0.9
+    # Clopper-Pearson of 18 of 20, as in its tables: 68.3 to 98.8 %.
+    assert found['satisfied']['low'] == pytest.approx(0.6830173, abs=1e-6)
+    assert found['satisfied']['high'] == pytest.approx(0.9876515, abs=1e-6)
+    assert found['violated']['drawn_hits'] == 2
+    assert found['undecided']['hits'] == 0
+    quantiles = {one['share']: one['rho'] for one in found['rho']['quantiles']}
+    assert quantiles[0.0] == -2.0
+    assert quantiles[0.5] == pytest.approx(0.85)
+    assert quantiles[1.0] == pytest.approx(1.8)
+    off = content['systems'][0]['figures']['off_runway']
+    assert (off['hits'], off['drawn']) == (2, 20)
+
+
+def test_given_infrastructure_errors_then_they_are_in_no_rate_and_have_their_own(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS, INFRA, FAIL, INFRA, PASS]))
+    assert formula(content)['satisfied']['drawn'] == 3
+    infra = content['systems'][0]['figures']['infra']
+    assert (infra['hits'], infra['drawn'], infra['rate']) == (2, 5, 0.4)
+    # 2 of 5: 5.27 to 85.34 %.
+    assert (infra['low'], infra['high']) == pytest.approx((0.0527450, 0.8533672), abs=1e-6)
+    assert infra['kinds'] == {'timeout': 2}
+    assert 'infra' in limits(content)
+
+
+@pytest.mark.parametrize(('passed', 'failed', 'claim', 'verdict'), [
+    (72, 0, 0.95, 'supported'), (71, 0, 0.95, 'undetermined'), (10, 10, 0.99, 'refuted'),
+    (10, 0, 0.99, 'undetermined'),
+])
+def test_given_a_claim_then_the_whole_interval_decides(tmp_path, passed, failed, claim, verdict):
+    content = collected(planted(tmp_path / 'a', [PASS] * passed + [FAIL] * failed), claim=claim)
+    assert content['systems'][0]['claim']['verdict'] == verdict
+    goals = [one for one in the_goals(content) if 'in at least' in one['text']]
+    assert [one['verdict'] for one in goals] == [verdict]
+    if verdict == 'refuted':
+        assert content['argument']['verdict'] == 'refuted'
+
+
+def test_given_runs_stopped_undecided_then_there_are_bounds_and_no_rate(tmp_path):
+    content = collected(
+        planted(tmp_path / 'a', [PASS] * 8 + [UNDECIDED] * 2, stop_on='violated'), claim=0.5,
+    )
+    found = formula(content)
+    assert found['satisfied']['rate'] is found['violated']['rate'] is None
+    assert found['undecided']['drawn_hits'] == 2
+    # 8 of 10 at worst, 10 of 10 at best: 44.4 to 100 %.
+    assert found['satisfied_at_least'] == pytest.approx(0.4439045, abs=1e-6)
+    assert found['satisfied_at_most'] == 1.0
+    assert content['systems'][0]['claim']['verdict'] == 'undetermined'
+    assert 'undecided' in limits(content)
+
+
+def test_given_a_sampler_that_chose_all_scenes_then_there_is_no_rate_and_it_is_said(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS] * 90 + [FAIL], drawn=False), claim=0.5)
+    found = formula(content)
+    assert found['satisfied']['rate'] is None
+    assert found['satisfied']['runs'] == 91
+    assert found['rho']['quantiles'] == []
+    assert content['systems'][0]['claim']['verdict'] == 'undetermined'
+    assert 'no-rate' in limits(content)
+    goal = next(one for one in the_goals(content) if 'How often' in one['text'])
+    assert goal['undeveloped']
+    assert 'sampler random' in goal['why']
+
+
+def test_given_a_sampler_that_chose_some_then_only_the_drawn_ones_are_in_the_rate(tmp_path):
+    drawn = [index % 2 == 0 for index in range(20)]
+    outcomes = [PASS if own else FAIL for own in drawn]
+    content = collected(planted(tmp_path / 'a', outcomes, drawn=drawn))
+    found = formula(content)['satisfied']
+    assert (found['hits'], found['runs'], found['drawn_hits'], found['drawn']) == (10, 20, 10, 10)
+    assert found['rate'] == 1.0
+    assert 'chosen-scenes' in limits(content)
+
+
+def test_given_campaigns_of_one_system_then_each_has_figures_and_their_sum_an_open_interval(
+    tmp_path
+):
+    one = planted(tmp_path / 'a', [PASS] * 30, seed=1)
+    other = planted(tmp_path / 'b', [PASS] * 28 + [FAIL] * 2, seed=2)
+    content = collected(one, other)
+    (system,) = content['systems']
+    assert system['campaigns'] == ['campaign-1', 'campaign-2']
+    each = [one['figures']['formulas'][0]['satisfied'] for one in content['campaigns']]
+    assert [(one['drawn_hits'], one['any_time']) for one in each] == [(30, False), (28, False)]
+    both = formula(content)['satisfied']
+    assert (both['drawn_hits'], both['drawn'], both['any_time']) == (58, 60, True)
+    # Wider than the interval of a number fixed beforehand: 88.5 to 99.6 %.
+    assert both['low'] < 0.8847
+    assert both['high'] > 0.9959
+    assert 'pooled' in limits(content)
+    assert 'several-stacks' not in limits(content)
+
+
+def test_given_campaigns_of_two_versions_that_are_added_up_then_a_limit_says_which(tmp_path):
+    newer = {'87654321': {'python': '3.11.7', 'taxinet_ros': '0.2.0', 'commit': 'f' * 40}}
+    content = collected(
+        planted(tmp_path / 'a', [PASS] * 3, seed=1),
+        planted(tmp_path / 'b', [PASS] * 3, seed=2, stacks=newer),
+    )
+    said = next(one['words'] for one in content['limits'] if one['id'] == 'several-stacks')
+    assert said == 'The runs were made on several machines or versions: taxinet_ros 0.1.0 | 0.2.0.'
+
+
+@pytest.mark.parametrize('other', [
+    {'perception': 'taxinet'}, {'program_sha256': None}, {'gains': {'heading_gain': 1.0}},
+    {'overrides': {'rain_percent': 0}}, {'timing': 'latency 0.1'}, {'stop_on': 'violated'},
+])
+def test_given_campaigns_that_differ_then_they_are_kept_apart(tmp_path, other):
+    if 'program_sha256' in other:
+        text = '# --- other.scenic ---\nmodel runway_world\n'
+        other = {'program_text': text,
+                 'program_sha256': hashlib.sha256(text.encode()).hexdigest()}
+    one = planted(tmp_path / 'a', [PASS] * 3, seed=1)
+    two = planted(tmp_path / 'b', [FAIL] * 4, seed=2, **other)
+    content = collected(one, two)
+    assert [formula(content, at)['satisfied']['drawn'] for at in (0, 1)] == [3, 4]
+    assert [formula(content, at)['satisfied']['drawn_hits'] for at in (0, 1)] == [3, 0]
+    assert 'several-systems' in limits(content)
+    assert sum('satisfies phi in' in one['text'] for one in the_goals(content)) == 2
+
+
+def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS, FAIL]))
+    items = content['items']
+    kinds = {one['kind'] for one in items.values()}
+    assert kinds >= {
+        'requirement', 'formula', 'program', 'network', 'training data', 'tool versions',
+        'record', 'recordings', 'model card',
+    }
+    for one in items.values():
+        assert (one['sha256'] is None) == bool(one['why_unknown'])
+        assert one['sha256'] is None or len(one['sha256']) == 64
+    assert items['system-1/network']['sha256'] == SHA['original']
+    assert items['system-1/data-1']['name'] == 'program training_original'
+    assert items['requirement']['sha256'] is None
+    assert {'no-requirement', 'no-claim', 'no-odd', 'no-localisation', 'no-bags',
+            'renderer', 'network-origin', 'not-audited', 'distribution'} <= limits(content)
+
+
+@pytest.mark.parametrize(('perception', 'sha256', 'why'), [
+    ('gone.safetensors', 'a' * 64, 'not there any more'),
+    ('mine.onnx', 'b' * 64, 'no model card names its data'),
+    ('my_file.py:look', 'c' * 64, 'no model card names its data'),
+])
+def test_given_a_network_of_unknown_training_then_that_is_a_limit_and_a_goal_left_open(
+    tmp_path, perception, sha256, why
+):
+    folder = planted(tmp_path / 'a', [PASS], perception=perception, perception_sha256=sha256)
+    content = collected(folder)
+    assert 'data-unknown' in limits(content)
+    item = content['items']['system-1/data']
+    assert item['sha256'] is None
+    assert why in item['why_unknown']
+    goal = next(one for one in the_goals(content) if 'training data' in one['text'])
+    assert goal['undeveloped']
+
+
+def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
+    odd = tmp_path / 'odd.yaml'
+    odd.write_text(
+        'name: two\nsource: planted\nparameters:\n'
+        '  cross_track: {range: [0, 8], cells: 2, source: x}\n'
+        '  clouds: {values: [clear, stratus], source: y}\n', encoding='utf-8')
+    content = collected(planted(tmp_path / 'a', [PASS] * 8), odd=str(odd))
+    (pairs,) = [one for one in content['systems'][0]['odd']['combinations'] if one['t'] == 2]
+    assert (pairs['covered'], pairs['feasible']) == (2, 4)
+    assert {'odd-cells', 'odd-pairs'} <= limits(content)
+    assert 'no-odd' not in limits(content)
+    goal = next(one for one in the_goals(content) if 'ODD two' in one['text'])
+    assert goal['verdict'] == 'undetermined'  # what happens in a gap is not known
+
+
+# Refused -----------------------------------------------------------------------------------------
+
+
+def test_given_a_table_alone_then_it_is_refused_with_what_is_missing(tmp_path):
+    folder = planted(tmp_path / 'a', [PASS])
+    shutil.copy(folder / 'runs.parquet', tmp_path / 'mine.parquet')
+    with pytest.raises(UsageError, match=r'mine\.parquet: a table alone is no evidence: without '
+                       r'campaign\.json and ledger\.jsonl'):
+        collected(tmp_path / 'mine.parquet')
+    assert collected(folder / 'runs.parquet')['campaigns'][0]['name'] == 'a'
+
+
+def damage(path, old, new):
+    data = path.read_bytes()
+    assert old in data
+    path.write_bytes(data.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda f: damage(f / 'ledger.jsonl', b'"PASS"', b'"FAIL"'), r'ledger\.jsonl:3: damaged line'),
+    (lambda f: damage(f / 'campaign.json', b'"seed": 0', b'"seed": 7'), r'campaign\.json: damaged'),
+    (lambda f: damage(f / 'runs.csv', b'PASS', b'FAIL'), r'runs\.csv'),
+    (lambda f: (f / 'runs.parquet').unlink(), r'runs\.parquet'),
+    (lambda f: (f / 'campaign.json').unlink(), r'has no campaign\.json; restore it'),
+    (lambda f: (f / 'ledger.jsonl').unlink(), 'not a campaign: no ledger'),
+    (lambda f: (f / 'ledger.jsonl').write_bytes(
+        b''.join((f / 'ledger.jsonl').read_bytes().splitlines(keepends=True)[:-1])),
+     'lines are missing at its end'),
+])
+@pytest.mark.filterwarnings('ignore')
+def test_given_a_damaged_campaign_then_it_is_refused_by_name(tmp_path, spoil, words):
+    folder = planted(tmp_path / 'a', [PASS, FAIL])
+    spoil(folder)
+    with pytest.raises(UsageError, match=words):
+        collected(folder)
+
+
+def test_given_an_unfinished_campaign_then_it_is_refused_by_name(tmp_path):
+    folder = planted(tmp_path / 'a', [PASS], finished=False)
+    with pytest.raises(UsageError, match='has not ended in order'):
+        collected(folder)
+
+
+def test_given_a_campaign_that_does_not_say_what_it_ran_then_it_is_refused(tmp_path):
+    with pytest.raises(UsageError, match='its record lacks program_text'):
+        collected(planted(tmp_path / 'a', [PASS], program_text=None))
+
+
+def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
+    folder = planted(tmp_path / 'a', [PASS])
+    shutil.copytree(folder, tmp_path / 'copy')
+    for other in (folder, tmp_path / 'copy'):
+        with pytest.raises(UsageError, match=r'has runs that are in .*a too'):
+            collected(folder, other)
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    ({'claim': 1.0}, 'expected a share between 0 and 1'), ({'claim': 0.0}, 'expected a share'),
+    ({'spec': 'psi'}, 'not judged in .*known: phi'), ({'odd': 'nowhere'}, 'no such file'),
+    ({'requirement': 'no identifier'}, 'expected an identifier'),
+    ({'requirement': 'REQ-1: '}, 'expected an identifier'),
+])
+def test_given_a_wrong_option_then_it_is_refused_by_name(tmp_path, options, words):
+    with pytest.raises(UsageError, match=words):
+        collected(planted(tmp_path / 'a', [PASS]), **options)
+
+
+def test_given_no_judged_run_then_nothing_is_said_to_be_supported_by_runs(tmp_path):
+    content = collected(planted(tmp_path / 'a', [INFRA, INFRA]), claim=0.5)
+    verdicts = {one['text']: one['verdict'] for one in the_goals(content)}
+    assert verdicts['There is no failed run to attribute'] == 'undetermined'
+    assert verdicts['Every figure rests on recorded runs that are bound by hash'] == 'undetermined'
+
+
+def test_given_runs_without_bags_then_bags_are_not_said_to_be_checked(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS, FAIL]))
+    [why] = [one['why'] for one in the_goals(content) if 'tables' in one['why']]
+    assert 'bags of 0 of 2 judged runs' in why
+
+
+def test_given_a_claim_near_100_percent_then_it_is_not_rounded_to_it(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS, FAIL]), claim=0.9999999)
+    texts = [one['text'] for one in the_goals(content)]
+    assert any('at least 99.99999 %' in text for text in texts)
+
+
+def test_given_another_network_than_that_of_the_runs_then_it_is_refused(tmp_path):
+    folder = planted(tmp_path / 'a', [PASS], perception_sha256='a' * 64)
+    with pytest.raises(UsageError, match='several networks'):
+        collected(folder)
+
+
+def test_given_results_of_others_then_they_are_refused_by_name(tmp_path):
+    folder = planted(tmp_path / 'a', [FAIL], perception='taxinet')
+    with pytest.raises(UsageError, match='a: no results of taxinet localize'):
+        collected(folder, localisations=(folder,))
+
+
+def test_given_shares_as_people_write_them_then_they_are_read():
+    assert [parse_claim(text) for text in ('0.99', '99%', '99 %', ' 99.5% ')] == pytest.approx(
+        [0.99, 0.99, 0.99, 0.995])
+    for text in ('much', '99 percent', '99% or so', ''):
+        with pytest.raises(UsageError, match='--claim'):
+            parse_claim(text)
+
+
+def test_given_a_requirement_in_a_file_then_its_hash_is_that_of_the_file(tmp_path):
+    path = tmp_path / 'req.txt'
+    path.write_bytes(b'REQ-7:  The aircraft shall\r\nstay.\n')
+    found = read_requirement(str(path))
+    assert (found.name, found.text) == ('REQ-7', 'The aircraft shall stay.')
+    assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_given_interrupted_runs_then_the_interval_is_the_open_one(tmp_path):
+    outcomes = [PASS] * 9 + [Outcome.INTERRUPTED]
+    content = collected(planted(tmp_path / 'a', outcomes, planned=20))
+    found = formula(content)['satisfied']
+    assert (found['drawn'], found['any_time']) == (9, True)
+    assert 'interrupted' in limits(content)
+
+
+def test_given_a_campaign_of_run_then_the_hash_of_its_network_is_that_of_its_runs(tmp_path):
+    content = collected(planted(tmp_path / 'a', [PASS], perception_sha256=None))
+    assert content['systems'][0]['network']['sha256'] == SHA['original']
+
+
+def test_people9_given_a_requirement_without_an_identifier_then_no_campaign_is_read_before(
+    tmp_path,
+):
+    with pytest.raises(UsageError, match='requirement stay on the line: expected an identifier'):
+        collected(tmp_path / 'absent', requirement='stay on the line')
