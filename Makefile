@@ -2,10 +2,10 @@
 # all it takes. No ROS installation is needed or used; ROS 2 Jazzy comes as wheels into .venv.
 #
 #   make          install into .venv             make test       lint, types, import rules, tests
-#   make demo     install and run the demo       make lint       the quick part of make test
-#   make format   mend what ruff can mend        make clean      remove caches and build folders
-#   make bench    times, ratios to bench.json    make distclean  the same, and .venv
-#   make docs     the documentation's site into build/docs
+#   make demo     install and run the demo       make nightly    the long tests: stress, soak, fuzz
+#   make format   mend what ruff can mend        make lint       the quick part of make test
+#   make bench    times, ratios to bench.json    make clean      remove caches and build folders
+#   make docs     the site into build/docs       make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
 #   JOBS=3              tests side by side, else three for two cores; 0: one after the other,
@@ -61,7 +61,7 @@ unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test suite bench docs lint format clean distclean asked-python
+.PHONY: install demo test suite nightly bench docs lint format clean distclean asked-python
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -74,15 +74,17 @@ demo: $(DONE)/messages
 test: lint suite
 
 # Message setters then check types and ranges; else a wrong value is cut to size in silence.
-suite: export ROS_PYTHON_CHECK_FIELDS := 1
-suite: $(DONE)/messages $(DONE)/tools
-	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile \
+suite nightly: export ROS_PYTHON_CHECK_FIELDS := 1
+suite: TIER := not nightly
+nightly: TIER := nightly
+suite nightly: $(DONE)/messages $(DONE)/tools
+	$(BIN)/python -m pytest -m '$(TIER)' -n $(JOBS) --maxprocesses 8 --dist loadfile \
 	  --no-loadscope-reorder $(PYTEST)
 
 # A report, for the machine is never as quiet as a test would need; it fails when a ratio that does
 # not depend on the machine is far off.
 bench: $(DONE)/messages
-	$(BIN)/taxinet bench all campaign --repeats $(REPEATS) --guard --json > bench.json
+	$(BIN)/taxinet bench --repeats $(REPEATS) --guard --json > bench.json
 
 # Every warning, of a lost link or heading too, fails the build; so does a test.
 docs: $(DONE)/messages $(DONE)/tools

@@ -82,8 +82,6 @@ EXTRAS = {
     'foxglove': ['foxglove-sdk'],
     # --cluster: campaigns on the workers of a Dask cluster.
     'cluster': ['dask', 'distributed'],
-    # taxinet camera compare --against mitsuba.
-    'mitsuba': ['mitsuba', 'shapely>=2.1'],
     # taxinet run --camera xplane: pictures of X-Plane's window.
     'xplane': ['mss'],
     'test': [
@@ -101,6 +99,7 @@ EXTRAS = {
         'pytest',
         'pytest-timeout',
         'pytest-xdist',
+        'shapely>=2.1',
         'websockets',
     ],
     # make docs.

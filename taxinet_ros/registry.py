@@ -41,8 +41,8 @@ _NETWORKS = (
     'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
-    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'ce-verifai', 'mab', 'bo',
-    'tpe', 'cmaes', 'splitting', 'screening',
+    'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',
+    'tpe', 'cmaes', 'splitting',
 )
 
 
@@ -60,12 +60,12 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
     WORLDS: {
         KMWH: 'taxinet_ros.core.world:SimulatedWorld',
-        'xplane': 'taxinet_ros.simulators.xplane.world:XPlaneWorld',
+        'xplane': 'taxinet_ros.extras.xplane.world:XPlaneWorld',
     },
     CAMERAS: {
         'ours': 'taxinet_ros.core.camera.camera:Camera',
-        'flightgear': 'taxinet_ros.simulators.flightgear.camera:FlightGearCamera',
-        'xplane': 'taxinet_ros.simulators.xplane.camera:XPlaneCamera',
+        'flightgear': 'taxinet_ros.extras.flightgear.camera:FlightGearCamera',
+        'xplane': 'taxinet_ros.extras.xplane.camera:XPlaneCamera',
     },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
@@ -77,8 +77,8 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'evidence': 'taxinet_ros.extras.evidence.commands:evidence_app',
         'tune': 'taxinet_ros.extras.tune.commands:tune',
         'live-monitor': 'taxinet_ros.extras.live_monitor.commands:live_monitor',
-        'flightgear': 'taxinet_ros.cli.run.commands:flightgear_app',
-        'xplane': 'taxinet_ros.cli.run.commands:xplane_app',
+        'flightgear': 'taxinet_ros.extras.flightgear.commands:app',
+        'xplane': 'taxinet_ros.extras.xplane.commands:app',
     },
 }
 """Shipped extensions: target (``module:object``) by extension point and name, in the order in

@@ -29,20 +29,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, make_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, make_controller
-from taxinet_ros.core.motion.controller import check_controller as controller_fingerprint
 from taxinet_ros.core.mtl import parse_formula, parse_spec, robustness, signal_names
-from taxinet_ros.core.perception.perception import UserPerception, make_perception
-from taxinet_ros.core.perception.perception import check_perception as perception_fingerprint
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.core.user_code import UserCodeError, pair_of_numbers
+from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
@@ -87,28 +85,20 @@ class ContractError(AssertionError):
 def check_perception(word: str) -> None:
     """Check that a perception is usable in runs.
 
-    It must answer each (200, 360, 3) uint8 RGB frame, of a runway or of nothing, with one
-    :class:`.TrackingError` of plain floats, finite and in metres and radians or declared invalid;
-    leave the frame unmodified; give no estimate without an input; and give the same answers in
-    each run, whatever the previous runs, and in each process. A function without an estimate
-    returns None or one that is not ``valid``, never NaN.
+    It must answer each (200, 360, 3) uint8 RGB frame, of a runway or of nothing, with one estimate
+    in metres and radians, or none; give no estimate without an input; and give the same answers in
+    each run, whatever the previous runs, and in each process.
 
     Raises:
         ContractError: it does not.
     """
     with _Complaints('perception', word) as complain:
         found = make_perception(word)
-        told = perception_fingerprint(word)
-        complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
         complain.unless(type(found.needs_image) is bool, 'needs_image is no bool')
         for number, (frame, truth) in enumerate(_sights()):
             found.begin()
-            before = frame.copy()
             estimate = found.estimate(frame, truth)
-            complain.unless(np.array_equal(frame, before), f'writes on frame {number}')
             _check_estimate(complain, number, estimate)
-        if isinstance(found, UserPerception):
-            _check_function(complain, found)
         found.begin()
         complain.unless(
             not found.estimate(None, None).usable, 'has an estimate without frame and truth'
@@ -129,8 +119,6 @@ def check_controller(word: str) -> None:
     """
     with _Complaints('controller', word) as complain:
         found = make_controller(word, SteeringGains())
-        told = controller_fingerprint(word)
-        complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
         found.begin()
         for estimate in (*_TRUTHS, *_UNUSABLE):
             _check_command(complain, estimate, found.command(estimate))
@@ -145,8 +133,8 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     [0, 1) within the space that depend only on seed, options and results, in each process. The
     weight of a run must be positive or None, and learned values must be probabilities. A run
     without a result must be accepted, and a sampler that learns must be copyable
-    (:func:`copy.deepcopy`). Points of one whose kind says that they do not depend on results
-    (``depends_on``), so that searches can be run in shards, must not.
+    (:func:`copy.deepcopy`). Points of one whose kind says that it does not learn must not depend
+    on results.
 
     Args:
         name: name of the sampler.
@@ -169,8 +157,10 @@ def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
             other = _sample(name, number, 2, runs, options)
             complain.unless(points != other, 'different seeds give equal points')
             against = _sample(name, number, 1, runs, options, -1.0)
-            free = kind is None or kind.depends_on is DependsOn.RESULTS or points == against
-            complain.unless(free, 'its points depend on results, but depends_on says otherwise')
+            free = kind is None or kind.learns or points == against
+            complain.unless(
+                free, 'its points depend on results, but its kind says that it does not learn'
+            )
             _check_book(complain, name, space, runs, options)
         told = _elsewhere(_sample, name, 0, 1, runs, options)
         here = _sample(name, 0, 1, runs, options)
@@ -327,39 +317,10 @@ def _sights() -> list[tuple[NDArray[np.uint8], TrackingError]]:
 
 def _check_estimate(complain: _Complaints, number: int, estimate: TrackingError) -> None:
     complain.unless(
-        isinstance(estimate, TrackingError),
-        f'answers frame {number} with {type(estimate).__name__}, not a TrackingError',
-    )
-    if not estimate.valid:
-        return
-    complain.unless(
-        (type(estimate.cte_m), type(estimate.he_rad)) == (float, float) and estimate.usable,
-        f'answers frame {number} with {estimate}, no two finite floats',
-    )
-    complain.unless(
-        abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi,
+        not estimate.usable
+        or (abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi),
         f'answers frame {number} with {estimate}: in metres and radians?',
     )
-
-
-def _check_function(complain: _Complaints, found: UserPerception) -> None:
-    """Check the raw answers of a user function; runs only use the valid ones."""
-    look = found.code.make()
-    for number, (frame, truth) in enumerate(_sights()):
-        given = frame.copy()
-        with found.code.running(UsageError):
-            answer = look(given if found.needs_image else truth)
-        complain.unless(
-            np.array_equal(given, frame), f'writes on frame {number}; let it write on a copy'
-        )
-        declared = isinstance(answer, TrackingError) and not answer.valid
-        pair = (answer.cte_m, answer.he_rad) if isinstance(answer, TrackingError) else answer
-        numbers = None if declared or answer is None else pair_of_numbers(pair)
-        complain.unless(
-            numbers is None or all(map(math.isfinite, numbers)),
-            f'answers frame {number} with {answer}, no two finite floats; where it cannot tell it '
-            'has to say None',
-        )
 
 
 def _check_signs(complain: _Complaints, found: Controller) -> None:
@@ -380,12 +341,6 @@ def _check_signs(complain: _Complaints, found: Controller) -> None:
 
 
 def _check_command(complain: _Complaints, estimate: TrackingError, command: TaxiCommand) -> None:
-    complain.unless(
-        isinstance(command, TaxiCommand),
-        f'answers {estimate} with {type(command).__name__}, not a TaxiCommand',
-    )
-    fine = math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf
-    complain.unless(fine, f'answers {estimate} with {command}, which no aircraft can follow')
     complain.unless(
         abs(command.steering_rad) <= math.pi / 2 and command.speed_mps <= MOST_SPEED_MPS,
         f'answers {estimate} with {command}: in radians and m/s?',
@@ -425,17 +380,10 @@ def _check_book(
 
 
 def _check_observation(complain: _Complaints, seq: int, now: Observation) -> None:
-    stamp_ns = seq * CONTROL_PERIOD_NS
-    complain.unless(
-        (now.seq, now.stamp_ns) == (seq, stamp_ns),
-        f'is at step {now.seq}, {now.stamp_ns} ns, where it has to be at {seq}, {stamp_ns} ns',
-    )
     state = now.state
     complain.unless(
-        isinstance(state, AircraftState) and all(
-            type(value) is float and math.isfinite(value)
-            for value in dataclasses.astuple(state)
-        ), f'step {seq}: state {state} is not of finite floats',
+        all(type(value) is float and math.isfinite(value) for value in dataclasses.astuple(state)),
+        f'step {seq}: state {state} is not of finite floats',
     )
     image = now.image
     complain.unless(

@@ -9,8 +9,9 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from taxinet_ros.bag.cdr.decode import decode
-from taxinet_ros.bag.reader import StoredMessage, read_attachment, read_info, stored_messages
+from taxinet_ros.bag.reader import read_attachment, read_info, stored_messages
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.writer import RUN_METADATA, BagWriter
 from taxinet_ros.core.types import TaxiCommand, quaternion
 from taxinet_ros.core.world import SimulatedWorld

@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 
+import forkserver
 import psutil
 import pytest
 from hypothesis import HealthCheck, settings
@@ -20,6 +21,8 @@ os.environ['TAXINET_HEARTBEAT_S'] = '0'
 # A shell that starts tests in the background has them, and all that they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+forkserver.install()
 
 # How long an example takes is the machine's affair; pytest's timeout ends what hangs. Examples are
 # the same each time, so that a change is judged by itself; --hypothesis-profile=search draws
@@ -49,6 +52,5 @@ def pytest_xdist_auto_num_workers() -> int:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Have the files with long tests begun first, lest one of them is left for the end."""
-    long = {item.path for item in items for _ in item.iter_markers('slow')}
-    ros = {item.path for item in items for _ in item.iter_markers('ros')}
-    items.sort(key=lambda item: (item.path not in long, item.path not in ros))
+    long = {item.path for item in items for _ in item.iter_markers('ros')}
+    items.sort(key=lambda item: item.path not in long)

@@ -21,6 +21,8 @@ from packaging.version import Version
 
 import taxinet_ros
 
+pytestmark = pytest.mark.nightly
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 PREFIX = Path(sys.prefix)
 EXECUTABLES = {

@@ -14,6 +14,8 @@ import pytest
 
 import taxinet_ros as tx
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / 'docs'
 
@@ -50,7 +52,6 @@ def site(tmp_path_factory):
     }
 
 
-@pytest.mark.slow
 def test_given_the_site_then_every_link_within_it_leads_to_a_file_and_an_anchor(site):
     lost = []
     for path, page in site.items():
@@ -68,7 +69,6 @@ def test_given_the_site_then_every_link_within_it_leads_to_a_file_and_an_anchor(
     assert lost == []
 
 
-@pytest.mark.slow
 def test_given_the_site_then_every_page_of_the_docs_is_in_it_and_in_its_menu(site):
     names = {page.relative_to(DOCS).with_suffix('.html').as_posix() for page in DOCS.rglob('*.md')}
     home = next(path for path in site if path.name == 'index.html' and path.parent.name == 'html')
@@ -79,7 +79,6 @@ def test_given_the_site_then_every_page_of_the_docs_is_in_it_and_in_its_menu(sit
     assert names - menu == {'index.html'} - menu
 
 
-@pytest.mark.slow
 def test_given_the_reference_then_it_has_every_command_key_column_and_kind(site):
     sys.path.insert(0, str(DOCS / '_site'))
     try:

@@ -220,8 +220,8 @@ def _execute(search: Search, led: Cluster | None) -> None:
     ))
     out = options.campaign.out
     pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
-        led, command, out, runs=options.runs, in_flight=options.in_flight,
-        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
+        led, command, out, fingerprint=facts['perception_sha256'],
+        on_machine=search.book.add_machine,
     )
     with pool:
         run_search(search, pool)

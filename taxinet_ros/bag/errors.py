@@ -12,16 +12,12 @@ class BagError(Exception):
 
     Attributes:
         path: the file or folder concerned, or None if unknown.
-        recovered: number of intact messages read before the error.
         offset: byte offset of the damage in the file, or -1 if it has none.
     """
 
-    def __init__(
-        self, message: str, *, path: Path | None = None, recovered: int = 0, offset: int = -1
-    ) -> None:
+    def __init__(self, message: str, *, path: Path | None = None, offset: int = -1) -> None:
         super().__init__(plain_line(message))
         self.path = path
-        self.recovered = recovered
         self.offset = offset
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.reading import UnfitFileError, check_regular
 
 METADATA_FILE = 'metadata.yaml'
 STORAGE_ID = 'mcap'
@@ -67,23 +66,13 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         BagEmpty: the folder contains no storage file.
         BagForeign: the folder contains a bag of another storage.
     """
-    if not path.is_dir() and path.exists():
-        _check_regular(path)
-        if path.name.endswith(f'.{STORAGE_ID}.zstd'):
-            raise BagForeign(compressed(path, 'file'), path=path)
-        if path.suffix == '.db3':
-            raise _sqlite3(path)
-        return (path,)
     if not path.is_dir():
-        raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
+        return (_storage_file(path),)
     # A killed recorder has compressed all files except the last.
     if any(not file.with_suffix('').exists() for file in path.glob(f'*.{STORAGE_ID}.zstd')):
         raise BagForeign(compressed(path, 'file'), path=path)
-    files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
-    if files:
-        for file in files:
-            _check_regular(file)
-        return tuple(files)
+    if files := sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number):
+        return tuple(map(_storage_file, files))
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
     if runs := sorted(folder for folder in path.glob('*/') if holds_bag(folder)):
@@ -91,13 +80,16 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
 
 
-def _check_regular(path: Path) -> None:
-    try:
-        check_regular(path)
-    except UnfitFileError as error:
-        raise UsageError(f'{path}: {error.what}') from None
-    except OSError as error:
-        raise UsageError(f'{path}: cannot be read: {error.strerror}') from error
+def _storage_file(path: Path) -> Path:
+    if not path.exists():
+        raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
+    if not path.is_file():
+        raise UsageError(f'{path}: not a regular file')
+    if path.name.endswith(f'.{STORAGE_ID}.zstd'):
+        raise BagForeign(compressed(path, 'file'), path=path)
+    if path.suffix == '.db3':
+        raise _sqlite3(path)
+    return path
 
 
 def _sqlite3(path: Path) -> BagForeign:

@@ -18,7 +18,7 @@ from mcap.records import Attachment
 from taxinet_ros.bag.description import NOT_STARTED_NS, BagContent, file_text, record_text
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.storage.summary import read_statistics
+from taxinet_ros.bag.storage.reader import read_statistics
 from taxinet_ros.bag.storage.writer import StorageFile
 from taxinet_ros.bag.topics import TopicInfo, check_topics
 from taxinet_ros.errors import UsageError

@@ -1,1 +1,1 @@
-"""Benchmarks: subjects measured side by side on one machine, in one run. No ROS."""
+"""``taxinet bench``: camera, closed loop and graph, measured in turns on one machine."""

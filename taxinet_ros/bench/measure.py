@@ -12,12 +12,11 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from taxinet_ros.core.provenance import provenance
 
@@ -38,6 +37,8 @@ def machine_facts() -> dict[str, Any]:
         LOAD: [round(load, 2) for load in os.getloadavg()],
     }
 
+
+_QUARTILES = (0.25, 0.5, 0.75)
 
 Clock = Callable[[], int]
 """Nanoseconds since an arbitrary moment."""
@@ -97,39 +98,27 @@ class Figure:
     real_time_per_core: float | None = None
 
 
+@dataclass
 class _Samples:
     """Times of one figure, in nanoseconds."""
 
-    def __init__(self, subject: Subject) -> None:
-        self._subject = subject
-        self.wall: list[int] = []
-        self.cpu: list[int] = []
+    subject: Subject
+    wall: list[int] = field(default_factory=list)
+    cpu: list[int] = field(default_factory=list)
 
     def figure(self) -> Figure:
-        per_call = 1e9 * self._subject.calls
-        wall = np.array(self.wall) / per_call
-        q1, median, q3 = _quartiles(wall)
-        cpu_q1, cpu, cpu_q3 = (
-            _quartiles(np.array(self.cpu) / per_call) if self.cpu else (None, None, None)
-        )
-        simulated = self._subject.simulated_s
+        per_call, simulated = 1e9 * self.subject.calls, self.subject.simulated_s
+        q1, median, q3 = (np.quantile(self.wall, _QUARTILES) / per_call).tolist()
+        cpu = [None, None, None]
+        if self.cpu:
+            cpu = (np.quantile(self.cpu, _QUARTILES) / per_call).tolist()
         return Figure(
-            median_s=median,
-            q1_s=q1,
-            q3_s=q3,
-            min_s=float(wall.min()),
-            cpu_s=cpu,
-            repeats=len(wall),
+            median_s=median, q1_s=q1, q3_s=q3,
+            min_s=min(self.wall) / per_call, repeats=len(self.wall),
+            cpu_q1_s=cpu[0], cpu_s=cpu[1], cpu_q3_s=cpu[2],
             real_time_factor=simulated / median if simulated and median > 0 else None,
-            cpu_q1_s=cpu_q1,
-            cpu_q3_s=cpu_q3,
-            real_time_per_core=simulated / cpu if simulated and cpu else None,
+            real_time_per_core=simulated / cpu[1] if simulated and cpu[1] else None,
         )
-
-
-def _quartiles(times: NDArray[np.float64]) -> tuple[float, float, float]:
-    q1, median, q3 = (float(q) for q in np.quantile(times, (0.25, 0.5, 0.75)))
-    return q1, median, q3
 
 
 def measure(

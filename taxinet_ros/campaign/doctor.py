@@ -1,27 +1,16 @@
-"""Check a folder of results, and repair it without losing a recorded byte.
+"""Check a folder of results: what is damaged, missing or unfinished.
 
 Checks, in the folder and its subfolders: every journal (ledgers, trials, stages, rounds, finished
 images), every sealed JSON file and the files it has checksums of, a campaign's tables against its
 ledger, each bag against its row, each picture of a dataset against its label, the recorded outputs
 of a study, and drafts left by a killed process. Everything else, such as derived pages and plots,
-is listed as not checked.
-
-Repair trusts the ledger. Tables and ``campaign.json`` are rewritten from it. A journal with
-damaged lines is kept as a copy, and its intact lines are written to a new one. A table or
-``campaign.json`` with different content is kept as a copy too, and losses are recorded in the
-ledger, so that neither doctor nor gate takes it for complete.
-
-If ``campaign.json`` and the tables agree but the ledger belongs to another campaign, the former are
-trusted.
+is listed as not checked. What is damaged or missing is made again by ``--resume``.
 """
 
 from __future__ import annotations
 
-import fcntl
 import io
-import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,17 +20,10 @@ from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
-from taxinet_ros.campaign.record.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
-from taxinet_ros.campaign.record.ledger import (
-    LedgerContent,
-    ledger_content,
-    lost_event,
-    possible_events,
-    read_ledger,
-)
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
     CSV_NAME,
@@ -49,26 +31,15 @@ from taxinet_ros.campaign.record.table import (
     csv_text,
     read_any_table,
     table,
-    write_tables,
 )
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import DRAFTS, write_atomically
-from taxinet_ros.files.journal import (
-    JournalContent,
-    JournalEnd,
-    chained_line,
-    lost_end,
-    parse_journal,
-)
-from taxinet_ros.files.pages import PAGES_NAME, page_sha256
-from taxinet_ros.files.sealed_json import SealedJson, file_sha256, read_sealed
-
-MEND = 'taxinet doctor --mend {folder}'
-"""Repair command; the folder's path is filled in."""
+from taxinet_ros.files.atomic import DRAFTS
+from taxinet_ros.files.journal import lost_end, parse_journal
+from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
 _DATASET, _REQUEST, _STAGES = 'dataset.json', 'request.json', 'stages.jsonl'
-_RESUME = 'the command that made it, with --resume'
+_RESUME = 'the command that made it, with --resume if it has that'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
 
@@ -120,13 +91,12 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
             found.count('journals', path=path)
             if path.name != LEDGER_NAME:
                 for number, why in parse_journal(path.read_bytes()).troubles:
-                    found.report(f'{path}:{number}', why, MEND)
+                    found.report(f'{path}:{number}', why, _RESUME)
             if path.name == _STAGES:
                 _check_stages(path, found)
         _check_sealed(place, found)
         if place / LEDGER_NAME in journals:
             _check_campaign(place, found, on_bag)
-        _check_experiment(place, found)
         _check_pictures(place, found)
         _check_drafts(place, found)
     if not found.looked_at:
@@ -137,26 +107,6 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     for place in places:
         _name_unchecked(place, set(places), found)
     return found
-
-
-def mend(folder: Path) -> list[str]:
-    """Repair journals, tables and ``campaign.json`` in a folder and all folders below.
-
-    Returns:
-        Lines on what was repaired.
-
-    Raises:
-        UsageError: the folder is in use.
-    """
-    done: list[str] = []
-    for place in _places(folder):
-        _check_regular(place)
-        for path in sorted(place.glob('[!.]*.jsonl')):
-            with locked(path):
-                done += _mend_journal(path)
-                if path.name == LEDGER_NAME:
-                    done += _mend_campaign(place)
-    return done
 
 
 def _places(folder: Path) -> Iterator[Path]:
@@ -191,13 +141,6 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
     return files
 
 
-def _check_regular(place: Path) -> None:
-    for path in sorted(place.iterdir()):  # a glob for a name skips dangling links
-        known = path.suffix == '.jsonl' or path.name in (FACTS_NAME, CSV_NAME, PARQUET_NAME)
-        if known and not path.is_file():
-            raise UsageError(f'{path}: is not a regular file; move it away, then repair the rest')
-
-
 # Campaigns ---------------------------------------------------------------------------------------
 
 
@@ -207,10 +150,15 @@ def _check_campaign(
     path = folder / LEDGER_NAME
     parsed = parse_journal(path.read_bytes())
     for number, why in parsed.troubles:
-        found.report(f'{path}:{number}', why, MEND)
-    if parsed.unprotected:
-        found.notes.append(f'{path}: its first {parsed.unprotected} lines have no checksums')
-    content = _content(folder, parsed, found)
+        found.report(f'{path}:{number}', why, _RESUME)
+    intact = [line.event for line in parsed.lines if line.event is not None]
+    try:
+        content = ledger_content(path, intact) if parsed.troubles else read_ledger(path)
+    except UsageError as error:
+        where, _, what = str(error).partition(': ')
+        if not any(where.startswith(one.where) for one in found.findings):
+            found.report(where, what, _RESUME)
+        return
     found.count('runs', len(content.rows))
     if not parsed.troubles:
         _check_tables(folder, content, found)
@@ -221,28 +169,13 @@ def _check_campaign(
     _check_runs(folder, content, found)
 
 
-def _content(folder: Path, parsed: JournalContent, found: Examination) -> LedgerContent:
-    """Content of the ledger's intact lines."""
-    path = folder / LEDGER_NAME
-    try:
-        if not parsed.troubles:
-            return read_ledger(path)
-    except UsageError as error:
-        where, _, what = str(error).partition(': ')
-        if not any(where.startswith(one.where) for one in found.findings):
-            found.report(where, what, MEND)
-    facts = _trusted_facts(folder)
-    own = facts.values if facts else {}
-    return ledger_content(path, possible_events(_sound_events(parsed)[0], own))
-
-
 def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> None:
     """Check that the tables agree with the ledger."""
     names = [name for name in (CSV_NAME, PARQUET_NAME) if not (folder / name).is_file()]
     if names or not (folder / FACTS_NAME).is_file():
         names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
         why = '' if content.finished else ' (the campaign has not ended in good order)'
-        found.report(folder, f'{", ".join(names)} not there{why}', MEND)
+        found.report(folder, f'{", ".join(names)} not there{why}', _RESUME)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
@@ -251,7 +184,7 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
             if not same(path, expected):
                 more = _only_there(path, content)
                 also = f': it has run {ranges(more)}, and the ledger has not' if more else ''
-                found.report(path, f'does not say what the ledger says{also}', MEND)
+                found.report(path, f'does not say what the ledger says{also}', _RESUME)
 
 
 def _only_there(path: Path, content: LedgerContent) -> list[int]:
@@ -310,21 +243,13 @@ def _check_bag(
 
 
 def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:
-    """Check for intents without result, results without intent, and bags with neither."""
-    for line in content.lost:
-        if line in content.incomplete:
-            found.report(folder / LEDGER_NAME, line.replace('; ', ', '))
-        else:
-            found.notes.append(f'{folder / LEDGER_NAME}: {line}')
+    """Check for runs that were started and have no result, and for bags without a result."""
     if content.unfinished:
         said = f'run {ranges(content.unfinished)}: started but has no result'
         if content.finished:
-            found.report(folder / LEDGER_NAME, said, 'the command that made it, with --resume')
+            found.report(folder / LEDGER_NAME, said, _RESUME)
         else:
             found.notes.append(f'{folder / LEDGER_NAME}: {said}; --resume runs it again')
-    if content.never_begun:
-        said = f'run {ranges(content.never_begun)}: has a result but no record of its start'
-        found.report(folder / LEDGER_NAME, said)
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
         if bag.name not in known and '.broken-' not in bag.name:
@@ -349,78 +274,25 @@ def _verdict_of(bag: Path) -> str:
 def _check_sealed(place: Path, found: Examination) -> None:
     """Check sealed JSON files, and the files and journals they have checksums of."""
     for path in _files(place, '*.json', found):
-        data = path.read_bytes()
-        if b'"seal"' not in data and b'"checksum"' not in data:
-            if path.name == FACTS_NAME:
-                found.notes.append(f'{path}: of an earlier version, without a checksum')
+        if b'"seal"' not in path.read_bytes():
             continue
         found.count('indices', path=path)
-        mended = MEND if path.name == FACTS_NAME else 'the command that made it, again'
         try:
             sealed = read_sealed(path)
         except UsageError as error:
-            found.report(path, error, mended)
+            found.report(path, error, _RESUME)
             continue
         found.checked |= {place / name for name in sealed.files}
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
-                found.report(place / name, f'is missing, but listed in {path.name}', mended)
+                found.report(place / name, f'is missing, but listed in {path.name}', _RESUME)
             elif file_sha256(place / name) != digest:
-                found.report(place / name, f'is not the file recorded in {path.name}', mended)
+                found.report(place / name, f'is not the file recorded in {path.name}', _RESUME)
         for name, ended in sealed.journals.items():
             journal = place / name
             data = journal.read_bytes() if journal.is_file() else b''
             if why := lost_end(parse_journal(data), ended):
-                found.report(journal, why, MEND if data else '')
-
-
-def _check_experiment(place: Path, found: Examination) -> None:
-    """Check that an experiment's sealed file exists if its arms and files imply it."""
-    index = place / JSON_NAME
-    if index in found.checked:
-        return
-    left = [name for name in (PAIRS_NAME, PAGE_NAME) if (place / name).is_file()]
-    arms = _arms(place)
-    if not (left or arms):
-        return
-    found.count('experiments without an index')
-    there = [name for name, content in arms.items() if content is not None]
-    missing = [name for name in arms if name not in there]
-    # An arm starts when the previous one has completed all its runs.
-    gone = [name for name in missing if any(name in _arms_before(arms, later) for later in there)]
-    for name in gone:
-        found.report(place / name, f'is not there, an arm of the experiment of {there[-1]}')
-    counts = {len(content.rows) for content in arms.values() if content is not None}
-    if left or gone or (not missing and len(counts) == 1):
-        why = f'{", ".join(there)} have had their runs' if not gone else 'an arm is gone'
-        why = f'{left[0]} is there' if left else why
-        found.report(index, f'has no record of the experiment, although {why}', _RESUME)
-    else:
-        # An experiment interrupted between two arms looks the same; --resume gives the same result.
-        which = f', without {" and ".join(missing)}' if missing else ''
-        found.notes.append(f'{place}: an unfinished experiment{which}; continue with --resume')
-
-
-def _arms(place: Path) -> dict[str, LedgerContent | None]:
-    """The arms of the experiment in a folder, in recorded order; None for a missing one."""
-    for path in sorted(place.glob(f'*/{LEDGER_NAME}')):
-        names = _arm_content(path).campaign.get(ARMS, [])
-        if isinstance(names, list) and path.parent.name in names:
-            ledgers = {str(name): place / str(name) / LEDGER_NAME for name in names}
-            return {
-                name: _arm_content(ledger) if ledger.is_file() else None
-                for name, ledger in ledgers.items()
-            }
-    return {}
-
-
-def _arm_content(path: Path) -> LedgerContent:
-    """Content of a ledger's intact lines; its damage is reported elsewhere."""
-    return _content(path.parent, parse_journal(path.read_bytes()), Examination())
-
-
-def _arms_before(arms: Mapping[str, object], name: str) -> list[str]:
-    return list(arms)[:list(arms).index(name)]
+                found.report(journal, why, _RESUME)
 
 
 def _check_pictures(place: Path, found: Examination) -> None:
@@ -458,7 +330,7 @@ def _check_stages(path: Path, found: Examination) -> None:
             found.checked.add(output)
             if not output.is_file():
                 found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
-            elif page_sha256(output) != digest:
+            elif file_sha256(output) != digest:
                 found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
@@ -470,7 +342,7 @@ def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
         if path not in found.checked | places | told
     ]
     found.unchecked += left
-    derived = [path for path in left if path.suffix in _DERIVED or path.name == PAGES_NAME]
+    derived = [path for path in left if path.suffix in _DERIVED]
     for names, what in ((derived, 'made from the rest'), (
         [path for path in left if path not in derived], 'no record to verify against'
     )):
@@ -488,227 +360,3 @@ def _check_drafts(place: Path, found: Examination) -> None:
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
             mended = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
             found.report(path, 'left by a killed process; not used', mended)
-
-
-# Mending -----------------------------------------------------------------------------------------
-
-
-def _sound_events(content: JournalContent) -> tuple[list[dict[str, Any]], list[int]]:
-    """Events of a journal's intact lines in writing order, without duplicates.
-
-    Returns:
-        The events, and the numbers of the lines that are damaged.
-    """
-    damaged = [at for at, line in enumerate(content.lines, 1) if line.event is None]
-    old = [line.event for line in content.lines if line.event is not None and not line.link]
-    left = {line.link: line.event for line in content.lines if line.event is not None and line.link}
-    link, events = content.links[0], old
-    while left:
-        after = next((one for one in left if chained_line(link, left[one])[1] == one), None)
-        link = after if after is not None else next(iter(left))
-        events.append(left.pop(link))
-    return events, damaged
-
-
-def _mend_journal(path: Path) -> list[str]:
-    """Keep a copy of a damaged journal and rewrite its intact lines; lines on the repair."""
-    content = parse_journal(path.read_bytes())
-    why = [f'line {number}: {words}' for number, words in content.troubles]
-    events, damaged = _sound_events(content)
-    if path.name == LEDGER_NAME:
-        return _mend_ledger(path, content, why)
-    if not why:
-        return []
-    return [_write_anew(path, events, damaged, _free_name(path))]
-
-
-def _write_anew(path: Path, events: list[dict[str, Any]], damaged: list[int], aside: Path) -> str:
-    shutil.copyfile(path, aside)
-    write_atomically(path, b''.join(_chained(events)[0]))
-    lost = f'; lost: line {ranges(damaged)}' if damaged else ''
-    return f'{path}: copied to {aside.name}; its intact lines were rewritten{lost}'
-
-
-def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
-    """The lines of a new journal, and the chain hash after each prefix."""
-    lines, links = [], [JournalContent().end.link]
-    for event in events:
-        line, link = chained_line(links[-1], event)
-        lines.append(line)
-        links.append(link)
-    return lines, links
-
-
-def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[str]:
-    """Like :func:`_mend_journal`; permanent losses are recorded in the ledger."""
-    sound, damaged = _sound_events(content)
-    trusted, facts = _trusted_facts(path.parent), _sealed_facts(path.parent)
-    events = possible_events(sound, trusted.values if trusted else {})
-    if len(events) < len(sound):
-        why.append(
-            f'{len(sound) - len(events)} lines are invalid or belong to another campaign'
-        )
-    foreign = any(event['event'] == 'campaign' and event not in events for event in sound)
-    if restored := _with_facts(events, facts):
-        events = restored
-        why.append(f'what the campaign is was put back from {FACTS_NAME}')
-    ended = facts.journals.get(path.name) if facts else None
-    end = _end_trouble(content, events, ended)
-    missing = _missing_runs(path.parent, events)
-    if ended is None and (why or _needs_tables(path.parent, events)):
-        why.append(f'no {FACTS_NAME} recorded its end, so its end is unverified')
-    if missing:
-        why.append(f'without a result that was in the tables: run {ranges(missing)}')
-    why += [end] if end else []
-    if not why:
-        return []
-    incomplete = bool(missing or foreign or (end and not _known_to_tables(path.parent, events)))
-    aside = _free_name(path)
-    said = f'{"; ".join(why)}; the original is kept as {aside.name}'
-    events.append(lost_event(said, missing, incomplete=incomplete))
-    return [_write_anew(path, events, damaged, aside)]
-
-
-def _with_facts(
-    events: list[dict[str, Any]], facts: SealedJson | None
-) -> list[dict[str, Any]] | None:
-    """Events with the campaign's lost facts restored; None if they are not lost."""
-    if facts is None or any(event['event'] == 'campaign' for event in events):
-        return None
-    restored = possible_events([{'event': 'campaign', 'campaign': facts.values}, *events])
-    return restored if len(restored) == 1 + len(events) else None
-
-
-def _needs_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
-    """Whether the repair will rewrite ``campaign.json`` and the tables."""
-    trouble = Examination()
-    _check_sealed(folder, trouble)
-    _check_tables(folder, ledger_content(folder / LEDGER_NAME, events), trouble)
-    return bool(trouble.findings)
-
-
-def _end_trouble(
-    content: JournalContent, events: list[dict[str, Any]], ended: JournalEnd | None
-) -> str:
-    """Text on the difference of the intact lines from the ledger's recorded end, or ''."""
-    why = lost_end(content, ended) if ended else ''
-    if not ended or content.unprotected:
-        return why
-    links = _chained(events)[1]
-    if len(links) > ended.lines >= 0:
-        same = links[ended.lines] == ended.link
-        return '' if same else f'its first {ended.lines} lines are not those that it had'
-    return why or f'{ended.lines + 1 - len(links)} of the {ended.lines} lines that it had are lost'
-
-
-def _sealed_facts(folder: Path) -> SealedJson | None:
-    """An intact ``campaign.json`` with a checksum."""
-    try:
-        facts = read_facts(folder)
-    except UsageError:
-        return None
-    return facts if facts and facts.sealed else None
-
-
-def _trusted_facts(folder: Path) -> SealedJson | None:
-    """An intact ``campaign.json`` whose tables belong to its campaign and are intact."""
-    facts = _sealed_facts(folder)
-    if facts is None or not facts.files:
-        return None
-    there = [folder / name for name in facts.files]
-    same = all(path.is_file() and file_sha256(path) == facts.files[path.name] for path in there)
-    return facts if same else None
-
-
-def _missing_runs(folder: Path, events: list[dict[str, Any]]) -> list[int]:
-    """Runs in a table but not in these events."""
-    content = ledger_content(folder / LEDGER_NAME, events)
-    there = (folder / name for name in (CSV_NAME, PARQUET_NAME))
-    return sorted({
-        index for path in there if path.is_file() for index in _only_there(path, content)
-    })
-
-
-def _known_to_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
-    """Whether the verified tables contain no more than these events."""
-    content = ledger_content(folder / LEDGER_NAME, events)
-    expected = table(content.rows, list(content.campaign.get('specs', {})))
-    path = folder / PARQUET_NAME
-    return bool(_trusted_facts(folder) and path.is_file() and _same_parquet(path, expected))
-
-
-def _mend_campaign(folder: Path) -> list[str]:
-    """Rewrite tables and ``campaign.json`` from an intact ledger; lines on the repair."""
-    path, trouble = folder / FACTS_NAME, Examination()
-    events = [line.event for line in parse_journal((folder / LEDGER_NAME).read_bytes()).lines]
-    content = ledger_content(folder / LEDGER_NAME, [event for event in events if event])
-    _check_sealed(folder, trouble)
-    _check_tables(folder, content, trouble)
-    told = [event['campaign'] for event in events if event and event['event'] == 'campaign']
-    foreign = _is_foreign(folder, told)
-    if not foreign and not trouble.findings:
-        return []
-    if not (content.campaign or path.is_file()):
-        return [f'{folder}: its ledger does not say what the campaign is; no {FACTS_NAME}']
-    done = _back_up(folder, content, foreign)
-    if foreign:
-        path.unlink()
-        if not content.campaign:
-            return [*done, f'{folder}: its ledger does not say what the campaign is']
-    if content.campaign:
-        write_facts(folder, content.campaign)
-    write_tables(content.rows, folder, list(content.campaign.get('specs', {})))
-    return [*done, f'{folder}: {FACTS_NAME}, {CSV_NAME} and {PARQUET_NAME} rewritten']
-
-
-def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
-    """Whether ``campaign.json`` is damaged, or contradicts the ledger."""
-    try:
-        facts = read_facts(folder)
-    except UsageError:
-        return True
-    return bool(facts is not None and facts.sealed and told and facts.values not in told)
-
-
-def _back_up(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
-    """Copy files with different content before they are overwritten; lines on the repair."""
-    expected = table(content.rows, list(content.campaign.get('specs', {})))
-    changed = [folder / FACTS_NAME] if foreign or _other_facts(folder, content) else []
-    for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
-        if (folder / name).is_file() and not same(folder / name, expected):
-            changed.append(folder / name)
-    done = []
-    for path in changed:
-        aside = _free_name(path)
-        shutil.copyfile(path, aside)
-        done.append(f'{path}: copied to {aside.name}')
-    return done
-
-
-def _other_facts(folder: Path, content: LedgerContent) -> bool:
-    """Whether an intact ``campaign.json`` has more facts than its replacement."""
-    facts = read_facts(folder)
-    if facts is None:
-        return False
-    ended = facts.journals.get(LEDGER_NAME)
-    parsed = parse_journal((folder / LEDGER_NAME).read_bytes())
-    changed = bool(content.campaign) and facts.values != content.campaign
-    return changed or bool(ended and lost_end(parsed, ended))
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (aside := path.with_name(f'{path.name}.damaged-{number}')).exists():
-        number += 1
-    return aside
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Lock a journal against appends by others."""
-    with path.open('rb') as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise UsageError(f'{path}: in use by another process; wait until it ends') from error
-        yield

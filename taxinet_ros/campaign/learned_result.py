@@ -1,9 +1,8 @@
-"""Learned distributions of searches: store as ``learned.json``, read, and combine.
+"""Learned distributions of searches: store as ``learned.json``, read, and count the failures.
 
 A sampler's histograms are regularised towards the program's prior, so neither they nor their mean
 are unbiased estimates. The share of failures in a bin is estimated from the failures themselves,
-weighted by the program's density; they are stored with the histograms, and several searches with
-different seeds yield confidence intervals.
+weighted by the program's density; they are stored with the histograms.
 """
 
 from __future__ import annotations
@@ -19,17 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, TAIL
-from taxinet_ros.campaign.record.facts import same_fact, with_present_keys
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.search_space import Choice
-from taxinet_ros.core.scenario_fields import other_form
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 
 LEARNED_NAME = 'learned.json'
-
-_SAME = ('program', 'program_sha256', 'sampler', 'perception', 'perception_sha256', 'overrides')
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Evidence:
@@ -110,13 +104,12 @@ class LearnedResult:
                 evidence={
                     choice.dimension.name: Evidence.from_json(evidence)
                     for choice, dimension in zip(choices, dimensions, strict=True)
-                    # Earlier versions wrote one sum of squares, from which no interval follows.
-                    if 'heaviest' in (evidence := dimension.get('evidence') or {})
+                    if (evidence := dimension['evidence'])
                 },
             )
         except FileNotFoundError as error:
             raise UsageError(
-                f'{path}: no such file; name the --out of a search with ce, ce-verifai or mab'
+                f'{path}: no such file; name the --out of a search with ce or mab'
             ) from error
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise UsageError(f'{path}: cannot be read; rewrite it with --resume') from error
@@ -133,123 +126,49 @@ class Share(NamedTuple):
     high: float
 
 
-class LearnedTogether:
-    """The combined result of searches that differ only in their seed."""
+def share_of_failures(
+    searches: Sequence[LearnedResult], choice: Choice, low: float, high: float
+) -> Share:
+    """The share of the failures at values in [low, high]; within a bin the program's law applies.
 
-    def __init__(self, results: Sequence[LearnedResult], folders: Sequence[Path]) -> None:
-        """Combine the results.
+    Each end is Clopper and Pearson's, with weighted counts (Fay and Feuer, Statistics in
+    Medicine 16, 1997): a further failure of the greatest possible weight is added on one
+    side, and the beta distribution has the mean and variance of the share then. Within one
+    search that variance is the sum of the squared deviations of the weighted failures, which
+    are those of a martingale, however the sampler learns; so it is enough for several. If they
+    clearly differ by more than it explains, their spread counts, with Student's quantile for
+    their small number (as clusters: Korn and Graubard, Survey Methodology 24, 1998).
 
-        Args:
-            results: one or more.
-            folders: their folders, for messages.
+    Args:
+        searches: searches that differ only in their seed, all with evidence.
+        choice: the choice whose values are compared.
+        low: lower end.
+        high: upper end.
 
-        Raises:
-            UsageError: they differ in anything but the seed, or one is given twice.
-        """
-        first, *_ = told = [with_present_keys(result.facts) for result in results]
-        for facts, folder in zip(told, folders, strict=True):
-            for name in _SAME:
-                if not same_fact(name, facts.get(name), first.get(name)):
-                    raise UsageError(
-                        f'{folder}: has another {name.replace("_", " ")} than {folders[0]}; only '
-                        'searches that differ only in their seed can be combined'
-                    )
-        seeds = [result.facts.get('seed') for result in results]
-        twice = [str(seed) for seed in seeds if seeds.count(seed) > 1]
-        if twice:
-            raise UsageError(f'seed {twice[0]} is given twice; name each search once')
-        for result, folder in zip(results, folders, strict=True):
-            if not result.evidence:
-                raise UsageError(
-                    f'{folder}: {LEARNED_NAME} does not say which failures it rests on: written by '
-                    'an earlier version (--resume rewrites it), or its program has requirements of '
-                    'a share of the runs (require[p]), with which the weights are not known'
-                )
-        self.results = tuple(results)
-        self.choices = results[0].choices
-
-    def bins(self, choice: Choice) -> list[Share]:
-        """The share of each bin of a choice in the failures in which the choice is active."""
-        ones = np.eye(len(choice.dimension.prior))
-        return [self._share(choice.dimension.name, one) for one in ones]
-
-    def failures(self, choice: Choice) -> float:
-        """Effective number of failures drawn by the program itself for a choice."""
-        return sum(result.evidence[choice.dimension.name].failures for result in self.results)
-
-    @property
-    def why_no_interval(self) -> str:
-        """Sentence on why the shares have no interval; '' if they have one."""
-        if all(each.heaviest for result in self.results for each in result.evidence.values()):
-            return ''
-        sampler = self.results[0].facts.get('sampler', 'the sampler')
-        return (
-            f'no intervals: {sampler} drew nothing from the program itself, so it may have missed '
-            'any part of the failures; search with --sampler-option floor=0.3'
-        )
-
-    @property
-    def mean(self) -> Probabilities:
-        """Mean of the samplers' probabilities of the bins, by name of the dimension."""
-        return {
-            name: tuple(np.mean([result.probabilities[name] for result in self.results], axis=0))
-            for name in (choice.dimension.name for choice in self.choices)
-        }
-
-    def choice(self, name: str) -> Choice:
-        """The choice with this name, or with the other form of the scenario key.
-
-        Raises:
-            UsageError: there is no such choice.
-        """
-        choices = {choice.dimension.name: choice for choice in self.choices}
-        found = choices.get(name) or choices.get(other_form(name))
-        if found is None:
-            raise UsageError(f'--within {name}: nothing was learned of it; known: '
-                             f'{", ".join(choices)}')
-        return found
-
-    def within(self, name: str, low: float, high: float) -> Share:
-        """The share of values in [low, high]; within a bin the program's distribution applies.
-
-        Raises:
-            UsageError: no choice has that name, or it has no values to compare.
-        """
-        choice = self.choice(name)
-        ones = np.eye(len(choice.dimension.prior))
-        inside = [choice.probability_within(low, high, tuple(one)) for one in ones.tolist()]
-        return self._share(choice.dimension.name, np.array(inside))
-
-    def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
-        """Share of the failures; ``inside`` is the counted part of each bin.
-
-        Each end is Clopper and Pearson's, with weighted counts (Fay and Feuer, Statistics in
-        Medicine 16, 1997): a further failure of the greatest possible weight is added on one
-        side, and the beta distribution has the mean and variance of the share then. Within one
-        search that variance is the sum of the squared deviations of the weighted failures, which
-        are those of a martingale, however the sampler learns; so it is enough for several. If they
-        clearly differ by more than it explains, their spread counts, with Student's quantile for
-        their small number (as clusters: Korn and Graubard, Survey Methodology 24, 1998).
-        """
-        evidence = [result.evidence[name] for result in self.results]
-        amounts = np.array([each.amounts for each in evidence])
-        squares = np.sum([each.squares for each in evidence], axis=0)
-        hits, totals = amounts @ inside, amounts.sum(axis=1)
-        if not squares.any():
-            return Share(share=math.nan, low=0.0, high=1.0)
-        within = _Part(float(hits.sum()), float(squares @ inside))
-        without = _Part(float((amounts @ (1 - inside)).sum()), float(squares @ (1 - inside)))
-        share = within.amount / (within.amount + without.amount)
-        bounds = [each.heaviest for each in evidence]
-        if None in bounds:
-            return Share(share=share, low=0.0, high=1.0)
-        heaviest = max(each for each in bounds if each is not None)
-        variance = _variance(within, without)
-        wider = _wider(hits - share * totals, variance)
-        return Share(
-            share=share, low=1 - _upper(without, within, heaviest, wider),
-            high=_upper(within, without, heaviest, wider),
-        )
+    Raises:
+        UsageError: the choice has no values to compare.
+    """
+    ones = np.eye(len(choice.dimension.prior)).tolist()
+    inside = np.array([choice.probability_within(low, high, tuple(one)) for one in ones])
+    evidence = [search.evidence[choice.dimension.name] for search in searches]
+    amounts = np.array([each.amounts for each in evidence])
+    squares = np.sum([each.squares for each in evidence], axis=0)
+    hits, totals = amounts @ inside, amounts.sum(axis=1)
+    if not squares.any():
+        return Share(share=math.nan, low=0.0, high=1.0)
+    within = _Part(float(hits.sum()), float(squares @ inside))
+    without = _Part(float((amounts @ (1 - inside)).sum()), float(squares @ (1 - inside)))
+    share = within.amount / (within.amount + without.amount)
+    bounds = [each.heaviest for each in evidence]
+    if None in bounds:
+        return Share(share=share, low=0.0, high=1.0)
+    heaviest = max(each for each in bounds if each is not None)
+    variance = _variance(within, without)
+    wider = _wider(hits - share * totals, variance)
+    return Share(
+        share=share, low=1 - _upper(without, within, heaviest, wider),
+        high=_upper(within, without, heaviest, wider),
+    )
 
 
 class _Part(NamedTuple):

@@ -28,7 +28,6 @@ from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.sparse_pictures import HeldError, SparseWorld
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
@@ -48,8 +47,6 @@ class LoopOptions:
             package that provides the world, or ''.
         out: folder of the campaign, which exists; None: no bags.
         images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
-        every: control steps from one picture to the next; with more than 1 the runs are looks
-            (:mod:`taxinet_ros.core.sparse_pictures`), and are not recorded.
     """
 
     perception: str
@@ -61,7 +58,6 @@ class LoopOptions:
     world_sha256: str
     out: Path | None
     images: str
-    every: int = 1
 
 
 def campaign_loop(
@@ -93,8 +89,7 @@ class Loop:
         """Load perception, controller and world.
 
         Raises:
-            UsageError: one of them cannot be used, at least not for looks, or has changed since the
-                campaign began.
+            UsageError: one of them cannot be used, or has changed since the campaign began.
         """
         self.interrupted = False
         self._options = options
@@ -105,14 +100,6 @@ class Loop:
                 f'controller {options.controller} has changed since this began; put it back'
             )
         self._world = find_world(options.world, options.world_sha256)
-        if options.every > 1:
-            assert options.out is None
-            _check_looks(self._perception, self._controller)
-            make = self._world.make
-            self._perception = HeldError(self._perception)
-            self._world = replace(self._world, make=lambda scenario, *, pictures=True: SparseWorld(
-                make, scenario, options.every
-            ))
 
     def run(self, request: RunRequest, on_step: OnStep = lambda seq: None) -> RunResult:
         """Run a request.
@@ -236,24 +223,6 @@ def _judged(request: RunRequest, judged: Judgement, seq: int, timing: Timing) ->
         robustness={spec.name: reading.interval for spec, reading in readings},
         stopped_early=judged.stopped_early, statistics=judged.statistics, timing=timing.words,
     )
-
-
-def _check_looks(perception: Perception, controller: Controller) -> None:
-    """Refuse parts that looks would tell nothing about.
-
-    Raises:
-        UsageError: the perception needs no picture, or the controller needs each of them.
-    """
-    if not perception.needs_image:
-        raise UsageError(
-            f'looks spare pictures, and perception {perception.word} needs none; use another '
-            'sampler, such as active'
-        )
-    if controller.needs_image:
-        raise UsageError(
-            f'looks have few pictures, and controller {controller.word} needs that of every step; '
-            'use another sampler, such as active'
-        )
 
 
 class _InterruptedError(Exception):

@@ -262,7 +262,7 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool | None = None, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None, world: str = KMWH, part: str = '',
+    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
     engine: str = GRAPH, audit: str | None = None,
 ) -> CampaignOptions:
     """Check the command-line arguments.
@@ -288,7 +288,6 @@ def make_options(
         world: see :class:`CampaignOptions`.
         engine: see :class:`CampaignOptions`.
         audit: share of the runs to audit as text; None for the default of the engine.
-        part: word on the part of a search, for the name of a new folder.
 
     Raises:
         UsageError: one line on the first error.
@@ -319,7 +318,7 @@ def make_options(
     if resume and out is None:
         raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
-        words = (Path(program).stem, short_word(perception), f'seed{seed}', part)
+        words = (Path(program).stem, short_word(perception), f'seed{seed}')
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     if not resume:

@@ -16,7 +16,7 @@ Clopper-Pearson interval (Biometrika 26, 1934). If the number of runs depends on
 sequence*, which holds at all numbers of runs simultaneously: it contains the probabilities against
 which a gambler betting on each run would not have multiplied the stake by 1/tail (Ville, Étude
 critique de la notion de collectif, 1939; Robbins, Annals of Mathematical Statistics 41, 1970;
-Ramdas et al., Statistical Science 38, 2023). ``taxinet bench intervals`` measures both.
+Ramdas et al., Statistical Science 38, 2023). ``benchmarks/intervals.py`` measures both.
 
 Also here: texts on counts of outcomes and kinds of infrastructure errors.
 """
@@ -206,7 +206,7 @@ def rate_of(
     Args:
         rows: rows of a campaign.
         hit: whether a judged run is of the kind.
-        planned: runs fixed before the first one; those of a shard are a part of all indices.
+        planned: runs fixed before the first one.
     """
     outcomes = {row.index: row.outcome for row in rows}
     counted = without_gaps(outcomes, planned)

@@ -18,26 +18,26 @@ from typing import Any, Self
 
 import numpy as np
 
-from taxinet_ros.campaign.looks import Looker, check_can_look
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import ODD, UNTIL, campaign_facts, extension_facts
+from taxinet_ros.campaign.record.facts import (
+    ODD,
+    UNTIL,
+    campaign_facts,
+    extension_facts,
+    planned_runs,
+)
 from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import EXHAUSTED, SHARD, planned_runs
 from taxinet_ros.campaign.samplers.covering import Covering
 from taxinet_ros.campaign.samplers.registry import (
     SAMPLERS,
-    DependsOn,
     check_sampler,
     drawn_share,
     make_covering_sampler,
     make_sampler,
-    make_screening_sampler,
 )
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Lagged, Probabilities, Sampler
-from taxinet_ros.campaign.samplers.screening import NAME as SCREENING
-from taxinet_ros.campaign.samplers.screening import Screening, Way
 from taxinet_ros.campaign.samplers.space import Branch, Point, Space
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.campaign.scenes.source import (
@@ -53,7 +53,6 @@ from taxinet_ros.campaign.search_options import (
     COVERAGE,
     FAILURES,
     SearchOptions,
-    check_can_be_sharded,
     with_sampler,
 )
 from taxinet_ros.campaign.summary import (
@@ -70,7 +69,6 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA, DATAREFS, TRAFFIC
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -93,7 +91,6 @@ class Search:
         check: result of checking the requirements; only within the ``with``.
         book: the search on disk.
         covering: the sampler that covers an ODD, or None.
-        screening: the sampler that looks at scenes, or None.
     """
 
     def __init__(
@@ -115,14 +112,12 @@ class Search:
         self.exhausted = False
         self.interrupted = False
         self.covering: Covering | None = None
-        self.screening: Screening | None = None
         self._campaign = options.campaign
         self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._source = SceneSource(
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
         )
-        self._looker: Looker | None = None
         self._headline = self._campaign.judging.headline
         self._points: dict[int, Point] = {}
         self._refused: dict[int, int] = {}
@@ -140,8 +135,6 @@ class Search:
         with contextlib.ExitStack() as opened:
             opened.enter_context(self._source)
             self._prepare()
-            if self._looker is not None:
-                opened.enter_context(self._looker)
             opened.enter_context(self.book)
             asked = self._asked_facts()
             self._earlier = read_earlier_runs(self._campaign.out, asked)
@@ -184,8 +177,6 @@ class Search:
                     return request
         except Exhausted as error:
             self.stopped, self.exhausted = str(error), True
-            if self.options.shard is not None:
-                self.book.add_facts({EXHAUSTED: self._asked})
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
@@ -245,18 +236,8 @@ class Search:
         return ''
 
     def _choose(self, index: int) -> RunRequest | None:
-        """The run at the sampler's next point; None if it is rejected, done, or another shard's."""
-        if self.options.shard is not None and index not in self.options.shard:
-            self._pass_over(index)
-            return None
+        """The run at the sampler's next point; None if it is rejected or done."""
         return None if self._replay(index) else self._draw(index)
-
-    def _pass_over(self, index: int) -> None:
-        """Leave a run to another shard; its refused points may determine those that follow."""
-        if SAMPLERS[self.options.sampler].depends_on is DependsOn.REFUSALS:
-            with contextlib.suppress(Rejected):
-                accepted_scene(self._source, index, self._points[index], self._sampler.again)
-        del self._points[index]
 
     def _replay(self, index: int) -> bool:
         row = self._earlier.rows.get(index)
@@ -332,8 +313,6 @@ class Search:
         options, campaign = self.options, self._campaign
         space = self._source.space()
         self.notes = (*self._source.notes, *([whose] if whose else []))
-        if options.shard is not None:
-            check_can_be_sharded(options.sampler)
         self._sampler = self._make_sampler(space)
         if self._source.feedback is not None and not self._sampler.hears_refusals:
             self.notes += (f'{REJECTION_FEEDBACK} has no effect on {options.sampler}, which does '
@@ -357,14 +336,6 @@ class Search:
     def _make_sampler(self, space: Space) -> Lagged:
         options, campaign, odd = self.options, self._campaign, self.options.odd
         names: dict[str, Any] = dict(options.sampler_options)
-        if options.sampler == SCREENING:
-            check_can_look(campaign, options.cluster)
-            every = int(check_sampler(SCREENING, names)['every'])
-            self._looker = Looker(campaign, lambda: self.book.facts, every)
-            sampler, self.screening = make_screening_sampler(
-                space, campaign.seed, self._look, **names
-            )
-            return sampler
         if odd is None:
             return make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
         strength = int(check_sampler(options.sampler, names)['strength'])
@@ -387,15 +358,6 @@ class Search:
         )
         return sampler
 
-    def _look(self, point: Point) -> float | None:
-        """Forecast of the robustness at a point for the next run, or None."""
-        assert self._looker is not None
-        try:
-            scenario = self._source.scene(self._asked, point)
-        except Rejected:
-            return None
-        return self._looker.look(self._asked, scenario)
-
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
         word = campaign.perception
@@ -415,18 +377,13 @@ class Search:
             'dimensions': [dimension.name for dimension in self._source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
-            **({SHARD: str(self.options.shard)} if self.options.shard is not None else {}),
             **({ODD: json.loads(self.options.odd.text)} if self.options.odd is not None else {}),
             **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
 
 
 def _digest(scenario: Scenario) -> str:
-    values = scenario.to_human()
-    for field in (TRAFFIC, CAMERA, DATAREFS):  # as in searches from before there was such a key
-        if getattr(scenario, field.attribute) == field.absent:
-            del values[field.key]
-    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
 
 
 def search_heading(options: SearchOptions) -> str:
@@ -434,19 +391,13 @@ def search_heading(options: SearchOptions) -> str:
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     workers = f'cluster {options.cluster}' if options.cluster else workers
-    part = '' if options.shard is None else f', {shard_words(options)}'
     verb = 'resuming' if options.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers}'
     return (
-        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs{part}, sampler '
+        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
         f'{options.sampler}, seed {campaign.seed}, '
         f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
     )
-
-
-def shard_words(options: SearchOptions) -> str:
-    """Which part of the whole search a shard is."""
-    return f'shard {options.shard} ({options.runs} of the {options.campaign.runs} runs)'
 
 
 def space_lines(space: SearchSpace) -> list[str]:
@@ -480,12 +431,9 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']
     lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
-    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search), *_look_lines(search)]
+    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
     lines.append(table_line(rows, campaign))
-    if search.options.shard is not None:
-        lines.append(f'{shard_words(search.options)}: taxinet merge joins all shards')
-    else:
-        lines += next_line(rows, campaign)
+    lines += next_line(rows, campaign)
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'
@@ -527,19 +475,6 @@ def _worst_line(rows: Sequence[RunRow]) -> list[str]:
         return []
     worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
     return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']
-
-
-def _look_lines(search: Search) -> list[str]:
-    """How much was looked at, and which runs came of it."""
-    screening = search.screening
-    if screening is None:
-        return []
-    looks = 'look' if screening.looks == 1 else 'looks'
-    chosen = screening.chosen
-    return [
-        f'{screening.looks:,} {looks} at scenes chose {chosen[Way.LOOKS]} runs; '
-        f'{chosen[Way.RESULTS]} were chosen by results alone'
-    ]
 
 
 _COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}

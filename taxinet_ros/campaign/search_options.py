@@ -16,8 +16,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import Shard
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, DependsOn, check_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, MOST_LAG, split_options
 from taxinet_ros.campaign.samplers.splitting import NAME, particles_for
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler
@@ -120,7 +119,6 @@ class SearchOptions:
         resume: continue an interrupted search.
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
-        shard: the part of the search to run, or None for the whole.
         lag: number of runs that may be in flight where scenes depend on results: each is chosen by
             the results of all but the last ``lag - 1``.
         cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
@@ -134,7 +132,6 @@ class SearchOptions:
     resume: bool = False
     stop: StopRule | None = None
     budget_s: float | None = None
-    shard: Shard | None = None
     lag: int = LAG
     cluster: str = ''
     odd: Odd | None = None
@@ -145,21 +142,18 @@ class SearchOptions:
 
         Workers here are no more than the lag in any case.
         """
-        if self.shard is not None:
-            return None
-        by_results = SAMPLERS[self.sampler].depends_on is DependsOn.RESULTS
-        return self.lag if by_results or self.stop is not None or not self.cluster else None
+        learns = SAMPLERS[self.sampler].learns
+        return self.lag if learns or self.stop is not None or not self.cluster else None
 
     @property
     def runs(self) -> int:
-        """Maximum number of its runs: of the whole search, or of the shard."""
-        total = self.campaign.runs
-        return total if self.shard is None else len(self.shard.runs(total))
+        """Maximum number of its runs."""
+        return self.campaign.runs
 
 
 def make_search_options(
     campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
-    resume: bool, until: str | None, budget_min: float | None, shard: Shard | None = None,
+    resume: bool, until: str | None, budget_min: float | None,
     lag: int = LAG, cluster: str | None = None, odd: str | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
@@ -172,7 +166,6 @@ def make_search_options(
         resume: continue an interrupted search.
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
-        shard: the part of the search to run, or None for the whole.
         lag: see :class:`SearchOptions`.
         cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
         odd: name or file of an operational design domain, or None.
@@ -182,13 +175,9 @@ def make_search_options(
     """
     if not 1 <= lag <= MOST_LAG:
         raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
-    if lag != LAG and shard is not None:
-        raise UsageError(f'--lag {lag}: has no effect with --shard, whose scenes ignore results')
     where = check_workers_or_cluster(workers, lag, cluster, campaign)
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
-    if shard is not None:
-        _check_shard(shard, campaign.runs, until)
     stop = parse_stop_rule(until) if until else None
     if (
         stop is not None and stop.kind == MAX_OFF_RUNWAY
@@ -211,7 +200,7 @@ def make_search_options(
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
         workers=workers, resume=resume, stop=stop,
-        budget_s=None if budget_min is None else 60 * budget_min, shard=shard, lag=lag,
+        budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
         cluster=where, odd=None if odd is None else read_odd(find_odd(odd)),
     )
 
@@ -292,32 +281,6 @@ def make_estimate_options(
             f'floor={floor!r}',
         ],
     )
-
-
-def _check_shard(shard: Shard, runs: int, until: str | None) -> None:
-    if until:
-        raise UsageError(
-            f'--until {until}: not with --shard, since only the runs of all shards could tell when '
-            'to stop; leave it out, and look at the merged campaign'
-        )
-    if not shard.runs(runs):
-        raise UsageError(f'--shard {shard}: has none of the {runs} runs; use at most {runs} shards')
-
-
-def check_can_be_sharded(sampler: str) -> None:
-    """Check that the scenes of a search do not depend on results.
-
-    Raises:
-        UsageError: they do.
-    """
-    if SAMPLERS[sampler].depends_on is DependsOn.RESULTS:
-        known = [
-            name for name, kind in SAMPLERS.items() if kind.depends_on is not DependsOn.RESULTS
-        ]
-        raise UsageError(
-            f'--shard: the sampler {sampler} chooses scenes by the results of all earlier runs, '
-            f'most of which a shard does not have; use --sampler {", ".join(known)}'
-        )
 
 
 def with_sampler(

@@ -20,7 +20,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import is_sealed
 
 RECORD_NAMES = frozenset({
-    'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json', 'pages.json',
+    'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
     'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
     'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
@@ -39,7 +39,7 @@ _TABLE = '.parquet'
 _STARTS = (
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
-    (b'{"chain":"', 'a journal'),
+    (b'{"sum":"', 'a journal'),
     (b'{"event":', 'a journal'),
     (b'run_id,index,', 'a table of runs'),
     (b'rosbag2_bagfile_information:', 'the description of a bag'),

@@ -37,14 +37,6 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'run.commands:estimate',
             'Estimate the probability of rare failures, down to one in a hundred thousand.',
         ),
-        'merge': (
-            'run.commands:merge',
-            'Merge the shards of a search into the campaign that it would be without --shard.',
-        ),
-        'learned': (
-            'run.commands:learned',
-            'Combine the learned distributions of searches with different seeds.',
-        ),
     },
     'Find the causes': {
         'why': ('study.commands:why', 'Find out why a campaign or a run failed, and what to do.'),
@@ -155,7 +147,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
         'bench': (
             'bench.commands:bench',
-            'Benchmark every component on one core, or run soak and chaos tests.',
+            'Benchmark camera, closed loop and graph on one core.',
         ),
     },
 }

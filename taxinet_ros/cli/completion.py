@@ -70,8 +70,10 @@ def complete_sampler_option(context: typer.Context, incomplete: str) -> list[str
     from taxinet_ros.campaign.samplers.registry import SAMPLERS as BY_NAME
 
     chosen = str(context.params.get('sampler'))
-    kinds = [BY_NAME[chosen]] if chosen in BY_NAME else BY_NAME.values()
-    return _begin(dict.fromkeys(f'{key}=' for kind in kinds for key in kind.options), incomplete)
+    kinds = [BY_NAME[chosen]] if chosen in BY_NAME else [*BY_NAME.values()]
+    found = [f'{key}=' for kind in kinds for key in kind.options]
+    found += [f'rule={rule}' for kind in kinds for rule in kind.rules]
+    return _begin(dict.fromkeys(found), incomplete)
 
 
 def complete_mounted(incomplete: str) -> list[str]:

@@ -25,8 +25,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'estimate': (
         'taxinet estimate s_falsif --perception taxinet --runs 4000 --workers 2 --engine loop',
     ),
-    'merge': ('taxinet merge bags/shard1 bags/shard2 --out bags/whole',),
-    'learned': ('taxinet learned bags/ce-2 bags/ce-3 --within distance=1200:1400',),
     'why': ('taxinet why bags/found', 'taxinet why bags/found/RUN'),
     'analyze': ('taxinet analyze bags/found',),
     'localize': ('taxinet localize bags/found --workers 2',),
@@ -93,7 +91,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
     'camera shadow': ('taxinet camera shadow',),
-    'camera compare': ('taxinet camera compare --against mitsuba',),
+    'camera compare': ('taxinet camera compare frames --json',),
     'place list': ('taxinet place list',),
     'place show': ('taxinet place show kmwh_04',),
     'aircraft list': ('taxinet aircraft list',),
@@ -110,10 +108,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
-    'doctor': ('taxinet doctor', 'taxinet doctor bags/found --mend'),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
     'setup-messages': ('taxinet setup-messages',),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
-    'bench': ('taxinet bench', 'taxinet bench processors --json'),
+    'bench': ('taxinet bench camera loop', 'taxinet bench graph --guard'),
 }
 """Lines to copy, by command; the tests parse each."""
 

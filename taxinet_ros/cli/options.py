@@ -129,30 +129,6 @@ def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str
     return f'{found[0]}:{airport}/{runway}'
 
 
-def asks_for_study(
-    word: str, words: Sequence[str], given: Collection[str], also: Collection[str] = ()
-) -> bool:
-    """Whether the words after ``taxinet bench`` ask for a study of the samplers.
-
-    Args:
-        word: word that selects the study.
-        words: the subjects.
-        given: names of the parameters given on the command line.
-        also: parameters that this study takes beside those of all.
-
-    Raises:
-        UsageError: the word is not the first, or options do not apply to it.
-    """
-    if word not in words:
-        return False
-    if words[0] != word:
-        raise UsageError(f'bench: {word} must come first, followed by what to study')
-    wrong = set(given) - {'repeats', 'as_json', 'subjects', *also}
-    if wrong:
-        raise UsageError(f'bench: --{min(wrong)}: not with {word}')
-    return True
-
-
 def ended(code: int, exit_zero: bool) -> typer.Exit:
     """The end of a command; with ``--exit-zero``, violated requirements are not its exit code."""
     return typer.Exit(ExitCode.OK if exit_zero and code == ExitCode.VIOLATED else code)
@@ -439,8 +415,7 @@ SamplerOption = Annotated[
     str | None,
     typer.Option(
         help='how scenes are chosen: active (finds rare failures in all failure regions), '
-        'screening (the same, and looks before it runs), random, '
-        'halton, sobol, grid, coverage (where no run has been), ce, ce-verifai, mab, bo, '
+        'random, halton, sobol, grid, coverage (where no run has been), ce, mab, bo, '
         "tpe, cmaes, or a name that a package adds (default: the program's verifaiSamplerType, "
         'else active)',
         autocompletion=complete_sampler,
@@ -491,14 +466,6 @@ UntilOption = Annotated[
         autocompletion=one_of(
             'failures=', 'half-width=', 'min-satisfaction=', 'max-off-runway=',
         ),
-    ),
-]
-ShardOption = Annotated[
-    str | None,
-    typer.Option(
-        '--shard', metavar='I/N',
-        help='run only every N-th run, from the I-th on (1/N to N/N), with a sampler that ignores '
-        'results; taxinet merge joins the shards',
     ),
 ]
 BudgetOption = Annotated[

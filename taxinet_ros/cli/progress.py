@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
 import math
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -26,7 +23,7 @@ from rich.progress import (
 from taxinet_ros.campaign.rates import count_outcomes
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
-from taxinet_ros.errors import ExitCode, RecordError, UsageError
+from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
 
 _PAGE_WIDTH = 100
@@ -58,32 +55,6 @@ def print_rows_if_lost(
         if isinstance(error, RecordError):
             raise
         raise RecordError(f'{error.filename or "output"}: {disk_words(error)}') from error
-
-
-def run_with_progress(
-    measure: Callable[[Callable[[int, int], None]], dict[str, Any]],
-    show: Callable[[dict[str, Any], Console], None], *, as_json: bool,
-) -> int:
-    """Run a measurement with a progress bar and print its results.
-
-    Args:
-        measure: called with a progress callback (done, total).
-        show: prints the figures as text; without a terminal, the console has the width of a page.
-        as_json: print JSON instead.
-
-    Returns:
-        Exit code 0.
-    """
-    with stage_bars(Console(stderr=as_json)) as bars:
-        found = measure(partial(bars, 'searching'))
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return ExitCode.OK
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = _PAGE_WIDTH
-    show(found, console)
-    return ExitCode.OK
 
 
 @contextlib.contextmanager

@@ -38,8 +38,7 @@ _MEMORY_OF_A_GRAPH, _SHARED_OF_A_GRAPH = 1.5e9, 64e6
 _BAG_BYTES, _ROOM_BYTES = 35e6, 2e9
 _DISCOVERY_S = 10.0
 _EXTRAS = {
-    'mitsuba': 'taxinet camera compare --against mitsuba', 'distributed': '--cluster',
-    'mss': '--camera xplane from a window',
+    'distributed': '--cluster', 'mss': '--camera xplane from a window',
 }
 """Optional distributions, and what needs them."""
 _STYLES = {'ok': 'green', 'missing': 'yellow', 'broken': 'bold red'}

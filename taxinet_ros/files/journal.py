@@ -1,15 +1,8 @@
-"""Append-only JSON Lines file with checksums, written by one process at a time.
+"""Append-only JSON Lines file with a checksum in each line, written by one process at a time.
 
-Each line begins with 64 hexadecimal digits under the key ``chain``. The first 32 are the link, a
-digest of the previous line's link and the rest of this line; the last 32 are a digest of this line
-alone. This detects and distinguishes changed bits and missing, repeated or moved lines.
-
-An incomplete last line is removed when the file is opened: its write was interrupted and never
-confirmed. Missing complete lines at the end are detected by comparison with a recorded end
-(:class:`JournalEnd`).
-
-Lines of earlier versions have no checksums. If a journal begins with such lines, a digest of all of
-them serves as the link before the first line added to it.
+Each line begins with a digest of the rest of it under the key ``sum``. An incomplete last line is
+removed when the file is opened: its write was interrupted and never confirmed. Missing complete
+lines at the end are detected by comparison with a recorded end (:class:`JournalEnd`).
 """
 
 from __future__ import annotations
@@ -19,30 +12,27 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from taxinet_ros.errors import RecordError, UsageError, warn_once
+from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_error
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.reading import read_file
 
 _DIGITS = 32
-_LINE = re.compile(rb'\{"chain":"([0-9a-f]{32})([0-9a-f]{32})",(.+\})', re.DOTALL)
-
-
-_START = hashlib.sha256().hexdigest()[:_DIGITS]
-"""Link before the first line: the digest of empty input."""
+_LINE = re.compile(rb'\{"sum":"([0-9a-f]{32})",(.+\})', re.DOTALL)
 
 
 class JournalEnd(NamedTuple):
-    """End of a journal: number of lines, and link of the last."""
+    """End of a journal: number of lines, and checksum of the last."""
 
     lines: int
-    link: str
+    checksum: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,13 +40,13 @@ class JournalLine:
     """One complete line of a journal.
 
     Attributes:
-        event: its values, without the checksums; None if it is damaged.
-        link: its link; '' in a line that is damaged or of an earlier version.
-        trouble: error of the line or its position, or ''.
+        event: its values, without the checksum; None if it is damaged.
+        checksum: its checksum; '' in a damaged line.
+        trouble: what is wrong with it, or ''.
     """
 
     event: dict[str, Any] | None
-    link: str = ''
+    checksum: str = ''
     trouble: str = ''
 
 
@@ -66,22 +56,18 @@ class JournalContent:
 
     Attributes:
         lines: all complete lines.
-        unprotected: number of initial lines without checksums and without known damage.
-        links: link after each number of lines, starting at zero lines.
         whole: number of bytes up to the end of the last complete line.
         trouble: error in the bytes after them, or ''.
     """
 
     lines: tuple[JournalLine, ...] = ()
-    unprotected: int = 0
-    links: tuple[str, ...] = (_START,)
     whole: int = 0
     trouble: str = ''
 
     @property
     def end(self) -> JournalEnd:
         """End of the journal."""
-        return JournalEnd(len(self.lines), self.links[-1])
+        return JournalEnd(len(self.lines), self.lines[-1].checksum if self.lines else '')
 
     @property
     def troubles(self) -> list[tuple[int, str]]:
@@ -115,7 +101,7 @@ class Journal:
         except BaseException:
             self.close()
             raise
-        self._size, self._link = content.whole, content.end.link
+        self._size = content.whole
 
     def append(self, event: Mapping[str, Any]) -> None:
         """Write one line.
@@ -125,7 +111,7 @@ class Journal:
             RecordError: it was written to a file that was moved or replaced; see
                 :meth:`check_in_place`.
         """
-        line, link = chained_line(self._link, event)
+        line = journal_line(event)
         try:
             if (written := os.write(self._fd, line)) != len(line):
                 raise OSError(None, f'only {written} of {len(line)} bytes fitted')
@@ -135,7 +121,7 @@ class Journal:
         except BaseException:
             os.ftruncate(self._fd, self._size)
             raise
-        self._size, self._link = self._size + len(line), link
+        self._size += len(line)
         self.check_in_place()
 
     def check_in_place(self) -> None:
@@ -193,7 +179,8 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
         return f'{lost} of its {ended.lines} lines are missing at its end'
-    if content.links[ended.lines] not in ('', ended.link):
+    last = content.lines[ended.lines - 1].checksum if ended.lines else ''
+    if last != ended.checksum:
         return f'its first {ended.lines} lines are not those that it had'
     return ''
 
@@ -201,42 +188,42 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
 def damaged_line(path: Path, number: int, why: str) -> UsageError:
     """The error for a damaged or inconsistent line of a journal."""
     return UsageError(
-        f'{path}:{number}: damaged line ({why}); check and repair with: taxinet doctor '
-        f'{path.parent}'
+        f'{path}:{number}: damaged line ({why}); check it with taxinet doctor {path.parent}; '
+        'the command that made it goes on with --resume'
     )
 
 
 def parse_journal(data: bytes) -> JournalContent:
     """Parse a journal's lines; errors are recorded, not raised."""
     *whole, rest = data.split(b'\n')
-    parsed = [_parsed(line) for line in whole]
-    first = next((at for at, line in enumerate(parsed) if line.link), len(parsed))
-    old = sum(not line.trouble for line in parsed[:first])
-    before = sum(len(line) + 1 for line in whole[:first])
-    # The link of a damaged line is unknown.
-    links = [_digest(data[:before]) if old == first else ''] * (first + 1)
-    links += [line.link for line in parsed[first:]]
-    lines = [
-        line if line.trouble or at < first else _placed(at, line, whole[at], links)
-        for at, line in enumerate(parsed)
-    ]
     return JournalContent(
-        lines=tuple(lines), unprotected=old, links=tuple(links),
-        whole=len(data) - len(rest), trouble=_torn_trouble(rest),
+        lines=tuple(map(_parsed, whole)), whole=len(data) - len(rest), trouble=_torn_trouble(rest),
     )
 
 
-def chained_line(before: str, event: Mapping[str, Any]) -> tuple[bytes, str]:
-    """Encode a line with its checksums and newline; also return its link.
+def journal_line(event: Mapping[str, Any]) -> bytes:
+    """Encode a line with its checksum and newline.
 
     Args:
-        before: link of the previous line.
         event: values of the line; not empty.
     """
     body = json.dumps(event, separators=(',', ':')).encode()
-    link = _digest(before.encode() + body)
-    own = _digest(link.encode() + body)
-    return b'{"chain":"%b%b",%b\n' % (link.encode(), own.encode(), body[1:]), link
+    return b'{"sum":"%b",%b\n' % (_digest(body), body[1:])
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Lock a journal against appends by others.
+
+    Raises:
+        UsageError: another process has it open.
+    """
+    with path.open('rb') as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise UsageError(f'{path}: in use by another process; wait until it ends') from error
+        yield
 
 
 def journal_end(path: Path) -> JournalEnd:
@@ -251,71 +238,26 @@ def journal_end(path: Path) -> JournalEnd:
 def _sound_events(path: Path, content: JournalContent) -> list[dict[str, Any]]:
     for number, why in content.troubles:
         raise damaged_line(path, number, why)
-    if content.unprotected:
-        warn_once(
-            f'{path}: its first {content.unprotected} lines were written by an earlier version '
-            'without checksums, so it is unprotected: damage to them may go unnoticed'
-        )
     return [line.event for line in content.lines if line.event is not None]
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:_DIGITS]
+def _digest(data: bytes) -> bytes:
+    return hashlib.sha256(data).hexdigest()[:_DIGITS].encode()
 
 
 def _parsed(line: bytes) -> JournalLine:
-    """Parse a line independently of its position."""
     found = _LINE.fullmatch(line)
     if found is None:
-        return _unchained(line)
-    link, own, body = found[1], found[2], b'{' + found[3]
-    if _digest(link + body).encode() != own:
+        return JournalLine(
+            event=None, trouble='no checksum: damaged, or written by another version'
+        )
+    body = b'{' + found[2]
+    if _digest(body) != found[1]:
         return JournalLine(event=None, trouble='its checksum differs')
     try:
-        return JournalLine(event=load_json(body), link=link.decode())
+        return JournalLine(event=load_json(body), checksum=found[1].decode())
     except ValueError as error:
         return JournalLine(event=None, trouble=str(error))
-
-
-def _unchained(line: bytes) -> JournalLine:
-    """Parse a line that does not begin with checksums.
-
-    No single-bit error makes a line with checksums look like one of an earlier version, whose first
-    value was never a text of that length.
-    """
-    try:
-        event = load_json(line)
-    except ValueError as error:
-        return JournalLine(event=None, trouble=str(error))
-    if not isinstance(event, dict):
-        return JournalLine(event=None, trouble='it is no object')
-    first = next(iter(event.values()), '')
-    if 'chain' in event or (isinstance(first, str) and len(first) == 2 * _DIGITS):
-        return JournalLine(event=None, trouble='its checksum is damaged')
-    return JournalLine(event=event)
-
-
-def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> JournalLine:
-    """An intact line, with any error of its position."""
-    if not line.link:
-        why = 'it has no checksum, but earlier lines have; was it written by an earlier version?'
-        return JournalLine(event=line.event, trouble=why)
-    body = b'{' + raw[len(b'{"chain":"",') + 2 * _DIGITS:]
-
-    def follows(before: str) -> bool:
-        return _digest(before.encode() + body) == line.link
-
-    if follows(links[at]) or not links[at]:
-        return line
-    if line.link in links[:at + 1]:
-        why = f'it occurs twice, first as line {links.index(line.link)}'
-    elif follows(_START):
-        why = 'it was the first line: something was inserted before it'
-    elif (other := next((n for n, link in enumerate(links) if follows(link)), None)) is not None:
-        why = f'it belongs after line {other}: lines are missing or reordered'
-    else:
-        why = 'lines before it are missing'
-    return JournalLine(event=line.event, link=line.link, trouble=why)
 
 
 def _torn_trouble(rest: bytes) -> str:

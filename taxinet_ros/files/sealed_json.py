@@ -1,8 +1,7 @@
 """JSON file with a checksum of itself and of other files in or below its folder.
 
 Besides the values, the key ``seal`` holds digests of whole files and the ends of journals; the last
-line, with the key ``checksum``, holds the SHA-256 of all preceding text. Files of earlier versions
-have neither; no single-bit error makes a file with both look like one with neither.
+line, with the key ``checksum``, holds the SHA-256 of all preceding text.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.errors import UsageError, warn_once
+from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.journal import JournalEnd, journal_end
 from taxinet_ros.files.plain_values import load_json
@@ -36,13 +35,11 @@ class SealedJson:
         values: content without seal and checksum.
         files: SHA-256 of files in the same folder or below, by relative path.
         journals: ends of journals in the same folder or below, by relative path.
-        sealed: False for a file of an earlier version.
     """
 
     values: dict[str, Any]
     files: Mapping[str, str] = field(default_factory=dict)
     journals: Mapping[str, JournalEnd] = field(default_factory=dict)
-    sealed: bool = True
 
     def check_file(self, path: Path, mend: str) -> bool:
         """Check a file against its checksum; return whether it has one.
@@ -91,7 +88,7 @@ def write_sealed(
 
 
 def read_sealed(path: Path) -> SealedJson:
-    """Read a sealed file, or with a warning one of an earlier version.
+    """Read a sealed file.
 
     Raises:
         OSError: it cannot be read.
@@ -99,23 +96,18 @@ def read_sealed(path: Path) -> SealedJson:
     """
     data = read_file(path)
     found = _END.search(data)
-    if found and hashlib.sha256(data[:found.start()]).hexdigest().encode() != found[1]:
+    if found is None:
+        raise _damaged(path, 'it has no checksum; was it written by another version?')
+    if hashlib.sha256(data[:found.start()]).hexdigest().encode() != found[1]:
         raise _damaged(path, 'its checksum differs')
     try:
         values = load_json(data)
         if not isinstance(values, dict):
             raise TypeError('it is no object')
-        if not found:
-            if _SEAL in values or _CHECKSUM in values:
-                raise ValueError('its checksum is damaged')
-            warn_once(
-                f'{path}: unverified, since it was written by an earlier version without a checksum'
-            )
-            return SealedJson(values=values, sealed=False)
         del values[_CHECKSUM]
         seal = values.pop(_SEAL)
         files, journals = dict(seal['files']), {
-            name: JournalEnd(int(end['lines']), str(end['link']))
+            name: JournalEnd(int(end['lines']), str(end['checksum']))
             for name, end in seal['journals'].items()
         }
         paths = [Path(name) for name in (*files, *journals)]
@@ -145,6 +137,6 @@ def file_sha256(path: Path) -> str:
 
 def _damaged(path: Path, why: str) -> UsageError:
     return UsageError(
-        f'{path}: damaged or edited ({why}); restore it, or check it with: taxinet doctor '
-        f'{path.parent}'
+        f'{path}: damaged or edited ({why}); restore it, or make it anew with --resume; see '
+        f'taxinet doctor {path.parent}'
     )

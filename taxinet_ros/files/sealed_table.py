@@ -2,7 +2,7 @@
 
 The file's metadata hold the SHA-256 of all its bytes with zeros in the place of the digits, and, in
 another entry, that there is one: no single-bit error makes a table with a checksum look like one
-without. Tables of pandas or other programs, and of earlier versions, have none.
+without. Tables of pandas or other programs have none.
 """
 
 from __future__ import annotations

@@ -27,15 +27,11 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from taxinet_ros.bag.cdr.decode import (
-    decoder,
-    definition_hash,
-    present_bytes,
-    with_present_names,
-)
+from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.errors import BagCorrupt, BagError
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import BagInfo, read_info, stored_messages
 from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, SCENARIO, TF, is_of_frames, is_topic
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, qos_profiles
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
@@ -57,10 +53,10 @@ _Bytes = Callable[[bytes], bytes]
 
 
 def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
-    """Message class of a topic, and present bytes by recorded ones; None if not installed.
+    """Message class of a topic, and a check of recorded bytes; None if it is not installed.
 
-    Only packages that provide this message definition are imported. The conversion raises
-    :class:`BagError` for bytes that are not such a message.
+    Only packages that provide this message definition are imported. The check returns the bytes,
+    or raises :class:`BagError` for bytes that are not such a message.
 
     Raises:
         UsageError: the installed message definition differs from the recorded one.
@@ -69,11 +65,7 @@ def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
         installed = describe_topic(name=topic.name, type_name=topic.type, qos=topic.qos)
     except UsageError:
         return None
-    known = topic.type_hash in ('', installed.type_hash)
-    converted: _Bytes | None = bytes
-    if not known and not _renamed(topic, installed.type_hash):
-        converted = present_bytes(topic, installed.definition)
-    if converted is None:
+    if topic.type_hash not in ('', installed.type_hash):
         raise UsageError(
             f'{topic.name}: {topic.type} has another version than the installed one; leave it '
             f'out: exclude:=["{topic.name}"]'
@@ -82,22 +74,15 @@ def message_class(topic: TopicInfo) -> tuple[type[Any], _Bytes] | None:
     # An empty message, such as std_msgs/msg/Empty, has no definition to check.
     check = decoder(installed) if installed.definition.strip() else bytes
 
-    def present(cdr: bytes) -> bytes:
-        now = converted(cdr)
+    def checked(cdr: bytes) -> bytes:
         try:
-            check(now)
+            check(cdr)
         except BagCorrupt as error:
             if 'size mismatch' not in str(error):  # rclpy's serialize_message leaves room behind
                 raise
-        return now
+        return cdr
 
-    return getattr(importlib.import_module(f'{package}.msg'), name), present
-
-
-def _renamed(topic: TopicInfo, installed: str) -> bool:
-    """Whether only field names differ, so that the serialised bytes are compatible."""
-    present = with_present_names(topic)
-    return present != topic and definition_hash(present) == installed
+    return getattr(importlib.import_module(f'{package}.msg'), name), checked
 
 
 def recorded_qos(topic: TopicInfo) -> QoSProfile:
@@ -375,7 +360,7 @@ class BagPlayer(Node):
 
     def _speak(self) -> dict[str, Publisher]:
         """Create publishers by recorded name; topics without a message class are skipped."""
-        publishers, self._latched, self._present = {}, set(), {}
+        publishers, self._latched, self._checks = {}, set(), {}
         self._types = {topic.name: topic.type for topic in self._info.topics}
         self._unfit: set[str] = set()
         for topic in self._info.topics:
@@ -389,7 +374,7 @@ class BagPlayer(Node):
             qos = recorded_qos(topic)
             if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 self._latched.add(topic.name)
-            kind, self._present[topic.name] = found
+            kind, self._checks[topic.name] = found
             publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
         if not publishers:
             raise UsageError(f'bag_player: no playable topics left in {self._info.path} to play')
@@ -496,7 +481,7 @@ class BagPlayer(Node):
         if self._own_clock is not None:
             self._own_clock.publish(Clock(clock=time_of(portion.stamp_ns)))
         for message in portion.messages:
-            name, cdr = message.topic.name, self._present_bytes(message)
+            name, cdr = message.topic.name, self._checked_bytes(message)
             if cdr is None:
                 continue
             latched, first = name in self._latched, name not in self._heard
@@ -516,12 +501,12 @@ class BagPlayer(Node):
                 waited += self._deliver(publisher)
         return waited
 
-    def _present_bytes(self, message: StoredMessage) -> bytes | None:
+    def _checked_bytes(self, message: StoredMessage) -> bytes | None:
         """What to publish; None, and once a line, for what is no message of the topic's type."""
         name, kind = message.topic.name, self._types[message.topic.name]
         try:
             if message.topic.type == kind:
-                return self._present[name](message.cdr)
+                return self._checks[name](message.cdr)
             why = f'topic {name}: a {message.topic.type} among {kind}'
         except BagError as error:
             why = str(error)

@@ -165,8 +165,6 @@ class MtlMonitor(Participant):
             self._progress.publish(self.progress(seq, stamp_ns))
 
     def _conclude(self, seq: int, stamp_ns: int) -> None:
-        if self.spoken_into():
-            return  # and the simulator then ends the run
         judgement = self._judge.judgement
         results = [
             robustness_message(spec, reading, self.run_id, seq, stamp_ns)

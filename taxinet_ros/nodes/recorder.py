@@ -13,20 +13,17 @@ from __future__ import annotations
 
 import functools
 import shutil
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
 from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
-from taxinet_ros.bag.rewrite.frames import restore_in_place
 from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
 from taxinet_ros.bag.run.run_bag import (
     OUTCOME_METADATA,
@@ -45,21 +42,16 @@ from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
-from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Health
-from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN
+from taxinet_ros.nodes.lockstep.endpoints import publisher_names
+from taxinet_ros.nodes.lockstep.late_frames import LateFrames
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.convert import (
-    account_of,
-    duplicate_node_error,
-    lost_run_status,
-    same_ready,
-    stamp_of,
-)
+from taxinet_ros.nodes.messages.convert import account_of, lost_run_status
 from taxinet_ros.nodes.messages.step import Step, StepCollector
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
@@ -71,66 +63,7 @@ from taxinet_ros.nodes.running.parameters import (
     subscribed_topics,
 )
 
-_PAUSE_S = 0.001
 _FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)
-
-
-class LateFrames:
-    """Renders frames one by one between a node's messages, so that the node stays responsive."""
-
-    def __init__(
-        self, node: Node, on_frame: Callable[[int], None], on_end: Callable[[str], None]
-    ) -> None:
-        """Create it; rendering starts with :meth:`begin`.
-
-        Args:
-            node: node whose executor does the work.
-            on_frame: called with every control step rendered.
-            on_end: called at the end with '', or with the reason why a judged run's frames cannot
-                be rendered.
-        """
-        self._node = node
-        self._on_frame, self._on_end = on_frame, on_end
-        self._frames: Iterator[int] = iter(())
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_PAUSE_S, self._render, clock=steady)
-        self._timer.cancel()
-
-    def begin(self, bag: Path, ended: RunStatus, min_free_bytes: int) -> None:
-        """Add frames to the bag of a finished run, if its outcome requires it."""
-        if ended.outcome not in _FAILURES:
-            self._on_end('')
-            return
-        self._judged = Outcome(ended.outcome).judged
-        self._frames = restore_in_place(bag, min_free_bytes)
-        self._timer.reset()
-
-    @property
-    def under_way(self) -> bool:
-        """Whether frames are being rendered."""
-        return not self._timer.is_canceled()
-
-    def cancel(self) -> None:
-        """Cancel any rendering; the bag stays unchanged."""
-        self._timer.cancel()
-        close = getattr(self._frames, 'close', None)
-        if close is not None:
-            close()
-
-    def _render(self) -> None:
-        try:
-            self._on_frame(next(self._frames))
-        except StopIteration:
-            self._end('')
-        except Exception as error:
-            self._end(f'frames not kept: {type(error).__name__}: {error}'.splitlines()[0])
-
-    def _end(self, trouble: str) -> None:
-        self._timer.cancel()
-        if trouble:
-            self._node.get_logger().error(trouble)
-        # An infrastructure error has its own reason to report.
-        self._on_end(trouble if self._judged else '')
 
 
 _REST_LOOK_S = 0.05
@@ -166,10 +99,6 @@ _OPTIONS = (
         name='images', default='all', words=IMAGES,
         description='runs whose camera frames are recorded',
     ),
-    Parameter(
-        name='alone', default=False,
-        description='whether to record nothing while a second simulator is present',
-    ),
 )
 USAGE = Usage(
     executable=interface.RECORDER,
@@ -190,7 +119,7 @@ class Recorder(Participant):
         refuse_unknown(self)
         self._out = Path(given['out'])
         self._min_free = given['min_free'] * 1_000_000
-        self._make_out, self._alone = given['make_out'], given['alone']
+        self._make_out = given['make_out']
         self._images = images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self._topics = bag_topics(images == 'all')
@@ -201,9 +130,7 @@ class Recorder(Participant):
         self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
         self._ended: RunStatus | None = None
-        self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
-        self._contested = ('', '')
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         await_rest = functools.partial(self._guarded(self._await_rest), None)
@@ -252,7 +179,6 @@ class Recorder(Participant):
         self._steps = StepCollector(self._expected)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
-        self._timed = False
         self._account: FreeRunAccount | None = None
         self._arrived = {
             topic.name: -1 for topic in (*self._stepped, interface.TIMING)
@@ -312,18 +238,13 @@ class Recorder(Participant):
     # Messages --------------------------------------------------------------------------------
 
     def _take(self, scenario: Scenario) -> None:
-        # A foreign node may have sent it; the run's bag must still become complete.
-        if self._writer is not None and self._charged:
-            return
-        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        stranger = heard.early_stranger(scenario.participants)
-        # A killed simulator stays in the graph for a while. Any other node replays what a bag
-        # holds already, or would spoil the run.
-        if stranger is None or not (self._alone or stranger.name != interface.SIMULATOR):
+        """See :class:`Participant`; a bag that is played back is not recorded again."""
+        others = {*publisher_names(self, interface.SCENARIO)} - {interface.SIMULATOR}
+        if not others:
             super()._take(scenario)
-        elif self._writer is None:
-            self.run_id = self._refused = scenario.run_id
-            self.charge(stranger.error(-1))
+        elif self.get_name() in scenario.participants:
+            words = f'{", ".join(sorted(others))} publishes {interface.SCENARIO.name} too'
+            self.get_logger().warning(f'run {scenario.run_id} is not recorded: {words}')
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
@@ -331,13 +252,7 @@ class Recorder(Participant):
         seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
         if off_ns:
             what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
-            if topic.publishers != (interface.SIMULATOR,):
-                raise InfraError(
-                    InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}'
-                )
-            raise RuntimeError(
-                f'{topic.name}: a message is {what}; is there a second simulator?'
-            )
+            raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
         self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)
         if whole:
@@ -351,8 +266,6 @@ class Recorder(Participant):
         """In a free run frames may have no answer, and time does not wait for the recorder."""
         if self._writer is None or timing.run_id != self.run_id:
             return
-        self._timed = True
-        self._check_timed()
         if timing.ended:
             self._account = account_of(timing)
             self._finish_if_whole()
@@ -366,14 +279,6 @@ class Recorder(Participant):
         self._write_steps()
         self._report_free()
 
-    def _check_timed(self) -> None:
-        """Refuse timing in a lockstep run; the simulator's READY tells which kind this one is."""
-        if self._head_complete and self._timed and not self._free:
-            topic = interface.TIMING.name
-            raise InfraError(
-                InfraKind.INTRUDER, UNKNOWN, -1, f'{topic} was published in a lockstep run'
-            )
-
     def _report_free(self) -> None:
         now = max(self._written - 1, 0), max(min(self._arrived.values()), 0)
         if self._free and now != self._told_free:
@@ -384,9 +289,7 @@ class Recorder(Participant):
         status = deserialize_message(cdr, NodeStatus)
         if status.state != NodeStatus.READY:
             return
-        told = self._ready_for(status.run_id).get(status.node)
-        if told is not None:
-            self._hear_again(deserialize_message(told, NodeStatus), status)
+        if status.node in self._ready_for(status.run_id):
             return
         if status.node == self.get_name():
             # The bag's topics contain the one, and frames added later must not change anything
@@ -396,21 +299,8 @@ class Recorder(Participant):
         # Another node may be ready before this one knows of the run.
         self._reports[status.node] = (status.run_id, cdr)
         if self._writer is not None and status.run_id == self.run_id and self._head_known():
-            self._check_contested()
             self._write_head()
             self._write_steps()
-
-    def _hear_again(self, before: NodeStatus, now: NodeStatus) -> None:
-        """Handle two READY messages of one node in a run: if they differ, one is foreign."""
-        if same_ready(before, now):
-            return
-        self._contested = (now.run_id, now.node)
-        if now.run_id == self.run_id:
-            self._check_contested()
-
-    def _check_contested(self) -> None:
-        if self._contested[0] == self.run_id:
-            raise duplicate_node_error(self._contested[1])
 
     def _on_verdict(self, cdr: bytes) -> None:
         message = deserialize_message(cdr, interface.VERDICT.type)
@@ -429,15 +319,8 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
-        if status.run_id == self._refused:
-            self._refused, self._ended = '', status
-            self._done()
         if self._writer is None or status.run_id != self.run_id:
             return
-        if Outcome(status.outcome).judged and not self._begun:
-            raise InfraError(
-                InfraKind.INTRUDER, UNKNOWN, -1, 'the end of the run was published by another node'
-            )
         self._ended, self._ended_cdr = status, cdr
         self._finish_if_whole()
 
@@ -463,7 +346,6 @@ class Recorder(Participant):
                 if not (told.implementation or told.detail):
                     continue  # Default timing in the shipped world: nothing to record.
             self._write(interface.NODE_STATUS, cdr, 0)
-        self._check_timed()
         camera = scenario_of(self._scenario_message).camera_model
         self._write(interface.TF_STATIC, camera_transform(camera), 0)
 
@@ -506,18 +388,12 @@ class Recorder(Participant):
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
-        if judged and self.spoken_into():
-            # The sender is unknown; the simulator ends the run because of it.
-            self._ended = None
-            return
         if judged and not self._told:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
         if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
             raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
-        if judged:
-            self._check_verdict()
-        else:
+        if not judged:
             if self._is_rest_under_way():
                 self._rest.reset()
                 return
@@ -531,8 +407,8 @@ class Recorder(Participant):
         self._add_ending(writer, self._ended)
         writer.close()
         self._writer = None
-        if self._images == 'failures':
-            self._late_frames.begin(writer.folder, self._ended, self._min_free)
+        if self._images == 'failures' and self._ended.outcome in _FAILURES:
+            self._late_frames.begin(writer.folder, self._min_free)
         else:
             self._done()
 
@@ -549,19 +425,6 @@ class Recorder(Participant):
         """Whether all one-time messages of a judged run are present."""
         return self._verdict is not None and (not self._free or self._account is not None)
 
-    def _check_verdict(self) -> None:
-        """Check that outcome and end of the run match the monitor's verdict."""
-        assert self._ended is not None
-        assert self._verdict is not None
-        verdict = deserialize_message(self._verdict, interface.VERDICT.type)
-        outcome = outcome_of(verdict)
-        seq = stamp_of(verdict.header.stamp) // CONTROL_PERIOD_NS
-        if (outcome, seq) != (self._ended.outcome, self._ended.seq):
-            raise RuntimeError(
-                f'the run ended as {self._ended.outcome} at step {self._ended.seq}, but the '
-                f'monitor reports {outcome} at step {seq}'
-            )
-
     def _done(self) -> None:
         """Report that the bag is complete on disk, with the recorded end of the run."""
         assert self._ended is not None
@@ -576,7 +439,11 @@ class Recorder(Participant):
             self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
 
     def _on_frames(self, trouble: str) -> None:
+        assert self._ended is not None
         if trouble:
+            self.get_logger().error(trouble)
+        # An infrastructure error has its own reason to report.
+        if trouble and Outcome(self._ended.outcome).judged:
             self.report(NodeStatus.ERROR, detail=trouble)
         else:
             self._done()
@@ -592,7 +459,7 @@ class Recorder(Participant):
         They arrive on other topics than the end message, which may overtake them.
         """
         assert self._ended is not None
-        begun = self._begun or self._ended.seq > 0
+        begun = self._whole or self._steps.torn() or self._ended.seq > 0
         if not begun or self._whole > self._ended.seq:
             return False
         # In a free run, unanswered steps never become complete.

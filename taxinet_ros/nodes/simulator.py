@@ -18,6 +18,7 @@ from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.bag.run.messages import observation_messages
@@ -31,6 +32,7 @@ from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.world import check_picture, close_world, find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.active_run import (
     FREE_TICK_S,
@@ -44,11 +46,10 @@ from taxinet_ros.nodes.lockstep.active_run import (
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health
 from taxinet_ros.nodes.lockstep.endpoints import (
-    HeardSpeakers,
-    Speakers,
-    Stranger,
-    first_stranger,
+    has_its_publishers,
     heard_by,
+    hears,
+    intruder,
     missing_nodes,
     why_silent,
 )
@@ -77,7 +78,6 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.registry import CAMERAS, KMWH, WORLDS, names
 
 _WATCH_PERIOD_S = 0.1
@@ -91,6 +91,7 @@ _STALLED_S = 1.0
 """Step duration [s] above which the missing nodes count as awaited."""
 
 _RESULT_KEPT_S = 10  # rclpy would keep those of 15 minutes, and list them at each change
+_CERTAIN = (InfraKind.INTRUDER, InfraKind.DIED)
 _SUSPECTED_S = 1.0
 """Time [s] to wait for evidence that another node caused a node's protocol error."""
 
@@ -161,7 +162,7 @@ class Simulator(Node):
         self._leaving = False
         self._may_leave_s = 0.0
         self._speakers: dict[str, Publisher] = {}
-        self._listeners: list[HeardSpeakers] = []
+        self._listeners: dict[str, Subscription] = {}
         for topic in interface.TOPICS:
             if interface.SIMULATOR in topic.publishers:
                 self._speakers[topic.name] = self.create_publisher(
@@ -175,17 +176,9 @@ class Simulator(Node):
             (interface.VERDICT, self._on_verdict),
         ):
             hear = functools.partial(self._hear, step_reader(topic), callback)
-            self._listeners.append(HeardSpeakers(
-                self, topic, hear, raw=is_read_raw(topic), on_match=self._look_for_strangers
-            ))
-        heard = {listener.topic.name for listener in self._listeners}
-        self._topics: list[Speakers] = [
-            *self._listeners,
-            *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
-        ]
-        self._told_by: list[Speakers] = [
-            one for one in self._listeners if one.topic is interface.NODE_STATUS
-        ]
+            self._listeners[topic.name] = self.create_subscription(
+                topic.type, topic.name, hear, topic.end_qos, raw=is_read_raw(topic)
+            )
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         told = functools.partial(self._hear, step_reader(topic), self._on_death_notice)
@@ -223,12 +216,6 @@ class Simulator(Node):
     def close(self) -> None:
         """Leave the graph, since a remaining server would answer the next graph's goals."""
         self._server.destroy()
-
-    def destroy_node(self) -> None:
-        """See :class:`rclpy.node.Node`."""
-        for listener in self._listeners:
-            listener.close()
-        super().destroy_node()
 
     # The action ------------------------------------------------------------------------------
 
@@ -269,8 +256,6 @@ class Simulator(Node):
         close_world(run.world)
         self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
-        for speakers in self._topics:
-            speakers.release()
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             goal.succeed()
         elif goal.is_cancel_requested:
@@ -326,8 +311,6 @@ class Simulator(Node):
             run.lockstep.ready(status.node)
             run.reset_watchdog()
             self._start_if_ready(run)
-        elif status.state == NodeStatus.PROGRESS and not run.started:
-            run.lockstep.unready(status.node)
         elif status.state == NodeStatus.ERROR:
             bag = status.node == interface.RECORDER
             usual = InfraKind.BAG if bag else InfraKind.NODE_ERROR, status.node, status.detail
@@ -337,9 +320,7 @@ class Simulator(Node):
 
     def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
         """The recorder has closed its bag; a verdict counts only if the bag contains it."""
-        if (stranger := self._stranger(run)) is not None:
-            self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
-        elif run.ending is None:
+        if run.ending is None:
             detail = f'closed its bag as {done.detail} amid the run'
             self._fail(run, InfraKind.BAG, interface.RECORDER, detail)
         elif Outcome(run.ending.outcome).judged and (done.detail, done.seq) != (
@@ -399,8 +380,7 @@ class Simulator(Node):
         if run.started or not run.lockstep.all_ready or self._deaf(run):
             return
         run.started = True
-        for speakers in self._topics:
-            speakers.pin(run.participants)
+        run.publishers = self._count_publishers()
         self._say(interface.RUN_STATUS, run.status(RunStatus.RUNNING))
         self._publish_frame(run)
 
@@ -411,11 +391,14 @@ class Simulator(Node):
             for name, publisher in self._speakers.items()
             if not heard_by(self, publisher, run.listeners(name))
         ]
-        unseen = [
-            speakers.topic.name for speakers in self._topics
-            if not speakers.settled(run.participants)
+        return unheard + [
+            topic.name for topic in interface.TOPICS if not self._has_publishers(run, topic)
         ]
-        return unheard + unseen
+
+    def _has_publishers(self, run: ActiveRun, topic: Topic) -> bool:
+        if (listener := self._listeners.get(topic.name)) is not None:
+            return hears(self, listener, topic, run.participants)
+        return has_its_publishers(self, topic, run.participants)
 
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
@@ -480,42 +463,34 @@ class Simulator(Node):
         if not outcome.judged:
             self._fail(run, **NOT_JUDGED)
             return
-        self._look_for_strangers(thorough=True)
-        if run.ending is not None:
+        if (found := self._intruder(run)) is not None:
+            self._fail(run, InfraKind.INTRUDER, *found)
             return
         self._end(run, run.status(RunStatus.ENDED, outcome=outcome))
 
     # Endings ---------------------------------------------------------------------------------
 
-    def _look_for_strangers(self, thorough: bool = False) -> None:
-        """End the current run if a node outside it publishes on its topics."""
-        run = self._run
-        if run is not None and (stranger := self._stranger(run, thorough)) is not None:
-            self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
+    def _count_publishers(self) -> dict[str, int]:
+        """Number of publishers of each topic of a run."""
+        return {topic.name: self.count_publishers(topic.name) for topic in interface.TOPICS}
 
-    def _stranger(self, run: ActiveRun, thorough: bool = True) -> Stranger | None:
-        """A foreign publisher that joined since the first step, as long as it matters.
-
-        After the verdict the recorder checks the other topics until it closes its bag; but a
-        foreign node could forge the message that the bag is closed.
-        """
-        if run.ending is None:
-            topics = self._topics
-        else:
-            topics = self._told_by if Outcome(run.ending.outcome).judged else []
-        return first_stranger(topics, thorough) if run.started else None
+    def _intruder(self, run: ActiveRun) -> tuple[str, str] | None:
+        """A node that publishes on a topic of the run, and a line on it."""
+        every = (intruder(self, topic, run.participants) for topic in interface.TOPICS)
+        return next((found for found in every if found is not None), None)
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
-        # The error may be caused by a node outside the run.
-        if kind != InfraKind.INTRUDER and (stranger := self._stranger(run)) is not None:
-            kind, who, detail = InfraKind.INTRUDER, stranger.name, stranger.detail
+        # The error may be caused by a node outside the run; but one that died may have been started
+        # again.
+        doubtful = run.started and run.ending is None and kind not in _CERTAIN
+        if doubtful and (found := self._intruder(run)) is not None:
+            kind, (who, detail) = InfraKind.INTRUDER, found
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
         )
         recorder_lost = interface.RECORDER in who.split(', ') and kind != InfraKind.INTRUDER
         judged = run.ending is not None and Outcome(run.ending.outcome).judged
-        doubtful = kind == InfraKind.INTRUDER or who == interface.SIMULATOR
-        if run.ending is None or (judged and doubtful):
+        if run.ending is None or (judged and who == interface.SIMULATOR):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
             # The bag could not be finished, so the evidence is incomplete and no verdict counts. An
@@ -566,12 +541,21 @@ class Simulator(Node):
         run.goal.publish_feedback(run.feedback())
         if not run.unwanted_s and (self._leaving or run.goal.is_cancel_requested):
             run.unwanted_s = now
-        self._look_for_strangers()
         if run.ending is not None:
             self._await_recorder(run, silence)
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
-        elif run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
+        else:
+            self._watch_steps(run, now, silence)
+            self._watch_publishers(run)
+
+    def _watch_publishers(self, run: ActiveRun) -> None:
+        changed = run.ending is None and self._count_publishers() != run.publishers
+        if changed and (found := self._intruder(run)) is not None:
+            self._fail(run, InfraKind.INTRUDER, *found)
+
+    def _watch_steps(self, run: ActiveRun, now: float, silence: float) -> None:
+        if run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
             self._break_off(run)
         elif run.unwanted_s:
             self._go_on(run)
@@ -611,11 +595,8 @@ class Simulator(Node):
     def _unready(self, run: ActiveRun) -> tuple[str, str, str]:
         """Kind, who and detail for a run that could not start; only nodes that others wait for."""
         within = f'not ready within {self._ready_timeout_s:g} s'
-        for speakers in self._topics:
-            if (stranger := speakers.early_stranger(run.participants)) is not None:
-                return InfraKind.INTRUDER, stranger.name, f'{stranger.detail} ({within})'
-        if parted := cut_off(self):
-            return InfraKind.NOT_READY, interface.SIMULATOR, f'{within}: {parted[0]}'
+        if (found := self._intruder(run)) is not None:
+            return InfraKind.INTRUDER, found[0], f'{found[1]} ({within})'
         if absent := missing_nodes(self, run.participants):
             names = sorted(absent)
             return InfraKind.NOT_READY, ', '.join(names), f'{within}: {absent[names[0]]}'

@@ -29,6 +29,7 @@ EXAMPLES = {
     'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
+IN_SHORT = ('one_run.py', 'read_bag.py', 'read_campaign.py')
 WITHOUT_ROS = """
 import sys
 for name in ('rclpy', 'taxinet_msgs', 'sensor_msgs', 'std_msgs', 'builtin_interfaces'):
@@ -100,7 +101,9 @@ def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypat
     assert names['there'].shape == (200, 360, 3)
 
 
-@pytest.mark.parametrize('name', EXAMPLES)
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[] if name in IN_SHORT else pytest.mark.nightly) for name in EXAMPLES
+])
 def test_given_an_example_then_it_is_short_and_runs_without_ros(name, campaign_folder, tmp_path):
     file = ROOT / 'examples' / name
     assert len(file.read_text().splitlines()) <= 30

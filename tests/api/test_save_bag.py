@@ -212,16 +212,6 @@ print(hashlib.sha256(recording.trace['clearance_m'].to_numpy().tobytes()).hexdig
     assert [row['clearance'] for row in again] == [step.clearance_m for step in run.steps]
 
 
-def test_given_a_bag_of_before_others_then_a_formula_about_them_has_no_verdict():
-    recording = tx.open_recording(ROOT / 'bags' / 'golden' / 'truth-nominal')
-    assert recording.judge('phi_always').interval.lower > -100
-    for text in ('no_collision', 'always(collision < 0.5)'):
-        found = recording.judge(text)
-        assert found.verdict == 'INVALID'
-        assert not found.interval.satisfied
-    assert 'clearance_m' not in recording.trace.columns
-
-
 def test_given_messages_of_another_version_then_one_line_says_what_to_do():
     with pytest.raises(tx.UsageError, match=r'Scenario, as it is installed, has no fog: .* anew'):
         message_cdr(topics.SCENARIO, {'fog': 1.0})

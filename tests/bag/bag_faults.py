@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from bag_samples import Sample, drain
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, Header, Schema
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.bag.storage.records import (
-    MAGIC,
-    ReadBudget,
-    chunk_records,
-    encode,
-    open_chunk,
-    parse_record,
-)
-from taxinet_ros.bag.storage.scan import scan
+from taxinet_ros.bag.storage.records import MAGIC, encode
 
 STEPS = 3
 PER_STEP = 6
@@ -61,25 +51,3 @@ def chunk(data: bytes, declared: int, compression: str, crc: int = 1) -> Chunk:
 def file_with(record: Chunk) -> bytes:
     """A file that ends with this record."""
     return MAGIC + encode(Header('ros2', 'x')) + declarations() + encode(record)
-
-
-def messages_by_chunk(data: bytes) -> list[tuple[int, int, list[tuple[int, int, bytes]]]]:
-    """First and last byte of every chunk, and channel, stamp and bytes of what is in it."""
-    found = []
-    for start, end in chunks_of(data):
-        chunk = parse_record(Opcode.CHUNK, data[start + 9:end])
-        assert isinstance(chunk, Chunk)
-        work = ReadBudget(len(data))
-        records = chunk_records(open_chunk(chunk, work), work)
-        found.append((start, end, _messages(records)))
-    return found
-
-
-def salvaged(path: Path) -> tuple[list[tuple[int, int, bytes]], list[BagError]]:
-    """Channel, stamp and bytes of all messages that are found around damage, and the damage."""
-    damage: list[BagError] = []
-    return _messages(scan(path, damage.append)), damage
-
-
-def _messages(records: Iterable[McapRecord]) -> list[tuple[int, int, bytes]]:
-    return [(r.channel_id, r.log_time, r.data) for r in records if isinstance(r, Message)]

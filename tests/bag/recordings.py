@@ -14,9 +14,9 @@ from typing import NamedTuple
 import yaml
 from bag_samples import make, serialise, store
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.reader import stored_messages
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo
 
 BEGUN_NS = 1_700_000_000_000_000_000
@@ -60,13 +60,12 @@ def heard(
 
 
 def record(
-    folder: Path, messages: Iterable[Logged], *, files: int = 1,
-    compression: CompressionMode = CompressionMode.NONE, namespace: str = '',
+    folder: Path, messages: Iterable[Logged], *, files: int = 1, namespace: str = '',
 ) -> Path:
     """Write a recording, in as many files as ``--max-bag-size`` would have made."""
     logged = list(messages)
     if files == 1:
-        _write(folder, logged, compression, namespace)
+        _write(folder, logged, namespace)
         return folder
     folder.mkdir()
     descriptions = []
@@ -74,7 +73,7 @@ def record(
     for number, first in enumerate(range(0, len(logged), size)):
         part = logged[first:first + size]
         draft = folder.with_name(f'{folder.name}-{number}')
-        _write(draft, part, compression, namespace)
+        _write(draft, part, namespace)
         name = f'{folder.name}_{number}.mcap'
         shutil.move(next(draft.glob('*.mcap')), folder / name)
         values = yaml.safe_load((draft / 'metadata.yaml').read_text())
@@ -84,12 +83,9 @@ def record(
     return folder
 
 
-def _write(
-    folder: Path, logged: Sequence[Logged], compression: CompressionMode, namespace: str
-) -> None:
+def _write(folder: Path, logged: Sequence[Logged], namespace: str) -> None:
     types = store()
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
         for name, kind in SILENT.items():
             writer.add_connection(name, kind, typestore=types)

@@ -16,7 +16,7 @@ import bag_samples
 import pytest
 import yaml
 from bag_samples import ATTACHMENTS, METADATA, STEP_NS, samples, topics, write_bag
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -273,6 +273,7 @@ COUNTED = st.lists(st.tuples(TOPICS, st.integers(0, 10**6)), max_size=4)
 WORDS = st.dictionaries(st.text(max_size=9), st.text(max_size=30), max_size=3)
 
 
+@settings(max_examples=20, deadline=None)
 @given(COUNTED, WORDS, st.integers(0, 2**62))
 def test_given_any_bag_when_described_then_the_text_is_that_of_its_content_dumped_whole(
     topics, custom, duration_ns

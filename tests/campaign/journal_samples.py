@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,6 @@ def rewrite(path: Path, change: Callable[[list[dict[str, Any]]], object]) -> Non
     events = read_journal(path)
     change(events)
     write_events(path, events)
-
-
-def write_old(path: Path, events: Iterable[Mapping[str, Any]]) -> None:
-    """A journal as earlier versions wrote it, without checksums."""
-    path.write_text(''.join(json.dumps(event) + '\n' for event in events))
 
 
 def under_way(folder: Path) -> None:

@@ -213,6 +213,7 @@ ROUND_TRIPS: dict[str, tuple[str, Callable[[dict[str, float]], float]]] = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('kind', ROUND_TRIPS)
 def test_s8_given_a_choice_that_is_not_uniform_when_learned_then_draws_have_its_histogram(
     client: Any, learn: Learn, draw: Callable[..., list[dict[str, Any]]], kind: str,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,8 @@ from taxinet_ros.campaign.learned_result import (
     LEARNED_NAME,
     Evidence,
     LearnedResult,
-    LearnedTogether,
+    Share,
+    share_of_failures,
 )
 from taxinet_ros.campaign.rates import share_bounds
 from taxinet_ros.campaign.samplers.registry import drawn_share, make_sampler
@@ -51,8 +52,11 @@ def result(seed: int, distance: tuple[float, ...] = (0.25,) * 4, **facts: object
     )
 
 
-def together(*results: LearnedResult) -> LearnedTogether:
-    return LearnedTogether(results, [Path(f'seed-{number}') for number in range(len(results))])
+def bins(choice: Choice, *results: LearnedResult) -> list[Share]:
+    """The share of the failures in each bin."""
+    values = [choice.value(edge) for edge in choice.dimension.edges]
+    assert None not in values
+    return [share_of_failures(results, choice, *ends) for ends in itertools.pairwise(values)]
 
 
 def test_given_a_result_when_written_then_it_reads_back_equal(tmp_path: Path) -> None:
@@ -61,24 +65,20 @@ def test_given_a_result_when_written_then_it_reads_back_equal(tmp_path: Path) ->
 
 
 def test_given_several_then_each_bin_has_its_share_of_all_failures_and_its_interval() -> None:
-    both = together(result(1, (0.1, 0.2, 0.3, 0.4)), result(2, (0.3, 0.2, 0.1, 0.4)))
-    shares = both.bins(DISTANCE)
+    shares = bins(DISTANCE, result(1, (0.1, 0.2, 0.3, 0.4)), result(2, (0.3, 0.2, 0.1, 0.4)))
     assert [each.share for each in shares] == pytest.approx([0.2, 0.2, 0.2, 0.4])
     # Where both agree it is as of 200 plain failures, no better; else two searches say little.
     assert tuple(shares[1]) == pytest.approx((0.2, *share_bounds(40, 160, 0.025)))
     assert tuple(shares[3]) == pytest.approx((0.4, *share_bounds(80, 120, 0.025)))
     assert shares[0].low < 0.01
     assert shares[0].high > 0.9
-    assert both.failures(DISTANCE) == pytest.approx(200)
-    assert both.mean['distance'] == pytest.approx((0.2, 0.2, 0.2, 0.4))
 
 
 def test_given_what_was_learned_then_an_interval_of_values_has_its_probability() -> None:
-    both = together(result(1, (0, 0, 0, 1)), result(2, (1, 0, 0, 0)))
-    assert both.within('distance', 0, 100).share == pytest.approx(0.5)
-    assert both.within('distance', 1100, 2000).share == pytest.approx(0.5)
-    assert both.within('distance_m', 1100, 2000) == both.within('distance', 1100, 2000)
-    assert both.within('distance', 1100, 1550).share == pytest.approx(0.25)
+    both = result(1, (0, 0, 0, 1)), result(2, (1, 0, 0, 0))
+    shares = [share_of_failures(both, DISTANCE, low, high).share
+              for low, high in ((0, 100), (1100, 2000), (1100, 1550))]
+    assert shares == pytest.approx([0.5, 0.5, 0.25])
     assert DISTANCE.probability_within(0, 200) == pytest.approx(0.5), 'by the program itself'
 
 
@@ -98,26 +98,6 @@ def test_given_any_interval_then_its_probability_is_that_of_drawn_values(
     assert found == pytest.approx(share, abs=0.01)
 
 
-@pytest.mark.parametrize(('other', 'said'), [
-    ({'sampler': 'mab'}, 'seed-1: has another sampler than seed-0'),
-    ({'perception': 'taxinet'}, 'has another perception'),
-    ({'seed': 1}, 'seed 1 is given twice'),
-])
-def test_given_searches_that_are_not_alike_then_they_are_refused(
-    other: dict[str, object], said: str,
-) -> None:
-    with pytest.raises(UsageError, match=said):
-        together(result(1), result(**{'seed': 2, **other}))
-
-
-@pytest.mark.parametrize('name', ['clouds', 'heading'])
-def test_given_a_choice_without_values_or_an_unknown_one_then_its_interval_is_refused(
-    name: str,
-) -> None:
-    with pytest.raises(UsageError, match=name):
-        together(result(1)).within(name, 0, 1)
-
-
 @pytest.mark.parametrize('text', [None, '', '{}', '{"facts": {}, "dimensions": [3]}'])
 def test_given_no_result_or_a_damaged_one_then_one_line_says_so(
     text: str | None, tmp_path: Path,
@@ -134,20 +114,22 @@ def test_t14_given_no_failures_or_no_weights_then_no_share_is_claimed() -> None:
         name: Evidence(amounts=(0.0,) * bins, squares=(0.0,) * bins, heaviest=1.0)
         for name, bins in (('distance', 4), ('clouds', 2))
     })
-    assert [(each.low, each.high) for each in together(none).bins(DISTANCE)] == [(0, 1)] * 4
-    assert math.isnan(together(none).bins(DISTANCE)[0].share)
-    with pytest.raises(UsageError, match=r'does not say which failures .*require\[p\]'):
-        together(dataclasses.replace(result(1), evidence={}))
+    shares = bins(DISTANCE, none)
+    assert [(each.low, each.high) for each in shares] == [(0, 1)] * 4
+    assert math.isnan(shares[0].share)
 
 
 def searched(
-    seed: int, runs: int, fails: Sequence[float], sampler: str = 'ce', **options: float
+    seed: int, runs: int, fails: Sequence[float], sampler: str = 'ce', **options: str | float
 ) -> LearnedResult:
     """A search in which the bins of ``x`` fail with these probabilities.
 
     Results arrive up to eight runs late; the runs weigh what the sampler says.
     """
-    choice = Choice(dimension=Dimension(name='x', buckets=len(fails)), feeds=frozenset())
+    choice = Choice(
+        dimension=Dimension(name='x', buckets=len(fails)), feeds=frozenset(),
+        pieces=(Piece(start=0.0, end=1.0, low=0.0, high=1.0),),
+    )
     search = make_sampler(sampler, (choice.dimension,), seed, runs, **options)
     chance = np.random.default_rng([seed, 7])
     amounts, squares = np.zeros(len(fails)), np.zeros(len(fails))
@@ -172,19 +154,21 @@ def searched(
     )
 
 
+@pytest.mark.nightly
 def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() -> None:
     """The samplers' own histograms say three quarters where the truth is 98 %."""
     fails = [0.4 * each for each in (0.02 / 3, 0.02 / 3, 0.98, 0.02 / 3)]
-    groups = [together(*(searched(100 * group + seed, 120, fails) for seed in range(5)))
+    groups = [[searched(100 * group + seed, 120, fails) for seed in range(5)]
               for group in range(40)]
-    shares = [group.bins(group.choices[0])[2] for group in groups]
+    shares = [bins(group[0].choices[0], *group)[2] for group in groups]
     held = sum(share.low <= 0.98 <= share.high for share in shares)
     assert held >= 36
     assert np.mean([share.share for share in shares]) == pytest.approx(0.98, abs=0.01)
     assert np.mean([share.high - share.low for share in shares]) < 0.22
-    assert np.mean([group.mean['x'][2] for group in groups]) < 0.85
+    assert np.mean([one.probabilities['x'][2] for group in groups for one in group]) < 0.85
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('sampler', 'runs', 'fails', 'missed_before'), [
     ('ce', 600, [0.9, *[0.011] * 9], 0.2),
     ('ce', 300, [0.9, 0.3, *[0.02] * 8], 0.1),
@@ -202,9 +186,9 @@ def test_given_a_single_search_then_the_intervals_of_its_shares_hold_the_truth(
     truth = np.array(fails) / sum(fails)
     missed = np.zeros(len(fails))
     for seed in range(searches):
-        alone = together(searched(seed, runs, fails, sampler))
+        alone = searched(seed, runs, fails, sampler)
         missed += [not share.low <= true <= share.high
-                   for share, true in zip(alone.bins(alone.choices[0]), truth, strict=True)]
+                   for share, true in zip(bins(alone.choices[0], alone), truth, strict=True)]
     # 5 % of 60 and two standard errors; the bins that look alike count together.
     assert missed.max() / searches <= 0.11
     assert missed.mean() / searches <= 0.05
@@ -214,23 +198,9 @@ def test_given_a_search_that_draws_nothing_from_the_program_then_its_shares_have
 ) -> None:
     """Five searches by the paper's rule missed a share of 50 % in one case of four."""
     fails = [0.05] * 4 + [0.9] + [0.05] * 4 + [0.5]
-    rule = together(*(searched(seed, 100, fails, 'ce-verifai') for seed in range(2)))
-    shares = rule.bins(rule.choices[0])
+    rule = [searched(seed, 100, fails, rule='verifai') for seed in range(2)]
+    shares = bins(rule[0].choices[0], *rule)
     assert {(share.low, share.high) for share in shares} == {(0.0, 1.0)}
     assert sum(share.share for share in shares) == pytest.approx(1)
-    assert 'no intervals: ce-verifai drew nothing' in rule.why_no_interval
-    with_floor = together(searched(0, 100, fails, 'ce-verifai', floor=0.3))
-    assert not with_floor.why_no_interval
-    assert with_floor.bins(with_floor.choices[0])[4].low > 0
-
-
-def test_given_evidence_of_an_earlier_version_then_it_is_refused_by_name(tmp_path: Path) -> None:
-    """It had one sum of squares for all bins, from which no interval follows."""
-    values = json.loads(result(1).to_json())
-    for dimension in values['dimensions']:
-        dimension['evidence'] = {'amounts': [100.0], 'squares': 100.0}
-    (tmp_path / LEARNED_NAME).write_text(json.dumps({
-        'facts': values['facts'], 'dimensions': values['dimensions'],
-    }))
-    with pytest.raises(UsageError, match='written by an earlier version'):
-        together(LearnedResult.read(tmp_path))
+    with_floor = searched(0, 100, fails, rule='verifai', floor=0.3)
+    assert bins(with_floor.choices[0], with_floor)[4].low > 0

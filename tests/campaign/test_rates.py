@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from taxinet_ros.analysis.gate import GateOptions, Verdict, bounds, further_runs, gate_result
-from taxinet_ros.bench.intervals import LANDSCAPES, measure_intervals
 from taxinet_ros.campaign.rates import (
     ProgramRate,
     anytime_bounds,
@@ -32,6 +31,16 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 
 SPACE = (Dimension(name='x'), Dimension(name='y'), Dimension(name='kind', weights=(2, 1)))
+
+
+# Robustness of a point of a landscape that fails with a given rate.
+LANDSCAPES = {
+    'band': lambda true: lambda point: abs((point[0] or 0.0) - 0.6) - true / 2,
+    'corner': lambda true: lambda point: max(point[0] or 0.0, point[1] or 0.0) - true**0.5,
+    'diagonal': lambda true: lambda point: (
+        abs((point[0] or 0.0) - (point[1] or 0.0)) - 1 + (1 - true) ** 0.5
+    ),
+}
 
 
 def search(word: str, runs: int, seed: int, *, shape: str = 'band', true: float = 0.01,
@@ -80,7 +89,7 @@ def test_given_any_results_then_the_draws_are_the_same_and_uniform(word):
         assert 0.2 < np.mean([point[0] for _, point in drawn[0]]) < 0.8
 
 
-@pytest.mark.parametrize('word', ['halton', 'sobol', 'grid', 'ce-verifai'])
+@pytest.mark.parametrize('word', ['halton', 'sobol', 'grid'])
 def test_t1_given_a_search_of_which_nothing_was_drawn_then_there_is_no_rate(word):
     """A grid that is not whole had intervals that held the rate in 0 to 26 % of cases."""
     found = failure_rate(search(word, 60, 1, true=0.5))
@@ -89,7 +98,7 @@ def test_t1_given_a_search_of_which_nothing_was_drawn_then_there_is_no_rate(word
     assert 'floor=0.3' in found.why_not
     some = failure_rate(search(word, 60, 1, true=0.5, floor=0.5))
     assert some.rate is not None
-    assert some.drawn == 30 or word == 'ce-verifai'
+    assert some.drawn == 30
     assert f'of the {some.drawn} runs that the program itself drew' in some.rests_on
 
 
@@ -208,20 +217,6 @@ def test_given_no_failure_then_the_interval_for_any_stop_is_a_little_wider_than_
     assert exact < anywhere < 1.35 * exact
 
 
-SHORT = {'runs': (60, 100), 'rates': (0.1, 0.01), 'workers': 1}
-
-
-@pytest.mark.parametrize('word', ['mab', 'ce'])
-def test_t2_t3_given_known_rates_then_intervals_hold_them_and_gate_passes_seldom(word):
-    """Short form of ``taxinet bench intervals``; 16 to 96 % and up to 89 % it was before."""
-    found = measure_intervals([word], 40, lambda done, total: None, **SHORT)
-    for one in found['intervals']:
-        assert min(one['covers']) >= 0.87  # 95 % of 40 searches, and more than 2 standard errors
-        assert max(one['passes']) <= 0.1
-        assert one['watched_covers'] >= 0.87
-        assert one['watched_passes'] <= 0.1
-
-
 def test_s1_given_a_bandit_and_a_region_of_one_per_cent_then_gate_does_not_pass_99_9():
     """It passed with 27 failures of 300 runs; of one search in seven, the interval held 1 %."""
     options = GateOptions(min_satisfaction=0.999)
@@ -231,14 +226,13 @@ def test_s1_given_a_bandit_and_a_region_of_one_per_cent_then_gate_does_not_pass_
         assert gate_result(rows, options, planned=300).verdict is not Verdict.PASS
 
 
-@pytest.mark.parametrize('word', ['ce', 'ce-verifai', 'mab', 'tpe', 'cmaes'])
+@pytest.mark.parametrize('word', ['ce', 'mab', 'tpe', 'cmaes'])
 def test_t2_given_any_sampler_then_gate_does_not_pass_at_half_the_true_failure_rate(word):
     """All runs that an optimiser chose may satisfy: they are no proof."""
     runs = 80
     options = GateOptions(min_satisfaction=0.75)
-    floor = {} if drawn_share(word, {}) else {'floor': 0.3}
     for seed in range(2):
-        rows = search(word, runs, seed, shape='diagonal', true=0.5, **floor)
+        rows = search(word, runs, seed, shape='diagonal', true=0.5)
         assert gate_result(rows, options, planned=runs).verdict is not Verdict.PASS
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import falsify_samples as toy
@@ -16,8 +17,7 @@ from taxinet_ros.core.scenario import Scenario
 SPACE = (Dimension(name='x'), Dimension(name='y'))
 RHO_OF_REJECTED = {
     # Those that learn from results hear of a rejection as of a run with this robustness.
-    'ce': 1.0, 'ce-verifai': -1.0, 'mab': 1.0, 'bo': 1.0, 'tpe': 1.0, 'cmaes': 1.0, 'active': 1.0,
-    'screening': 1.0,
+    'ce': 1.0, 'mab': 1.0, 'bo': 1.0, 'tpe': 1.0, 'cmaes': 1.0, 'active': 1.0,
 }
 PASSIVE = ('random', 'halton', 'sobol', 'grid', 'coverage', 'splitting')
 
@@ -36,10 +36,12 @@ def _choosy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_module, 'SceneSource', Choosy)
 
 
-def points(name: str, feedback: float | None, runs: int = 30) -> list[object]:
+def points(
+    name: str, feedback: float | None, runs: int = 30, options: Mapping[str, str] | None = None
+) -> list[object]:
     """Points of a sampler whose left half the requirements reject, and whose right half passes."""
     small = {'ce': {'every': '5'}, 'splitting': {'particles': '10', 'islands': '2'}}
-    sampler = make_sampler(name, SPACE, 3, runs, **small.get(name, {}))
+    sampler = make_sampler(name, SPACE, 3, runs, **(options or small.get(name, {})))
     sampler.set_lag(1)
     found: list[object] = []
     for _ in range(runs):
@@ -75,7 +77,9 @@ def test_the_two_lists_name_every_shipped_sampler() -> None:
 
 def test_verifais_rule_does_not_learn_from_rejections_that_are_no_failures() -> None:
     """As in VerifAI, whose default feedback of 1 is 'positive so cross-entropy won't update'."""
-    assert points('ce-verifai', 1.0) == points('ce-verifai', None)
+    rule = {'rule': 'verifai'}
+    assert points('ce', 1.0, options=rule) == points('ce', None, options=rule)
+    assert points('ce', -1.0, options=rule) != points('ce', None, options=rule)
 
 
 def test_a_rejected_point_is_a_pull_of_a_bandit() -> None:

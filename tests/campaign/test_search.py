@@ -417,7 +417,7 @@ def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refu
     assert read_facts(whole).values == values
 
 
-@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid', 'ce-verifai'])
+@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid'])
 def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, tmp_path):
     chosen = toy.options(
         tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')

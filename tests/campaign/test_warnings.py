@@ -11,8 +11,7 @@ import pytest
 
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
-from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.overrides import doubtful_values
 from taxinet_ros.campaign.summary import (
@@ -75,19 +74,6 @@ def test_t17_given_a_window_beyond_the_run_then_nothing_is_written(tmp_path: Pat
     with pytest.raises(UsageError, match='begins 35 s into the run, which lasts 1 s'):
         toy.finish(chosen)
     assert not (tmp_path / 'a').exists()
-
-
-def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resumed(
-    tmp_path: Path,
-) -> None:
-    with toy.searching(toy.options(tmp_path / 'new', runs=4)) as search:
-        facts = search.book.facts
-    assert facts['warnings']
-    old = tmp_path / 'old'
-    old.mkdir()
-    with Ledger(old / LEDGER_NAME) as ledger:
-        ledger.campaign({key: value for key, value in facts.items() if key != 'warnings'})
-        assert read_earlier_runs(old, facts).begun == 0
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,7 @@ def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_mend_
     assert 'make' in check.mend
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 @pytest.mark.parametrize(('environment', 'limits', 'name', 'words'), [
     ({'TAXINET_DOMAIN_ID': '999'}, None, 'domain', 'is an integer from 0 to 232'),
@@ -121,15 +122,6 @@ def test_variables_of_ros_that_cannot_work_are_named_in_one_line_before_anything
     (line,) = done.stderr.splitlines()
     assert line.startswith(says)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_given_no_folder_then_there_is_nothing_to_mend(monkeypatch, capsys):
-    monkeypatch.setattr(sys, 'argv', ['taxinet', 'doctor', '--mend'])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert (end.value.code, capsys.readouterr().err) == (
-        2, 'taxinet: error: --mend: only with the folder of a CAMPAIGN\n',
-    )
 
 
 def test_given_no_ros_when_a_graph_is_asked_for_then_one_line_says_what_to_do(

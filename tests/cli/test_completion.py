@@ -26,7 +26,7 @@ CLOUDS = ['clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus']
 def test_given_the_beginning_of_a_word_when_completed_then_all_that_fit_are_offered():
     assert set(complete_program('s_falsif')) >= {'s_falsif', 's_falsif_ce'}
     assert complete_perception('tax') == ['taxinet']
-    assert complete_sampler('ce') == ['ce', 'ce-verifai']
+    assert complete_sampler('ce') == ['ce']
     assert complete_mounted('') == ['wing', 'strut', 'nose', 'tail', 'ours', 'flightgear', 'xplane']
     assert complete_fallback('s') == [
         'stop', 'slow', *(f'second:{name}' for name in complete_perception('')),

@@ -186,7 +186,7 @@ def test_given_the_pages_then_they_have_many_commands_of_all_kinds():
     ('taxinet run nominal --out bags/x   # a remark', [['run', 'nominal', '--out', 'bags/x']]),
     ("A=1 nice .venv/bin/taxinet run 'a b' 2>&1 | tee log && taxinet gate x > y",
      [['run', 'a b'], ['gate', 'x']]),
-    ('for i in 1 2; do taxinet merge "$i"; done', [['merge', '1']]),
+    ('for i in 1 2; do taxinet gate "$i"; done', [['gate', '1']]),
     ('ros2 run taxinet_ros recorder', []),
 ])
 def test_given_a_shell_line_then_its_calls_are_found(line, found):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from taxinet_process import TAXINET, taxinet_apart
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 @pytest.fixture(scope='module')
@@ -48,7 +48,6 @@ def a_socket(path: Path) -> None:
     (pipe, 'c/campaign.json', ('analyze', 'c')),
     (device, 'c/campaign.json', ('gate', 'c', '--min-satisfaction', '0.5')),
     (pipe, 'c/runs.parquet', ('analyze', 'c')),
-    (device, 'c/learned.json', ('learned', 'c')),
     (pipe, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (a_socket, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),
     (device, 'mine.py', ('run', 'nominal', '--controller', 'mine.py:steer')),

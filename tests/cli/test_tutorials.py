@@ -83,9 +83,11 @@ def missing_line(shown: str, printed: str) -> str:
     return ''
 
 
-@pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize('page', [
+    pytest.param(page, id=page.stem, marks=[] if page.stem == 'start' else pytest.mark.nightly)
+    for page in PAGES
+])
 def test_given_a_tutorial_when_followed_then_every_command_does_as_the_page_says(page, tmp_path):
     printed = ''
     if page.stem == STRANGER:

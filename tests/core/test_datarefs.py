@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.datarefs import find_datarefs, make_datarefs
+from taxinet_ros.core.datarefs import find_datarefs, make_datarefs, split_name
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -38,6 +38,7 @@ def test_a_file_of_them(tmp_path):
 @pytest.mark.parametrize(('text', 'words'), [
     ('{}', 'expected 1 to 64 datarefs, got 0'), ('{"rain": 1}', "'rain' is no name of a dataref"),
     ('{"sim/a": "x"}', "sim/a is 'x'; expected a finite number"),
+    ('{"sim/a": 1e300}', 'expected a finite number'),
     ('{"sim/a": []}', 'expected a finite number'), ('{"sim/a": null}', 'expected a finite number'),
     ('{"sim/a": NaN}', 'expected a finite number'), ('{"sim/a"', 'neither a name nor JSON'),
     ('some', 'not one of none, nor a YAML file'), ('[1]', 'not one of none'),
@@ -45,6 +46,13 @@ def test_a_file_of_them(tmp_path):
 def test_what_is_none(text, words):
     with pytest.raises(UsageError, match=words):
         scenario_from_human({'datarefs': text})
+
+
+@pytest.mark.parametrize('name', ['rain', '', 'sim//rain', 'sim/rain[x]', 'sim/a b', 'sim/ä/b',
+                                  f'sim/{"x" * 300}', 'sim/rain\n'])
+def test_what_is_no_name(name):
+    with pytest.raises(UsageError, match='is no name of a dataref'):
+        split_name(name)
 
 
 def test_too_many():

@@ -38,7 +38,8 @@ from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.files.journal import read_journal
+from taxinet_ros.files.journal import journal_line, read_journal
+from taxinet_ros.files.sealed_json import sealed_text
 
 Use = Callable[[bytes], object]
 
@@ -96,7 +97,7 @@ def _file(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
 
 
 def _ledger_text(folder: Path) -> bytes:
-    """A ledger without checksums, as of earlier versions, so that nonsense gets beyond them."""
+    """A ledger without checksums, which :func:`_resume` adds, so that nonsense gets beyond them."""
     options = falsify_samples.options(folder).campaign
     with Ledger(folder / LEDGER_NAME) as ledger:
         ledger.campaign({**_search_facts(folder)})
@@ -125,16 +126,34 @@ def _resume(folder: Path) -> Use:
     facts = _search_facts(folder)
 
     def use(data: bytes) -> object:
-        (folder / LEDGER_NAME).write_bytes(data)
+        (folder / LEDGER_NAME).write_bytes(b'\n'.join(map(_summed, data.split(b'\n'))))
         return table(read_earlier_runs(folder, facts).rows.values(), ['phi_eventually'])
     return use
 
 
-def _learned(folder: Path) -> Use:
-    def use(data: bytes) -> object:
-        (folder / LEARNED_NAME).write_bytes(data)
-        return LearnedResult.read(folder)
-    return use
+def _summed(line: bytes) -> bytes:
+    values = _object(line)
+    return journal_line(values)[:-1] if values else line
+
+
+def _sealed(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
+    """Read a sealed file whose checksum fits, so that nonsense gets beyond it."""
+    def resealed(data: bytes) -> bytes:
+        values = _object(data)
+        return data if values is None else sealed_text(values).encode()
+
+    def reader(folder: Path) -> Use:
+        path = folder / name
+        return lambda data: (path.write_bytes(resealed(data)), read(path))
+    return reader
+
+
+def _object(data: bytes) -> dict[str, Any] | None:
+    try:
+        values = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return values if isinstance(values, dict) else None
 
 
 _LEARNED = LearnedResult(
@@ -152,7 +171,7 @@ specs:
 
 
 def _unsealed(text: str) -> Callable[[Path], list[bytes]]:
-    """A sealed file without its checksum, as of earlier versions, for the same reason."""
+    """The values of a sealed file."""
     values = json.loads(text)
     return _jsons({name: values[name] for name in values if name not in ('seal', 'checksum')})
 
@@ -185,10 +204,11 @@ TARGETS: dict[str, Target] = {
     'ledger': Target(True, lambda folder: [_ledger_text(folder)], _resume),
     'campaign.json': Target(
         True, lambda folder: [json.dumps(_search_facts(folder), indent=2).encode()],
-        _file(FACTS_NAME, lambda path: facts_beside(path.parent))),
-    'learned.json': Target(True, _unsealed(_LEARNED.to_json()), _learned),
+        _sealed(FACTS_NAME, lambda path: facts_beside(path.parent))),
+    'learned.json': Target(True, _unsealed(_LEARNED.to_json()),
+                           _sealed(LEARNED_NAME, lambda path: LearnedResult.read(path.parent))),
     'bench report': Target(True, _jsons(_REPORT), _file('old.json', load_report)),
     'analysis.json': Target(
         True, _jsons({'schema': SCHEMA, 'version': 1, 'files': ['analysis.json']}),
-        _file('analysis.json', lambda path: check_folder(path.parent))),
+        _sealed('analysis.json', lambda path: check_folder(path.parent))),
 }

@@ -1,4 +1,4 @@
-"""Thousands of mutated files: reading, checking and mending them ends in a typed error or a result.
+"""Hundreds of mutated files: reading, checking and mending them ends in a typed error or a result.
 
 A third are mutated as they are, which their checksums catch; the others within a chunk without a
 checksum, so that nonsense reaches definitions, descriptions and messages.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bag_faults import chunk
 from mcap.records import Chunk, Header
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from whole_runs import run_messages, write_run
 
 from taxinet_ros.bag.check.doctor import check_bag
@@ -22,15 +24,10 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.bag.storage.records import (
-    MAGIC,
-    ReadBudget,
-    encode,
-    open_chunk,
-    parse_record,
-    split_records,
-)
+from taxinet_ros.bag.storage.records import MAGIC, encode
 from taxinet_ros.errors import UsageError
+
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope='module')
@@ -42,9 +39,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 def opened(data: bytes) -> bytes:
     """What the chunks of a file hold."""
-    records = (parse_record(code, body) for code, body in split_records(data[len(MAGIC):-8]))
-    work = ReadBudget(len(data))
-    return b''.join(open_chunk(record, work) for record in records if isinstance(record, Chunk))
+    records = StreamReader(BytesIO(data), emit_chunks=True).records
+    chunks = (record for record in records if isinstance(record, Chunk))
+    return b''.join(get_chunk_data_stream(chunk)[0].read(1 << 30) for chunk in chunks)
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
@@ -82,11 +79,11 @@ def test_given_mutated_files_when_read_then_none_passes_for_a_whole_one(
     files: Callable[[int, int], Iterator[Path]],
 ) -> None:
     ends = Counter[str]()
-    for path in files(20, 2000):
+    for path in files(20, 600):
         ends[f'messages {end_of(lambda p: deque(read_messages(p), maxlen=0), path)}'] += 1
         ends[f'info {end_of(read_info, path)}'] += 1
     assert ends['messages ok'] == 0
-    assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 200
+    assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 60
 
 
 def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_is_imported(
@@ -100,13 +97,13 @@ def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_i
     for use in uses.values():
         use(tmp_path / 'sound.mcap')
     modules, ends = set(sys.modules), Counter[str]()
-    for number, path in enumerate(files(21, 100)):
+    for number, path in enumerate(files(21, 60)):
         saved = tmp_path / 'saved' / str(number)
         uses['recover'] = lambda path, saved=saved: recover(path, saved)
         for name, use in uses.items():
             ends[f'{name} {end_of(use, path)}'] += 1
     assert ends['tables ok'] == 0
-    assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 10
+    assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 5
     assert set(sys.modules) == modules
 
 

@@ -13,6 +13,8 @@ from fuzz_mutations import ROUNDS
 
 from taxinet_ros.nodes.running.domain import own_domain
 
+pytestmark = pytest.mark.nightly
+
 CHILD = Path(__file__).with_name('fuzz_child.py')
 MUTANTS = {'onnx': 150, 'table': 60, 'parameters': 60}
 

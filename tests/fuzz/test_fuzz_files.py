@@ -22,6 +22,8 @@ from hypothesis import strategies as st
 
 from taxinet_ros.campaign.record.table import read_table
 
+pytestmark = pytest.mark.nightly
+
 MUTANTS = {'metadata.yaml': 15}
 """Those of a target, where it takes longer; a millisecond is what YAML costs per few words."""
 

@@ -26,6 +26,8 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 
+pytestmark = pytest.mark.nightly
+
 MUTANTS = 12
 READERS: dict[str, Callable[[Path], object]] = {
     'trace': lambda path: open_recording(path).columns,

@@ -13,6 +13,8 @@ from taxinet_ros.campaign.scenes.programs import shipped_folder
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 MUTANTS = 20
 TIMEOUT_S = 20.0
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'

@@ -295,14 +295,3 @@ def test_given_a_type_that_is_not_installed_then_nothing_is_imported_for_it():
     assert 'antigravity' not in sys.modules
     with pytest.raises(UsageError, match='another version'):
         message_class(topic(type_hash='RIHS01_' + '0' * 64))
-
-
-def test_given_a_scenario_of_before_there_was_wind_then_it_is_said_as_now():
-    golden = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
-    said = next(iter(read_messages(golden, ['/scenario'])))
-    recorded = next(one for one in open_bag(str(golden)).topics if one.name == '/scenario')
-    kind, present = message_class(recorded)
-    scenario = deserialize_message(present(said.cdr), kind)
-    assert kind is interface.SCENARIO.type
-    assert (scenario.run_id, scenario.duration_s) == ('truth-nominal', 12.0)
-    assert (scenario.wind_speed_mps, scenario.runway_state, scenario.speed_mps) == (0.0, 'dry', 5.0)

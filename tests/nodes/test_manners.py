@@ -40,7 +40,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'
@@ -183,28 +183,6 @@ def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_f
             assert not re.search('FATAL|Traceback|ERROR', text), text
         # Said when it lasts, and when it changes: not at every look.
         assert logs['recorder'].read_text().count('waiting for: ') <= 8
-
-
-def test_given_a_remap_that_parts_a_node_then_its_own_line_says_from_whom(tmp_path):
-    log = tmp_path / 'log'
-    expected = (
-        '[perception]: camera/image_raw is remapped to /elsewhere, but simulator publishes '
-        '/camera/image_raw'
-    )
-    with own_domain() as domain:
-        nodes = [
-            start('taxinet_perception', domain, '--ros-args', '-r', 'camera/image_raw:=/elsewhere',
-                  log=log),
-            start('simulator', domain, log=tmp_path / 'other'),
-        ]
-        try:
-            wait_for(lambda: expected in log.read_text(), log.read_text)
-        finally:
-            for node in nodes:
-                node.send_signal(signal.SIGINT)
-            assert [node.wait() for node in nodes] == [0, 0]
-    assert log.read_text().count(expected) == 1
-    assert 'remapped' not in (tmp_path / 'other').read_text()
 
 
 # Parameters ----------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 RUNS = 12

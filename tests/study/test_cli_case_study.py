@@ -104,7 +104,7 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_where_it_was(
     tmp_path,
 ):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import socket
 import subprocess
 import threading
 from pathlib import Path
@@ -21,9 +20,7 @@ from standing import ended, taxinet
 
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.cli.main import app
 from taxinet_ros.cli.run.campaign import run_campaign
-from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.running import domain
@@ -31,7 +28,7 @@ from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 SEEDS = {'first': 5, 'second': 6}
 
@@ -74,25 +71,6 @@ def test_given_another_graph_on_the_domain_then_one_line_names_it_and_nothing_is
     )
     assert output == ''
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize('text', ['233', '-1', 'abc', '1.5', '²'])
-def test_given_a_domain_by_hand_that_is_none_then_one_line_says_what_is(text, monkeypatch):
-    monkeypatch.setenv(BY_HAND, text)
-    with pytest.raises(UsageError, match=r'TAXINET_DOMAIN_ID .*: a ROS domain is .* 0 to 232'):
-        own_domain().__enter__()
-
-
-def test_given_graphs_that_reserve_then_no_two_have_the_same_domain():
-    with own_domain() as first, own_domain() as second, own_domain() as third:
-        assert len({first, second, third}) == 3
-
-
-def test_given_a_domain_by_hand_that_another_graph_has_reserved_then_one_line_says_so(monkeypatch):
-    with own_domain() as number:
-        monkeypatch.setenv(BY_HAND, str(number))
-        with pytest.raises(UsageError, match=rf'^ROS domain {number} is taken: another graph'):
-            own_domain().__enter__()
 
 
 def begin(folder: Path, name: str) -> subprocess.Popen[str]:
@@ -138,27 +116,6 @@ def test_given_two_campaigns_at_once_then_each_is_what_it_is_alone(tmp_path):
     assert not set(made(alone, 'first')[1].values()) & set(made(alone, 'second')[1].values())
 
 
-@pytest.mark.parametrize('words', [
-    ('falsify', 'nominal', '--out', 'new'), ('experiment', 'crossing', '--out', 'new'),
-    ('case-study', '--scale', '0.02', '--out', 'new'),
-])
-def test_t17_domain_by_hand_takes_one_worker_and_nothing_is_written(words, tmp_path, monkeypatch):
-    monkeypatch.setenv(BY_HAND, '77')
-    monkeypatch.chdir(tmp_path)
-    message = 'TAXINET_DOMAIN_ID 77: a single domain, but 2 workers need one each; use'
-    with pytest.raises(UsageError, match=message):
-        app([*words, '--workers', '2'], standalone_mode=False)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_t17_domain_by_hand_that_is_none_is_refused_before_a_search_begins(tmp_path, monkeypatch):
-    monkeypatch.setenv(BY_HAND, 'banana')
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match="TAXINET_DOMAIN_ID 'banana': a ROS domain is an integer"):
-        app(['falsify', 'nominal', '--out', 'new'], standalone_mode=False)
-    assert list(tmp_path.iterdir()) == []
-
-
 # Somebody who reserves nothing ----------------------------------------------------------------
 
 
@@ -169,7 +126,7 @@ def standing(tmp_path):
         pass
     context = Context()
     rclpy.init(context=context, domain_id=number)
-    foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none', alone=False)
+    foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none')
     executor = EventsExecutor(context=context)
     nodes = [
         kind(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in given.items()])
@@ -228,36 +185,9 @@ def test_f5_given_a_graph_that_came_after_the_choice_then_no_verdict_is_its_and_
     standing, tmp_path, monkeypatch
 ):
     first_choice(standing, monkeypatch)
-    monkeypatch.setattr(domain, '_is_free', lambda number: True)
+    monkeypatch.setattr(domain, 'in_use', lambda number: False)
     assert short_campaign(tmp_path / 'c', runs=2) == 4
     broken, sound = read_table(tmp_path / 'c').to_dict('records')
     assert (broken['outcome'], broken['kind']) == ('INFRA_ERROR', 'intruder'), broken
     assert sound['outcome'] in ('PASS', 'FAIL')
     assert sound['perception'] == 'original'
-
-
-def test_f5_given_a_port_of_dds_that_another_program_has_then_that_domain_is_passed_over(
-    monkeypatch
-):
-    with own_domain() as number:
-        pass
-    first_choice(number, monkeypatch)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(('127.0.0.1', 7400 + 250 * number + 14))
-        with own_domain() as other:
-            assert other != number
-
-
-def test_f5_given_another_middleware_then_a_domain_is_listened_to_before_it_is_chosen(monkeypatch):
-    found = [['somebody'], []]
-    monkeypatch.setattr(domain, 'anybody_here', lambda number: None)
-    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: found.pop(0))
-    with own_domain():
-        assert found == []
-
-
-def test_f5_given_all_domains_in_use_then_one_line_says_so(monkeypatch):
-    monkeypatch.setattr(domain, 'anybody_here', lambda number: True)
-    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: ['somebody'])
-    with pytest.raises(UsageError, match='all ROS domains from 1 to 100 are in use; end a graph'):
-        own_domain().__enter__()

@@ -10,7 +10,7 @@ from standing import ended, standing, taxinet
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.running.domain import own_domain
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 def test_given_two_standing_graphs_on_one_domain_then_each_runs_its_own_scenes(tmp_path):

@@ -20,9 +20,9 @@ from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-ROUNDS, BUSY = 3, 3
+BUSY = 3
 REQUEST = RunRequest(
     run_id='stressed', index=0, program='test', seed=1,
     judging=Judging(specs=('phi_eventually', 'phi_always')),
@@ -73,13 +73,12 @@ def at_leisure(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, RunResult
     return run(composed_graph(GraphOptions(perception='taxinet', out=out)), out)
 
 
-@pytest.mark.parametrize('round_', range(ROUNDS))
 @pytest.mark.parametrize(
     ('layout', 'slowed', 'loaded'),
     [('composed', True, False), ('composed', False, True), ('processes', True, True)],
 )
 def test_given_load_or_a_slow_perception_in_any_layout_then_every_byte_is_the_same(
-    layout, slowed, loaded, round_, at_leisure, tmp_path, monkeypatch
+    layout, slowed, loaded, at_leisure, tmp_path, monkeypatch
 ):
     # A process of its own finds the slowed perception there.
     monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent), prepend=os.pathsep)

@@ -20,7 +20,7 @@ from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
@@ -40,26 +40,6 @@ def graph(tmp_path_factory):
 def outcomes(graph: Standing, seed: int) -> list[tuple[str, str, str]]:
     table = read_table(graph.folder / f'table-{seed}')[['outcome', 'kind', 'who']].astype(object)
     return list(table.where(table.notna(), '').itertuples(index=False, name=None))
-
-
-def test_given_a_standing_graph_then_it_says_where_and_how_to_have_it_run_scenes(graph):
-    lines = graph.printed.splitlines()
-    assert lines[0] == (
-        f'ROS domain {graph.domain}, this machine only; perception truth; bags and logs in up'
-    )
-    assert f'ROS_DOMAIN_ID={graph.domain} ' in lines[2]
-    assert ' scenario_sampler --ros-args' in lines[2]
-    assert f'ready: {", ".join(NODES)}' in lines
-    assert {path.stem for path in (graph.out / 'logs').iterdir()} == set(NODES)
-
-
-def test_given_a_sampler_in_another_terminal_then_its_runs_are_made_and_recorded(graph):
-    code, output, errors = ended(graph.sampler('runs:=2', SHORT, seed=1))
-    assert code == 0, output + errors
-    assert outcomes(graph, 1) == [('PASS', '', '')] * 2
-    for run_id in read_table(graph.folder / 'table-1')['run_id']:
-        assert read_info(graph.out / run_id).complete
-    graph.wait_to_say('run table-1-00001: PASS')
 
 
 def test_the_table_and_the_last_line_name_the_folder_in_which_the_recorder_writes(graph):
@@ -121,7 +101,8 @@ def test_r6_given_a_node_killed_amid_a_run_then_the_sampler_goes_on_and_the_next
     assert {name for name in before if after[name] != before[name]} == {module}
     bag = graph.out / f'table-{seed}-00001'
     assert read_info(bag).complete
-    assert all(not check.findings for check in check_bag(bag).checks)
+    found = [check.findings for check in check_bag(bag).checks if check.findings]
+    assert not found
 
 
 def test_given_ctrl_c_amid_a_run_then_the_run_the_bag_and_the_graph_end_in_order(tmp_path):

@@ -24,10 +24,11 @@ from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
 from taxinet_ros.analysis.report.worst import WorstView, rho_words, view_worst
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.campaign.record.facts import record_beside
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import PLACE
+from taxinet_ros.files.pages import write_index
 
 _ASSETS = Path(__file__).parent / 'assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')
@@ -50,7 +51,8 @@ def write_report_page(
 ) -> None:
     """Write a report as a page; the same report gives the same bytes.
 
-    If a run's bag cannot be read, the page shows the reason instead of a viewer.
+    If a run's bag cannot be read, the page shows the reason instead of a viewer. A page in a
+    campaign's folder is put on the list there (:func:`.write_index`).
 
     Args:
         report: the report.
@@ -64,6 +66,8 @@ def write_report_page(
     html = _html(report, on_progress)
     on_progress(f'writing {path.name}')
     write_atomically(path, html)
+    if (campaign := record_beside(path)) is not None:
+        write_index(campaign)
 
 
 def _html(report: Report, on_progress: Callable[[str], None]) -> str:
@@ -74,7 +78,7 @@ def _html(report: Report, on_progress: Callable[[str], None]) -> str:
         report=report, runs=runs, run_link=run_link, page_link=page_link,
         worst=_worst(report, runs), rho={clean(run): rho_words(rho)
                                          for run, rho in report.rho.items()},
-        made_on=words(provenance()), pages=Markup(PLACE),
+        made_on=words(provenance()),
         sections=[_section(section, runs, on_progress) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],

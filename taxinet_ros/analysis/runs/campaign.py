@@ -30,9 +30,8 @@ from taxinet_ros.campaign.rates import (
     sample_size_was_fixed,
     without_gaps,
 )
-from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, recorded_stacks
+from taxinet_ros.campaign.record.facts import FACTS_NAME, planned_runs, read_facts, recorded_stacks
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
-from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE

@@ -17,7 +17,6 @@ from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 
 PROGRAM_NAME, PICTURE_NAME = 'learned.scenic', 'learned.png'
 
@@ -41,7 +40,6 @@ def write_learned(search: Search) -> list[str]:
     out = search.options.campaign.out
     write_atomically(out / LEARNED_NAME, _result(search, probabilities).to_json())
     learned_picture(search.space.searched, probabilities, out / PICTURE_NAME, _title(search))
-    add_page(out, out / PICTURE_NAME, 'What the sampler learned')
     names, notes = [LEARNED_NAME, PICTURE_NAME], []
     try:
         text, left = learned_program(
@@ -83,8 +81,7 @@ def _evidence_words(search: Search) -> list[str]:
     most = max(evidence.values(), key=lambda each: sum(each.amounts))
     return [
         f'learned from failures worth {most.failures:.0f} drawn by the program itself, and drawn '
-        'towards the program where they are few; several seeds together have intervals '
-        '(taxinet learned)'
+        'towards the program where they are few'
     ]
 
 

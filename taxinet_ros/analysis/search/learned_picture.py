@@ -17,8 +17,7 @@ _PROGRAM, _LEARNED = '0.75', '#0072B2'
 
 
 def learned_picture(
-    choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str,
-    single: Sequence[Mapping[str, Sequence[float]]] = (),
+    choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str
 ) -> None:
     """Draw the learned and the program's own probability of each bin.
 
@@ -27,7 +26,6 @@ def learned_picture(
         probabilities: probabilities of their bins, by name of the dimension.
         path: PNG file to write; the same values give the same bytes.
         title: title of the picture.
-        single: those of the single searches, if ``probabilities`` are the mean of several.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -41,8 +39,7 @@ def learned_picture(
     FigureCanvasAgg(figure)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for place, choice in zip(axes, shown, strict=False):
-        name = choice.dimension.name
-        _draw(place, choice, probabilities[name], [learned[name] for learned in single])
+        _draw(place, choice, probabilities[choice.dimension.name])
     for place in axes[len(shown):]:
         place.set_axis_off()
     handles, labels = axes[0].get_legend_handles_labels()
@@ -51,17 +48,11 @@ def learned_picture(
     figure.savefig(path, format='png', metadata={'Software': None})
 
 
-def _draw(
-    axes: Axes, choice: Choice, learned: Sequence[float], single: Sequence[Sequence[float]]
-) -> None:
+def _draw(axes: Axes, choice: Choice, learned: Sequence[float]) -> None:
     prior = choice.dimension.prior
     places = range(len(prior))
     axes.bar(places, prior, width=0.9, color=_PROGRAM, label='the program')
     axes.bar(places, learned, width=0.55, color=_LEARNED, label='learned')
-    if len(single) > 1:
-        for number, one in enumerate(single):
-            axes.plot(places, one, '.', color='black', markersize=4,
-                      label='' if number else 'a single search')
     axes.set_title(choice.dimension.name, fontsize=10)
     axes.set_ylabel('probability')
     if choice.dimension.discrete:

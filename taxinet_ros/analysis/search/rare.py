@@ -18,7 +18,6 @@ from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 
 JSON_NAME = 'estimate.json'
 
@@ -96,7 +95,6 @@ def write_estimate(found: RareEstimate, search: Search) -> tuple[Path, Path | No
     title = f'{scenes}, {search.perception}: tail of the robustness'
     picture = tail_picture(found, title, search.options.campaign.judging.headline)
     written = write_png(picture, out, LIGHT)
-    add_page(out, written, 'Tail of the robustness')
     return out / JSON_NAME, written
 
 

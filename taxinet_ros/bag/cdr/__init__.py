@@ -11,6 +11,5 @@ Messages are processed as bytes here, not as objects, for two reasons:
   step on the truth.
 
 :mod:`.decode` decodes with rosbags' generated code, whose objects cost a third of rclpy's. Nodes
-call ``bag/run/messages.py``, one function per message. Measurements are in
-``docs/performance.md``, entries 3, 5, 27 and 31.
+call ``bag/run/messages.py``, one function per message.
 """

@@ -6,9 +6,7 @@ plain objects with the fields of the definition.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -29,9 +27,6 @@ MAX_PARTS = 10_000
 """Maximum number of fields of a type including nested ones, which could grow exponentially."""
 
 SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
-_RENAMED = {field.short: field.attribute for field in SCENARIO_FIELDS if field.short}
-_BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(_RENAMED)})\b', re.MULTILINE)
-
 ABSENT = {
     field.attribute: field.absent for field in SCENARIO_FIELDS if field.absent is not None
 }
@@ -84,55 +79,10 @@ def definition_hash(topic: TopicInfo) -> str:
 def typestore(topic: TopicInfo) -> Typestore:
     """Type store with the topic's type and nested types, from the topic's definition only.
 
-    Fields have the names of :func:`with_present_names`.
-
     Raises:
         BagForeign: no usable definition.
     """
-    topic = with_present_names(topic)
     return _typestore(topic.type, topic.definition)
-
-
-def with_present_names(topic: TopicInfo) -> TopicInfo:
-    """The topic with the current field names.
-
-    Older fields of the scenario message have no unit in their names; the bytes are the same.
-    """
-    if topic.type != SCENARIO_TYPE:
-        return topic
-    return replace(topic, definition=_BEFORE_UNITS.sub(_present_name, topic.definition))
-
-
-def present_bytes(topic: TopicInfo, definition: str) -> Callable[[bytes], bytes] | None:
-    """Create a conversion of older messages to the current definition; None if not possible.
-
-    New fields of the scenario message get the values of :data:`ABSENT`.
-
-    Args:
-        topic: topic as recorded.
-        definition: current definition of its type.
-
-    Raises:
-        BagForeign: an unusable definition.
-    """
-    if topic.type != SCENARIO_TYPE:
-        return None
-    now, read = _typestore(topic.type, definition), decoder(topic)
-    old, new = (dict(store.fielddefs[topic.type][1]) for store in (typestore(topic), now))
-    added = {name: value for name, value in ABSENT.items() if name in new.keys() - old.keys()}
-    if not added or {name: kind for name, kind in new.items() if name not in added} != old:
-        return None
-
-    def converted(cdr: bytes) -> bytes:
-        said = read(cdr)
-        message = now.types[topic.type](**{name: getattr(said, name) for name in old}, **added)
-        return bytes(now.serialize_cdr(message, topic.type))
-
-    return converted
-
-
-def _present_name(field: re.Match[str]) -> str:
-    return f'{field[1]}{_RENAMED[field[2]]}'
 
 
 @lru_cache(maxsize=64)

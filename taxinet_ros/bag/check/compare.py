@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.run.topics import is_of_frames
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.provenance import differences, known, provenance
 from taxinet_ros.errors import UsageError
@@ -103,7 +104,7 @@ def compare_bags(
     counts = [read_info(path).counts for path in (one, other)]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])
-        # Older bags have no transforms; these are redundant with odometry.
+        # Bags of taxinet bag split have no transforms; these are redundant with odometry.
         if name not in skip and not (
             is_of_frames(name) and not all(count.get(name) for count in counts))
     ]

@@ -1,13 +1,12 @@
 """All checks of a bag from any recorder.
 
-Checks bytes, indexes, metadata and types of the bag; stamps, steps and verdict of each run in it;
+Checks bytes, metadata and types of the bag; stamps, steps and verdict of each run in it;
 and optionally the camera frames against re-rendered ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.bag.run.topics import IMAGE
 from taxinet_ros.bag.run.trace import Frame
-from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.errors import UsageError
@@ -52,30 +50,8 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
     )
 
 
-def check_index(path: Path, *, sound: bool) -> Check:
-    """Check that the indexes list every message; only if the bytes are intact."""
-    if not sound:
-        return Check(name='index', looked_at='the bytes are damaged', skipped=True)
-    files = storage_files(path)
-    found: list[Finding] = []
-    for file in files:
-        try:
-            troubles = index_troubles(file)
-        except BagError as error:
-            found.append(Finding(where=file.name, what=str(error), mend=RECOVER))
-            continue
-        found += [
-            Finding(where=f'{file.name}, byte {offset}', what=what, mend=RECOVER)
-            for offset, what in troubles
-        ]
-    return Check(
-        name='index', looked_at='chunks, messages, attachments and counts match the summary',
-        findings=tuple(found),
-    )
-
-
-def check_description(info: BagInfo) -> Check:
-    """Check ``metadata.yaml`` against the storage files."""
+def check_description(info: BagInfo, *, sound: bool) -> Check:
+    """Check ``metadata.yaml`` against the storage files; ``sound``: whether these are intact."""
     if info.path.is_file():
         why = f'a single file has no {METADATA_FILE}'
         return Check(name='description', looked_at=why, skipped=True)
@@ -88,7 +64,7 @@ def check_description(info: BagInfo) -> Check:
         return Check(name='description', looked_at=METADATA_FILE, findings=found)
     wrong = [
         Finding(where=METADATA_FILE, what=what, mend=RECOVER)
-        for what in _contradictions(info, description)
+        for what in _contradictions(info, description, sound=sound)
     ]
     return Check(
         name='description', looked_at=f'{METADATA_FILE} matches the file',
@@ -121,82 +97,35 @@ def _topic_troubles(topic: TopicInfo) -> Iterator[str]:
         yield f'QoS: {error}'
 
 
-def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
+def _contradictions(info: BagInfo, told: Mapping[str, Any], *, sound: bool) -> Iterator[str]:
     version = told.get('version')
     if not isinstance(version, int) or not 0 < version <= VERSION:
         yield f'version is {_short(version)}; known up to {VERSION}'
     files = [file.name for file in storage_files(info.path)]
     # rosbag2 unpacks a compressed file next to it, but metadata.yaml still names the original.
-    packed = [f'{name}.zstd' for name in files]
-    there: dict[str, object] = {
-        'storage_identifier': 'mcap',
-        'message_count': sum(info.counts.values()),
-        'relative_file_paths': packed if told.get('relative_file_paths') == packed else files,
-        'duration': {'nanoseconds': info.end_ns - info.start_ns},
-    }
-    if any(info.counts.values()):
-        there['starting_time'] = {'nanoseconds_since_epoch': info.start_ns}
-    for key, value in there.items():
-        if told.get(key) != value:
-            yield f'{key} is {_short(told.get(key))}, in the bag {_short(value)}'
-    yield from _topic_contradictions(info, told.get('topics_with_message_count'))
+    if told.get('relative_file_paths') not in (files, [f'{name}.zstd' for name in files]):
+        yield f'relative_file_paths is {_short(told.get("relative_file_paths"))}, not {files}'
+    count = sum(info.counts.values())
+    if told.get('message_count') != count:
+        yield f'message_count is {_short(told.get("message_count"))}, in the bag {count}'
     words = info.metadata.get(RUN_METADATA)
-    if words is not None and _inner(info) != _without(told, words_beside(info.path, words)):
-        yield 'differs from the description within the file'
+    if words is not None and sound:
+        beside = words_beside(info.path, words)
+        inner = _inner(info)
+        for key in dict.fromkeys([*inner, *told]):
+            value = told.get(key)
+            if key == 'custom_data' and isinstance(value, Mapping):
+                value = {name: text for name, text in value.items() if name not in beside}
+            if value != inner.get(key):
+                yield f'{_short(key)} differs from the description within the file'
 
 
-def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
-    """The metadata without the entries that are only in ``metadata.yaml``."""
-    custom = told.get('custom_data')
-    if not isinstance(custom, Mapping):
-        return dict(told)
-    return {**told, 'custom_data': {k: v for k, v in custom.items() if k not in beside}}
-
-
-def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:
+def _inner(info: BagInfo) -> Mapping[str, Any]:
+    """Copy of the metadata in the storage file; empty if missing or invalid."""
     try:
-        claimed = {str(entry['topic_metadata']['name']): entry for entry in _list(told)}
-    except (TypeError, KeyError, AttributeError):
-        yield 'topics_with_message_count is not a list of topics'
-        return
-    for topic in info.topics:
-        entry = claimed.pop(topic.name, None)
-        if entry is None:
-            yield f'lacks topic {topic.name}'
-            continue
-        told_of, there = entry['topic_metadata'], _topic_fields(topic)
-        wrong = [key for key, value in there.items() if told_of.get(key, value) != value]
-        if entry.get('message_count') != info.counts[topic.name]:
-            wrong.append('message_count')
-        if wrong:
-            yield f'topic {topic.name}: {", ".join(wrong)} differ from the bag'
-    for name, entry in claimed.items():
-        if entry.get('message_count') != 0:  # rosbag2's file omits topics without messages.
-            yield f'lists topic {_short(name)}, which is not in the bag'
-
-
-def _topic_fields(topic: TopicInfo) -> dict[str, object]:
-    fields: dict[str, object] = {'name': topic.name, 'type': topic.type}
-    if topic.type_hash:
-        fields['type_description_hash'] = topic.type_hash
-    with suppress(ValueError):
-        # rosbags and rosbag2 match topics by QoS: with a difference they find no messages.
-        fields['offered_qos_profiles'] = list(qos_profiles(topic.qos))
-    return fields
-
-
-def _inner(info: BagInfo) -> object:
-    """Metadata in the storage file, or None if missing or invalid."""
-    try:
-        return load_yaml(info.metadata['rosbag2']['serialized_metadata'])
-    except (KeyError, ValueError):
-        return None
-
-
-def _list(value: object) -> list[Any]:
-    if not isinstance(value, list):
-        raise TypeError(f'{value!r} is no list')
-    return value
+        return dict(load_yaml(info.metadata['rosbag2']['serialized_metadata']))
+    except (KeyError, ValueError, TypeError):
+        return {}
 
 
 def _short(value: object) -> str:
@@ -217,90 +146,50 @@ def _without_place(error: BagError) -> str:
     return _without_path(error).removeprefix(f'at byte {error.offset}: ')
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameComparison:
-    """Comparison of recorded frames with re-rendered ones.
-
-    Attributes:
-        recorded: number of frames in the bag.
-        equal: number of byte-identical frames.
-        first_seq: control step of the first different frame, or None.
-        first_pixels: number of different pixels in it.
-        first_difference: maximum difference of a colour value in it, 0..255.
-        trouble: why frames could not be rendered, or ''.
-    """
-
-    recorded: int
-    equal: int
-    first_seq: int | None = None
-    first_pixels: int = 0
-    first_difference: int = 0
-    trouble: str = ''
-
-    @property
-    def ok(self) -> bool:
-        """Whether all recorded frames are equal to re-rendered ones."""
-        return self.equal == self.recorded and not self.trouble
-
-
 def check_recorded_frames(recording: Recording) -> Check:
-    """Check the recorded frames of a bag; see :func:`compare_recorded_frames`."""
+    """Render the recorded frames of a bag again and compare every byte."""
     try:
         again = recorded_world(recording.path, recording.run).again_words
         if again:
             return Check(name='frames', looked_at=f'not compared: {again}', skipped=True)
-        found = compare_recorded_frames(recording)
+        return _compared_frames(recording)
     except (BagError, UsageError) as error:
         return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
-    words = f'{found.equal} of {found.recorded} equal re-rendered ones'
-    if not found.recorded:
-        return Check(name='frames', looked_at='no frames to compare', skipped=True)
-    if found.ok:
-        return Check(name='frames', looked_at=f'{words}, bit for bit')
-    finding = Finding(where=f'/{IMAGE}', what=found.trouble)
-    if found.first_seq is not None:
-        finding = Finding(
-            where=f'step {found.first_seq}',
-            what=f'the first different frame: {found.first_pixels} pixels differ, by up to '
-            f'{found.first_difference} of 255',
-        )
-    return Check(name='frames', looked_at=words, findings=(finding,))
 
 
-def compare_recorded_frames(recording: Recording) -> FrameComparison:
-    """Re-render all recorded frames of a bag and compare them.
-
-    Raises:
-        BagError, UsageError: the bag cannot be read.
-    """
+def _compared_frames(recording: Recording) -> Check:
     recorded = equal = 0
-    first: dict[str, int] = {}
-    trouble = ''
+    lost, findings = '', list[Finding]()
     states = recording.observations()
     for frame in recording.frames(render=False):
         recorded += 1
-        seq, image = frame.seq, frame.image
         try:
-            now = None if trouble else next((s.image for s in states if s.seq == seq), None)
+            here = () if lost else (one.image for one in states if one.seq == frame.seq)
+            now = next(iter(here), None)
         except WorldDiffers as error:
-            trouble, now = str(error), None
+            lost, now = str(error), None
         if now is None:
-            trouble = trouble or f'step {seq} has a frame but no recorded state'
-        elif now.shape == image.shape and now.tobytes() == image.tobytes():
+            lost = lost or f'step {frame.seq} has a frame but no recorded state'
+        elif now.shape == frame.image.shape and now.tobytes() == frame.image.tobytes():
             equal += 1
-        elif not first:
-            first = _difference(seq, image, now)
-    return FrameComparison(recorded=recorded, equal=equal, trouble=trouble, **first)
+        elif not findings:
+            what = f'the first different frame: {_difference(frame.image, now)}'
+            findings.append(Finding(where=f'step {frame.seq}', what=what))
+    if not recorded:
+        return Check(name='frames', looked_at='no frames to compare', skipped=True)
+    if lost:
+        findings.append(Finding(where=f'/{IMAGE}', what=lost))
+    return Check(
+        name='frames', findings=tuple(findings), looked_at=f'{equal} of {recorded} equal '
+        f're-rendered ones{"" if findings else ", bit for bit"}',
+    )
 
 
-def _difference(seq: int, recorded: Frame, rendered: Frame) -> dict[str, int]:
+def _difference(recorded: Frame, rendered: Frame) -> str:
     if recorded.shape != rendered.shape:
-        return {'first_seq': seq, 'first_pixels': rendered[..., 0].size, 'first_difference': 255}
+        return f'its shape is {recorded.shape}, re-rendered {rendered.shape}'
     away = np.abs(recorded.astype(np.int16) - rendered.astype(np.int16)).max(axis=2)
-    return {
-        'first_seq': seq, 'first_pixels': int(np.count_nonzero(away)),
-        'first_difference': int(away.max()),
-    }
+    return f'{np.count_nonzero(away)} pixels differ, by up to {away.max()} of 255'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,8 +225,7 @@ def check_bag(path: Path) -> Checkup:
         info=info,
         checks=(
             check_bytes(info, damage),
-            check_index(path, sound=not damage),
-            check_description(info),
+            check_description(info, sound=not damage),
             check_types(info),
             *_run_checks(recording),
         ),

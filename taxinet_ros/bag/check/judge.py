@@ -12,7 +12,6 @@ from itertools import repeat
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.limits import limited_reading
 from taxinet_ros.bag.run.judging import SpecVerdict, judge_spec, signals_of_specs
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import RunSamples, run_samples, topics_of_signals
@@ -83,9 +82,8 @@ def judge_runs(
         UsageError: ``path`` does not exist.
     """
     try:
-        with limited_reading(path):
-            names = signals_of_specs(specs) if specs else None
-            runs = run_samples(open_recording(path), names)
+        names = signals_of_specs(specs) if specs else None
+        runs = run_samples(open_recording(path), names)
     except BagError as error:
         return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
     return [_judge_run(path, samples, specs, assumptions) for samples in runs]

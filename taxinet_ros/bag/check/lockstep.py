@@ -13,7 +13,6 @@ from typing import Any
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.run.message_values import (
     reading_values,
     scenario_of,
@@ -33,11 +32,11 @@ from taxinet_ros.bag.run.topics import (
     RUN_STATUS,
     SCENARIO,
     SIMULATOR,
-    TF,
     TRUTH,
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
@@ -59,14 +58,12 @@ class RunRecord:
     Attributes:
         once: messages of topics that do not publish in every step, by relative name, in order.
         counts: number of messages by topic name and step.
-        odometry: odometry by step.
         robustness: interval by step and formula name.
         stamps: findings on stamps and contents.
     """
 
     once: dict[str, list[Any]] = field(default_factory=dict)
     counts: dict[str, dict[int, int]] = field(default_factory=dict)
-    odometry: dict[int, Any] = field(default_factory=dict)
     robustness: dict[int, dict[str, RobustnessInterval]] = field(default_factory=dict)
     stamps: list[Finding] = field(default_factory=list)
     latest: dict[str, int] = field(default_factory=dict)
@@ -123,12 +120,6 @@ class RunRecord:
         if is_topic(name, ROBUSTNESS):
             reading = RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
-        if is_topic(name, ODOMETRY):
-            self.odometry.setdefault(step, message)
-        # Transforms are derived from the odometry of their step and written after it.
-        odometry = self.odometry.get(step)
-        if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
-            self._wrong(name, stamp, f'{name}: differs from {ODOMETRY}')
 
     def _wrong(self, name: str, stamp: int, what: str) -> None:
         if len(self.stamps) < MOST_STEPS:
@@ -292,25 +283,6 @@ def _check_fields(once: str, message: Any) -> None:
             _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
 
 
-def _follows(transforms: Any, odometry: Any) -> bool:
-    """Whether a transforms message contains exactly the pose of the odometry."""
-    told = [
-        (one.header.frame_id, one.child_frame_id, stamp_of(one),
-         _bits(one.transform.translation, one.transform.rotation))
-        for one in transforms.transforms
-    ]
-    at = odometry.pose.pose
-    header = odometry.header
-    return told == [(
-        header.frame_id, odometry.child_frame_id, stamp_of(odometry),
-        _bits(at.position, at.orientation),
-    )]
-
-
-def _bits(place: Any, turned: Any) -> bytes:
-    return struct.pack('<7d', place.x, place.y, place.z, turned.x, turned.y, turned.z, turned.w)
-
-
 def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list[Finding]]:
     """Judge the recorded samples and compare.
 
@@ -411,7 +383,7 @@ def _interval(message: Any) -> RobustnessInterval | None:
 
 
 def _differences(message: Any, values: dict[str, Any]) -> list[str]:
-    """Fields of a message that differ from these values; an older bag lacks some."""
+    """Fields of a message that differ from these values; another recorder's may lack some."""
     return [
         f'{name}: recorded {told!r}, from the messages {value!r}' for name, value in values.items()
         if _exactly(told := getattr(message, name, value)) != _exactly(value)

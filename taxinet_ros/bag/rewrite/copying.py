@@ -12,11 +12,10 @@ from mcap.records import Attachment, Metadata
 
 from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.description import words_beside
-from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import BagInfo, StoredMessage
+from taxinet_ros.bag.errors import BagCorrupt, BagError
+from taxinet_ros.bag.reader import BagInfo, intact_records
 from taxinet_ros.bag.run.topics import ONCE, is_topic
-from taxinet_ros.bag.storage.scan import scan
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, check_topics, qos_profiles
 from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter, is_own_manifest
 from taxinet_ros.errors import UsageError
@@ -89,14 +88,19 @@ def write_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> None:
 
 
 def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
-    """The topic, completed with data that older or other recorders omit; None if not storable."""
+    """The topic, completed with data that other recorders omit; None if not storable.
+
+    A definition that contradicts its type hash is damaged, and its messages could be misread.
+    """
     try:
         qos_profiles(topic.qos)
     except ValueError:
         topic = replace(topic, qos='[]\n')
     try:
-        if not topic.type_hash:
-            topic = replace(topic, type_hash=definition_hash(topic))
+        found = definition_hash(topic)
+        if topic.type_hash not in ('', found):
+            raise BagCorrupt(f'topic {topic.name!r}: its definition contradicts its type hash')
+        topic = replace(topic, type_hash=found)
         check_topics([topic])
     except (BagError, UsageError) as error:
         leave_out(f'left out: {error}')
@@ -110,12 +114,11 @@ def _besides_messages(source: Path) -> tuple[list[Attachment], list[Metadata]]:
     Names may be repeated: another recorder's may mean a sequence by that.
     """
     attachments, metadata = [], []
-    for file in storage_files(source):
-        for record in scan(file, lambda error: None):
-            if isinstance(record, Attachment) and not (
-                record.name == MANIFEST and is_own_manifest(record.data)
-            ):
-                attachments.append(record)
-            elif isinstance(record, Metadata) and record.name not in ('rosbag2', RUN_METADATA):
-                metadata.append(record)
+    for record in intact_records(source):
+        if isinstance(record, Attachment) and not (
+            record.name == MANIFEST and is_own_manifest(record.data)
+        ):
+            attachments.append(record)
+        elif isinstance(record, Metadata) and record.name not in ('rosbag2', RUN_METADATA):
+            metadata.append(record)
     return attachments, metadata

@@ -15,7 +15,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
+from taxinet_ros.bag.reader import BagInfo, stored_messages
 from taxinet_ros.bag.rewrite.copying import (
     NamedMessage,
     copy_of,
@@ -25,6 +25,7 @@ from taxinet_ros.bag.rewrite.copying import (
 from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError

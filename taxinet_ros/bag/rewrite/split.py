@@ -10,13 +10,13 @@ from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.rewrite.copying import NamedMessage, storable_topic, write_steps
 from taxinet_ros.bag.run.message_values import scenario_json
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, outcome_words
 from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
 from taxinet_ros.bag.run.topics import NODE_STATUS, RUN_STATUS, SCENARIO, VERDICT
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.errors import UsageError
 

@@ -14,7 +14,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, decode_of
+from taxinet_ros.bag.reader import BagInfo, decode_of
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.topics import (
     NODE_READY,
@@ -26,6 +26,7 @@ from taxinet_ros.bag.run.topics import (
     SIMULATOR,
     VERDICT,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.motion.controller import is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval
@@ -37,7 +38,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -69,7 +70,7 @@ class RecordedRun:
     fork: str = ''
 
 
-def recorded_run(recording: StoredRuns) -> RecordedRun:
+def recorded_run(recording: Recording) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
     scenario: Any = None
@@ -132,7 +133,7 @@ class NodeFacts:
         implementation: name of the implementation, e.g. ``taxinet``; or the changed gains.
         fingerprint: SHA-256 of its weights or package, or ''.
         origin: ``NAME of PACKAGE VERSION`` if a package provided it (for the simulator: its
-            world); in earlier versions only the world's name, or ''.
+            world), or ''.
     """
 
     implementation: str
@@ -187,7 +188,7 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def run_facts(recording: StoredRuns) -> RunFacts | None:
+def run_facts(recording: Recording) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
     told = _FactsReader(recording.path)
     for relative, stored in recording.messages(_FACT_TOPICS):

@@ -20,7 +20,6 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     SPEED,
     TRACK,
-    TRAFFIC,
     ScenarioField,
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
@@ -48,12 +47,12 @@ def _value(message: Any, field: ScenarioField) -> Any:
 
 
 def assumptions_of(message: Any) -> Assumptions:
-    """Assumptions in a scenario message; none in older bags.
+    """Assumptions in a scenario message.
 
     Raises:
         UsageError: invalid syntax.
     """
-    return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
+    return parse_assumptions(message.bounds, message.rates)
 
 
 def stamp_of(message: Any) -> int:
@@ -111,20 +110,19 @@ class HeldCommand:
         return self._held
 
 
-def clearance_in(scenario: Any) -> Clearance | None:
-    """Distances to others on the ground of a scenario message; None in bags from before.
+def clearance_in(scenario: Any) -> Clearance:
+    """Distances to others on the ground of a scenario message.
 
     Raises:
         UsageError, AttributeError: as :func:`scenario_of`.
     """
-    return Clearance(scenario_of(scenario)) if hasattr(scenario, TRAFFIC.attribute) else None
+    return Clearance(scenario_of(scenario))
 
 
 def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
     """The distance to others on the ground at an odometry message [m].
 
-    NaN where that is None, or the recording is of before there were others: a formula about them
-    has no verdict there.
+    NaN where either is None.
     """
     if clearance is None or odometry is None:
         return math.nan
@@ -183,9 +181,9 @@ def scenario_json(message: Any) -> bytes:
         'program': message.program,
         'seed': message.seed,
         'specs': list(message.specs),
-        'stop_on': getattr(message, 'stop_on', ''),
-        'bounds': list(getattr(message, 'bounds', ())),
-        'rates': list(getattr(message, 'rates', ())),
+        'stop_on': message.stop_on,
+        'bounds': list(message.bounds),
+        'rates': list(message.rates),
         'participants': list(message.participants),
     }
     return json.dumps(values, indent=2).encode() + b'\n'

@@ -24,7 +24,7 @@ from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import FORK, KMWH
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
     """A frame cannot be had again.
@@ -35,7 +35,7 @@ class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
 
 
 def observations(
-    recording: StoredRuns, run: RecordedRun, wanted: Callable[[int], bool]
+    recording: Recording, run: RecordedRun, wanted: Callable[[int], bool]
 ) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
@@ -88,7 +88,7 @@ def _world_of_fork(run: RecordedRun) -> ChosenWorld:
 
 
 def _held(
-    recording: StoredRuns, run: RecordedRun, commands: dict[int, TaxiCommand]
+    recording: Recording, run: RecordedRun, commands: dict[int, TaxiCommand]
 ) -> Callable[[int], TaxiCommand | None]:
     """Function giving the command in effect from each step to the next; None if unknown."""
     path = recording.path
@@ -112,7 +112,7 @@ def _held(
 
 
 def states_and_commands(
-    recording: StoredRuns,
+    recording: Recording,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
     """Numbers of the recorded odometry, and the recorded commands, by control step.
 

@@ -20,7 +20,7 @@ from typing import Any
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.cdr.decode import decode, typestore
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import Contents, StoredMessage
+from taxinet_ros.bag.reader import Contents
 from taxinet_ros.bag.run.topics import (
     CAMERA_INFO,
     CLOCK,
@@ -39,6 +39,7 @@ from taxinet_ros.bag.run.topics import (
     is_of_frames,
     is_topic,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.topics import RECORDER, SIMULATOR
 from taxinet_ros.core.types import NS_PER_S

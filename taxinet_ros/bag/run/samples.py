@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run.message_values import (
     HeldCommand,
     assumptions_of,
@@ -32,6 +31,7 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
+from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import (
@@ -50,7 +50,7 @@ from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
@@ -131,7 +131,7 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def run_samples(
-    recording: StoredRuns, names: Collection[str] | None = None
+    recording: Recording, names: Collection[str] | None = None
 ) -> list[RunSamples]:
     """Samples of every run in a recording; damage is reported in the result, not raised.
 
@@ -160,9 +160,9 @@ class _NotPlainError(Exception):
     """The bag is not a single run as logged by the recorder of taxinet_ros."""
 
 
-def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
+def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
     """Fast path for regular recordings of one run; None for others."""
-    if not recording.checked:
+    if recording.damaged_places or recording.unchecked:
         return None
     reader = _SamplesReader(names, plain=True)
     try:
@@ -174,7 +174,7 @@ def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _Sample
     return reader
 
 
-def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[RunSamples]:
+def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
     """General path: separates runs and reports damage."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]
@@ -207,7 +207,7 @@ def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[Run
                  run.unclear)
         for run, reader in present
     ]
-    notes = [unchecked_files(path), found[0].note]
+    notes = [recording.unchecked, found[0].note]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
         notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
@@ -346,11 +346,9 @@ class _SamplesReader:
         )
 
     def _note(self, clearance: Clearance | None) -> str:
-        if not self._reads_others or (clearance is not None and clearance.anybody):
+        if clearance is None or clearance.anybody:
             return ''
-        return 'nobody is on the ground, so nothing could violate a formula about others' if (
-            clearance is not None
-        ) else 'of a version without others on the ground: no verdict on formulas about them'
+        return 'nobody is on the ground, so nothing could violate a formula about others'
 
     def _partial(self) -> dict[str, str]:
         """One line per topic that is missing, begins late, or ends a step or more too early."""

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.cdr.decode import typestore, with_present_names
+from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.topics import is_topic
@@ -24,7 +24,7 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
 
 LONGEST_ARRAY = 40
 """Maximum length of an array with a column per element; a 6 x 6 covariance fits."""
@@ -51,7 +51,7 @@ _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
 
 
 def topic_tables(
-    recording: StoredRuns, topics: Collection[str] | None
+    recording: Recording, topics: Collection[str] | None
 ) -> dict[str, pd.DataFrame]:
     """See :meth:`.recording.Recording.tables`."""
     chosen = _chosen(recording, topics)
@@ -100,7 +100,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value.item() if isinstance(value, np.generic) else value
 
 
-def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
     """Selected topics by name, in the order of the file."""
     path, known = recording.path, recording.topics
     if wanted is None:
@@ -122,9 +122,7 @@ def _table(rows: list[dict[str, Any]], topic: TopicInfo) -> pd.DataFrame:
 
 @lru_cache(maxsize=64)
 def _units_within(type_name: str, definition: str) -> Mapping[str, str]:
-    topic = with_present_names(
-        TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
-    )
+    topic = TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
     try:
         # The store rejects types with very many parts, so this walk is short.
         return dict(_walk(typestore(topic).fielddefs, type_name, _commented(topic)))

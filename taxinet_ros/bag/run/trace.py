@@ -38,7 +38,7 @@ from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.stored_runs import StoredRuns
+    from taxinet_ros.bag.run.recording import Recording
     from taxinet_ros.core.control_step import Observation
 
 Column = NDArray[np.generic]
@@ -64,7 +64,7 @@ class CameraFrame(NamedTuple):
     recorded: bool
 
 
-def trace_columns(recording: StoredRuns) -> dict[str, Column]:
+def trace_columns(recording: Recording) -> dict[str, Column]:
     """See :attr:`.recording.Recording.columns`."""
     table, path = _TraceColumns(), recording.path
     for name, stamp_ns, message in _messages(recording):
@@ -77,13 +77,13 @@ def trace_columns(recording: StoredRuns) -> dict[str, Column]:
     return table.columns()
 
 
-def recorded_steps(recording: StoredRuns) -> frozenset[int]:
+def recorded_steps(recording: Recording) -> frozenset[int]:
     """See :attr:`.recording.Recording.recorded_steps`."""
     return frozenset(_steps_of(recording, IMAGE))
 
 
 def camera_frames(
-    recording: StoredRuns, wanted: Callable[[int], bool],
+    recording: Recording, wanted: Callable[[int], bool],
     render: Callable[[Callable[[int], bool]], Iterator[Observation]] | None,
 ) -> Iterator[CameraFrame]:
     """See :meth:`.recording.Recording.frames`; ``render`` renders missing frames, or None."""
@@ -98,7 +98,7 @@ def camera_frames(
                 yield CameraFrame(now.seq, now.stamp_ns, now.image, recorded=False)
 
 
-def _steps_of(recording: StoredRuns, relative: str) -> Iterator[int]:
+def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
     """Control steps of the messages on a topic, from their header stamps."""
     for _, stored in recording.messages((relative,)):
         try:
@@ -108,7 +108,7 @@ def _steps_of(recording: StoredRuns, relative: str) -> Iterator[int]:
             raise BagCorrupt(text, path=recording.path) from error
 
 
-def _recorded_images(recording: StoredRuns) -> Iterator[tuple[int, Frame]]:
+def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
     """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
 
     Raises:
@@ -223,7 +223,7 @@ _FILL = {
 }
 
 
-def _messages(recording: StoredRuns) -> Iterator[tuple[str, int, Any]]:
+def _messages(recording: Recording) -> Iterator[tuple[str, int, Any]]:
     """Yield decoded messages with relative topic names; a run may be in a namespace."""
     path, chosen, run_id = recording.path, dict[str, str](), ''
     for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):

@@ -1,4 +1,4 @@
-"""What a worker of a Dask cluster does: some runs of a campaign, in a child process.
+"""What a worker of a Dask cluster does: a run of a campaign, in a child process.
 
 Each thread of a Dask worker drives one child like those of a local pool
 (:class:`.worker_pool.WorkerPool`), so a run has the same environment as on one machine, and its
@@ -9,7 +9,6 @@ what a lost worker still writes never meets the bag that counts.
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import contextlib
 import dataclasses
@@ -99,42 +98,38 @@ def _unseen(probe: Sequence[str]) -> str:
     )
 
 
-def run_task(job: str, requests: str) -> str:
-    """Make some runs, one after the other.
+def run_task(job: str, request: str) -> str:
+    """Make a run.
 
     Args:
         job: :class:`Job` as JSON.
-        requests: the requests as JSON.
+        request: the request as JSON.
 
     Returns:
-        JSON: as :func:`check_worker`; and ``answers``, for each run that was made, ``index``,
-        ``result`` and ``bag`` (its folder, or '').
+        JSON: as :func:`check_worker`; and ``worker``, this worker's address; ``result``, None if
+        the run was not made; and ``bag``, its folder, or ''.
     """
-    told = json.loads(check_worker(job))
-    answers: list[dict[str, Any]] = []
-    if not told['unfit']:
-        asked = Job(**json.loads(job))
+    from distributed import get_worker
+
+    told = {**json.loads(check_worker(job)), 'worker': get_worker().address, 'result': None}
+    asked = Job(**json.loads(job))
+    if told['unfit'] or asked.campaign in _STOPPED:
+        return json.dumps(told)
+    bench = None
+    try:
         bench = _take_bench(asked)
-        try:
-            for values in json.loads(requests):
-                if asked.campaign in _STOPPED:
-                    break
-                answers.append(bench.run(values))
-        except UsageError as error:
-            told['unfit'] = str(error)
-        finally:
+        told |= bench.run(json.loads(request))
+    except UsageError as error:
+        told['unfit'] = str(error)
+    finally:
+        if bench is not None:
             _put_back(bench)
-    return json.dumps({**told, 'answers': answers})
+    return json.dumps(told)
 
 
 def stop_runs(campaign: str) -> None:
     """End the runs of a campaign on this worker in order; those that wait are not begun."""
     _STOPPED.add(campaign)
-
-
-async def end_children(campaign: str) -> None:
-    """End the idle children of a campaign on this worker."""
-    await asyncio.to_thread(_end_idle, campaign)
 
 
 class _Bench:
@@ -180,10 +175,7 @@ class _Bench:
             where = f'{result.detail} (on {platform.node()})'
             result = dataclasses.replace(result, detail=where)
         shared = self.job.folder and bag.is_dir()
-        return {
-            'index': request.index, 'result': result_to_json(result),
-            'bag': str(bag) if shared else '',
-        }
+        return {'result': result_to_json(result), 'bag': str(bag) if shared else ''}
 
     def end(self) -> None:
         """End the child; remove its folder unless others see it."""
@@ -226,7 +218,7 @@ def _end_if_idle(bench: _Bench, runs: int) -> None:
     bench.end()
 
 
-def _end_idle(campaign: str = '') -> None:
+def end_children(campaign: str = '') -> None:
     """End the idle children of a campaign, or of all."""
     with _LOCK:
         benches = [
@@ -237,7 +229,7 @@ def _end_idle(campaign: str = '') -> None:
         bench.end()
 
 
-atexit.register(_end_idle)
+atexit.register(end_children)
 
 
 def _local_folder() -> str:

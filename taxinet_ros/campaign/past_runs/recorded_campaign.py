@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, planned_runs
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging

@@ -29,32 +29,32 @@ from taxinet_ros.campaign.record.facts import (
     ODD,
     STACKS,
     UNTIL,
-    WORLD,
     package_words,
     recorded_stacks,
     same_fact,
     stack_difference,
     this_stack,
-    with_present_keys,
     write_facts,
 )
-from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
+from taxinet_ros.campaign.record.ledger import (
+    EMPTY_LEDGER,
+    Ledger,
+    LedgerContent,
+    read_ledger,
+    repair_ledger,
+)
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.programs import check_same_files
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
-from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import disk_words, draft_path
-from taxinet_ros.registry import KMWH
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -196,6 +196,8 @@ class CampaignBook:
         """
         self.check_folder()
         make_out(self._out)
+        if (self._out / LEDGER_NAME).is_file() and (why := repair_ledger(self._out)):
+            warn_once(why)
         self._ledger = Ledger(self._out / LEDGER_NAME)
         return self
 
@@ -398,11 +400,6 @@ _MAY_DIFFER = frozenset({
 """Facts that may differ on a resume: more runs may be requested; the digest covers the text;
 warnings differ between versions; another machine or version only causes a warning; both engines
 give the same rows and bags; a stop rule chooses no scene."""
-_DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
-    'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
-    'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
-}
-"""Values of facts in campaigns from before they were recorded."""
 _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
 """The command that writes campaigns with a certain fact."""
 
@@ -423,8 +420,8 @@ def read_same_campaign(
     content = read_ledger(out / LEDGER_NAME)
     if content.rows and not content.campaign:
         raise UsageError(
-            f'--resume: {out / LEDGER_NAME}: has runs but no campaign record; see taxinet doctor '
-            f'{out}, then repair it: taxinet doctor --mend {out}'
+            f'--resume: {out / LEDGER_NAME}: has runs, but not what the campaign is; begin it '
+            'anew, with another --out'
         )
     if content.campaign:
         _check_same(out, content.campaign, {
@@ -435,13 +432,12 @@ def read_same_campaign(
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
-    before = {**_DEFAULTS_OF_BEFORE, **with_present_keys(before)}
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     check_same_files(f'--resume: {out}', before, now)
-    for name in dict.fromkeys((*now, SHARD, ODD)):  # the whole is no shard and has no such fact
+    for name in dict.fromkeys((*now, ODD)):
         if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '

@@ -17,11 +17,10 @@ from taxinet_ros.campaign.scenes.programs import SUFFIX
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.core.renderer import OURS
-from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key, by_value
+from taxinet_ros.core.scenario_fields import by_value
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
 from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
@@ -41,7 +40,7 @@ _TYPED = ('overrides', 'laid_over')
 """Those whose values are as somebody typed them."""
 
 WORLD = 'world'
-"""The fact that names the world of the runs; absent in versions with a single world."""
+"""The fact that names the world of the runs; absent on a standing graph."""
 
 ENGINE, AUDIT_PERCENT = 'engine', 'audit_percent'
 """The facts that name the engine of the latest session, and the share of its runs to audit."""
@@ -173,14 +172,6 @@ def this_stack_record() -> dict[str, dict[str, str]]:
     return {this_stack(): dict(provenance())}
 
 
-def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Facts with current scenario keys; older ones had no units."""
-    present: dict[str, Any] = {name: by_key(facts[name]) for name in _BY_KEY if name in facts}
-    if 'parameters' in facts:
-        present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
-    return {**facts, **present}
-
-
 def same_fact(name: str, one: Any, other: Any) -> bool:
     """Whether two campaigns agree in a fact; typed values by what their texts stand for."""
     if name in _TYPED and isinstance(one, dict) and isinstance(other, dict):
@@ -195,9 +186,15 @@ def same_fact(name: str, one: Any, other: Any) -> bool:
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """All stack records of a campaign by name, the oldest first; empty for older versions."""
+    """All stack records of a campaign by name, the oldest first."""
     told = facts.get(STACKS)
     return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
+
+
+def planned_runs(facts: Mapping[str, Any]) -> range | None:
+    """Indices of the runs planned before the first one; None if not recorded."""
+    planned = facts.get('first_runs', facts.get('runs'))
+    return None if planned is None else range(int(planned))
 
 
 def recorded_rules(facts: Mapping[str, Any]) -> tuple[str, ...]:
@@ -225,18 +222,6 @@ def record_beside(path: Path) -> Path | None:
         if (folder / LEDGER_NAME).is_file():
             return folder
     return None
-
-
-def add_page_beside(path: Path, page: Path, title: str) -> None:
-    """Add a page to those of the campaign that ``path`` belongs to (:func:`record_beside`), if any.
-
-    Args:
-        path: folder of a campaign, its table or one of its runs.
-        page: the page, see :func:`.add_page`.
-        title: words of the link to it.
-    """
-    if (record := record_beside(path)) is not None:
-        add_page(record, page, title)
 
 
 def read_facts(folder: Path) -> SealedJson | None:

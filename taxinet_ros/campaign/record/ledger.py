@@ -7,7 +7,7 @@ result.
 
 from __future__ import annotations
 
-import contextlib
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,16 +15,25 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_present_keys
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, read_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import SHARD
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import CATALOGUES
-from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import sync_folder
-from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
+from taxinet_ros.files.atomic import sync_folder, write_atomically
+from taxinet_ros.files.journal import (
+    Journal,
+    JournalOwner,
+    damaged_line,
+    journal_line,
+    locked,
+    lost_end,
+    parse_journal,
+    read_journal,
+)
 from taxinet_ros.files.plain_values import check_kind
+from taxinet_ros.files.reading import read_file
+from taxinet_ros.files.sealed_json import sealed_text
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,11 +46,7 @@ class LedgerContent:
         unfinished: indices of runs that were started and have no result, ascending.
         attempts: number of starts of each run, by index.
         added: formulas evaluated afterwards, by name; the rows contain their values.
-        never_begun: indices of rows of runs without a recorded start, ascending, except rejected
-            ones.
         finished: whether the campaign ended normally after the last line.
-        lost: one line per removal of damaged lines (:mod:`.doctor`).
-        incomplete: those of ``lost`` after which data is still missing.
         documents: scenario key and reference of each document that it has in full.
     """
 
@@ -50,21 +55,12 @@ class LedgerContent:
     unfinished: tuple[int, ...]
     attempts: Mapping[int, int]
     added: Mapping[str, str]
-    never_begun: tuple[int, ...] = ()
     finished: bool = False
-    lost: tuple[str, ...] = ()
-    incomplete: tuple[str, ...] = ()
     documents: frozenset[tuple[str, str]] = frozenset()
 
 
 EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
 """Content of a ledger without lines."""
-
-_IDENTITY = (
-    'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
-    'controller_sha256', 'specs', SHARD,
-)
-"""Facts that are constant over the sessions of a campaign."""
 
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
@@ -149,7 +145,7 @@ def read_ledger(path: Path) -> LedgerContent:
         warn_once(
             f'{path}: unverified, since no {FACTS_NAME} beside it records its number of lines'
         )
-    elif facts is not None and facts.sealed and content.campaign:
+    elif facts is not None and content.campaign:
         _check_same(path, facts.values, events)
     return content
 
@@ -181,70 +177,51 @@ def ledger_content(
         attempts=begun,
         added=found.added,
         documents=frozenset(found.documents),
-        never_begun=tuple(
-            index for index in sorted(set(rows) - set(begun))
-            if rows[index].outcome is not Outcome.REJECTED
-        ),
         finished=finished,
-        lost=tuple(what for what, _, _ in found.lost),
-        incomplete=tuple(
-            what for what, incomplete, runs in found.lost
-            if incomplete and not (runs and runs <= set(rows))
-        ),
     )
 
 
-def possible_events(
-    events: Iterable[Mapping[str, Any]], facts: Mapping[str, Any] | None = None
-) -> list[dict[str, Any]]:
-    """A ledger's events without inconsistent ones and those of another campaign.
+def repair_ledger(folder: Path) -> str:
+    """Prepare the damaged record of a campaign for a resume, which makes lost runs again.
 
-    Args:
-        events: parsed lines in order.
-        facts: facts of the ledger's campaign, if known from more than its first line.
+    A damaged file is kept as a copy. The ledger keeps its intact lines; ``campaign.json`` is
+    written anew from it when the campaign goes on.
+
+    Returns:
+        A line on what was damaged, or ''.
+
+    Raises:
+        UsageError: another process has the ledger open.
+        OSError: a file cannot be read or written.
     """
-    found, kept, own = _Events(), [], dict(facts or {})
-    foreign = False
-    for event in events:
-        with contextlib.suppress(*_DAMAGED):
-            if event['event'] == 'campaign':
-                foreign = bool(other_campaign(own, event['campaign']))
-                own = own if foreign else {**own, **event['campaign']}
-            if not foreign and _may_be_of(own, event):
-                found.take(event)
-                kept.append(dict(event))
-    return kept
+    path, facts_path = folder / LEDGER_NAME, folder / FACTS_NAME
+    with locked(path):
+        content, why, facts = parse_journal(read_file(path)), [], None
+        try:
+            facts = read_facts(folder)
+        except UsageError:
+            why.append(_set_aside(facts_path))
+            facts_path.unlink()
+        ended = facts.journals.get(path.name) if facts else None
+        short = lost_end(content, ended) if ended else ''
+        if content.troubles or short:
+            events = [line.event for line in content.lines if line.event is not None]
+            if facts is not None and all(event['event'] != 'campaign' for event in events):
+                events.insert(0, {'event': 'campaign', 'campaign': facts.values})
+            why.append(_set_aside(path))
+            write_atomically(path, b''.join(map(journal_line, events)))
+            if facts is not None:
+                write_atomically(facts_path, sealed_text(facts.values, facts.files))
+    return f'{folder}: damaged: {", ".join(why)}; runs without a result are made again' * bool(why)
 
 
-def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
-    """Whether a line may belong to the campaign, judging by the seed."""
-    return event['event'] != 'result' or facts.get('seed', event['row']['seed']) == (
-        event['row']['seed']
-    )
-
-
-def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
-    """Name of the first fact that differs between two campaigns, or ''."""
-    before, facts = with_present_keys(before), with_present_keys(facts)
-    for name in _IDENTITY:
-        one, other = before.get(name), facts.get(name)
-        told = name in before and name in facts and (name != 'perception' or (one and other))
-        if told and one != other:  # a graph's perception is known from its first answer
-            return name
-    return ''
-
-
-def lost_event(what: str, runs: Iterable[int] = (), *, incomplete: bool = False) -> dict[str, Any]:
-    """Ledger event that records the removal of damaged lines.
-
-    Args:
-        what: description of the damage.
-        runs: runs whose results were lost, as far as known.
-        incomplete: whether data is missing until these runs have results, or permanently if none
-            are known.
-    """
-    told = {'runs': sorted(runs), 'incomplete': True} if incomplete else {}
-    return {'event': 'lost', 'what': what, **told}
+def _set_aside(path: Path) -> str:
+    """Copy a damaged file; the words on it."""
+    number = 1
+    while (copy := path.with_name(f'{path.name}.damaged-{number}')).exists():
+        number += 1
+    shutil.copyfile(path, copy)
+    return f'{path.name} (kept as {copy.name})'
 
 
 class _Events:
@@ -256,14 +233,13 @@ class _Events:
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
         self.documents: set[tuple[str, str]] = set()
-        self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
     def take(self, event: Mapping[str, Any]) -> None:
         """Process one event."""
         match event['event']:
             case 'campaign':
-                self._campaign(event['campaign'])
+                self.campaign.update(event['campaign'])
             case key if key in CATALOGUES:
                 # Finding it makes it known, so that references in rows can be resolved.
                 self.documents.add((key, CATALOGUES[key].find(event[key]).reference))
@@ -273,16 +249,8 @@ class _Events:
                 self._result(RunRow.from_json(event['row']))
             case 'requirement':
                 self._judge(event)
-            case 'lost':
-                runs = {int(index) for index in event.get('runs', ())}
-                self.lost.append((str(event['what']), bool(event.get('incomplete')), runs))
             case other:
                 raise ValueError(f'unknown event {other!r:.80}')
-
-    def _campaign(self, facts: Mapping[str, Any]) -> None:
-        if name := other_campaign(self.campaign, facts):
-            raise ValueError(f'line of another campaign: its {name} differs')
-        self.campaign.update(facts)
 
     def _intent(self, event: Mapping[str, Any]) -> None:
         index = event['index']
@@ -318,6 +286,5 @@ def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[s
     name = next(key for key in {**last, **facts} if facts.get(key, none) != last.get(key, none))
     raise UsageError(
         f'{path.with_name(FACTS_NAME)}: has another {name} than {path.name} beside it; was it '
-        'edited, or copied from another campaign? Restore it, or rebuild it from the ledger: '
-        f'taxinet doctor --mend {path.parent}'
+        'edited, or copied from another campaign? Restore it'
     )

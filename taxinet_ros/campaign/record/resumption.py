@@ -14,7 +14,6 @@ from taxinet_ros.campaign.record.book import UNKNOWN_TO_SAMPLER, read_same_campa
 from taxinet_ros.campaign.record.facts import ARMS, UNTIL, recorded_rules
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import MERGED
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_words
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
@@ -85,8 +84,8 @@ class EarlierRuns:
             judged, were chosen; they may have been repeated. The chosen scenes are kept, so the
             sampler never receives these results.
         begun: number of runs started or done, counted from run 0.
-        facts: facts that are kept: number of runs planned at first, arms of the experiment, merged
-            shards, perception if determined by the graph, and the runs unknown to the sampler.
+        facts: facts that are kept: number of runs planned at first, arms of the experiment,
+            perception if determined by the graph, and the runs unknown to the sampler.
         content: content of the ledger.
     """
 
@@ -162,7 +161,5 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list
 
 
 def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
-    kept = {key: before[key] for key in (*of_graph, ARMS, MERGED) if key in before}
-    # Older searches recorded only their last plan.
-    planned = before.get('first_runs', before.get('runs'))
-    return kept if planned is None else {**kept, 'first_runs': planned}
+    kept = {key: before[key] for key in (*of_graph, ARMS) if key in before}
+    return {**kept, 'first_runs': before['first_runs']} if 'first_runs' in before else kept

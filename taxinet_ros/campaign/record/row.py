@@ -13,7 +13,7 @@ from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS, by_key
+from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
@@ -316,27 +316,21 @@ class RunRow:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read the output of :meth:`to_json`, including old ones with keys without units.
+        """Read the output of :meth:`to_json`.
 
         Raises:
             UsageError: a column is missing, unknown or of the wrong type, the outcome is unknown,
                 or the row is inconsistent (:meth:`check`).
         """
-        # Rows older than a key get its value at that time, if they have a scene.
-        drawn = values.get('shadows') is not None
-        before = {
-            known.key: known.to_human(known.absent) for known in SCENARIO_FIELDS
-            if drawn and known.absent is not None
-        }
         try:
             if stray := values.keys() & ON_DISK.keys():
                 raise ValueError(f'unexpected {min(stray)}')
             columns = {
-                _ATTRIBUTES.get(name, name): value for name, value in by_key(values).items()
+                _ATTRIBUTES.get(name, name): value for name, value in values.items()
                 if name not in _BOUNDS
             }
             row = cls(**{
-                **before, **columns, 'outcome': Outcome(values['outcome']),
+                **columns, 'outcome': Outcome(values['outcome']),
                 'robustness': _robustness(values),
             })
             for column in dataclasses.fields(cls):

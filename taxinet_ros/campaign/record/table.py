@@ -159,7 +159,7 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
         OSError: the wanted one cannot be read.
     """
     facts = read_facts(folder)
-    mend = f'rebuild the tables from the ledger: taxinet doctor --mend {folder}'
+    mend = f'write it anew with --resume; see taxinet doctor {folder}'
     vouched = False
     for path in (folder / CSV_NAME, folder / PARQUET_NAME):
         if facts is not None and path.is_file():
@@ -172,7 +172,7 @@ def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
     if vouched and ended and ledger.is_file() and ledger.read_bytes().count(b'\n') > ended.lines:
         warn_once(
             f'{folder}: its tables are older than its ledger; is the campaign running? If not, '
-            f'--resume it, or {mend}'
+            '--resume it'
         )
     own = facts.values.get('specs') if facts else None
     return list(own) if isinstance(own, dict) else []

@@ -127,10 +127,6 @@ class ActiveSearch:
         """Record the result of a point that this sampler did not propose."""
         self._learn(self._keep(point), rho)
 
-    def revise(self, index: int, rho: float) -> None:
-        """Replace the result of one of its runs by a better one."""
-        self._results[self._asked[index]] = rho
-
     def weight(self, index: int) -> None:
         """None: the density is unknown."""
 

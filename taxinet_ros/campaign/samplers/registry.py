@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import TypeVar
 
 from taxinet_ros import registry
@@ -24,7 +23,6 @@ from taxinet_ros.campaign.samplers.sampler import (
     WithDrawn,
     parse_options,
 )
-from taxinet_ros.campaign.samplers.screening import NAME, Look, Screening
 from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 from taxinet_ros.campaign.samplers.space_filling import Grid
 from taxinet_ros.campaign.samplers.splitting import make_splitting
@@ -43,17 +41,6 @@ def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
     )}
 
 
-class DependsOn(StrEnum):
-    """What the point of a run depends on, besides space, seed, options and number of runs."""
-
-    INDEX = 'index'
-    """The run's index, and how many of its own points were refused."""
-    REFUSALS = 'refusals'
-    """The same, and how many points of earlier runs were refused."""
-    RESULTS = 'results'
-    """Results of earlier runs."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SamplerKind:
     """A sampler of the table that reports for each run whether it was drawn from the prior.
@@ -65,16 +52,19 @@ class SamplerKind:
         meaning: description in one line.
         make: factory; takes space, seed, number of runs and option values.
         options: the sampler's options by name.
-        depends_on: what its points depend on; a search by their results cannot be run in shards.
+        learns: whether its points depend on results of earlier runs; if not, any number of them
+            may be in flight.
         batched: whether a run may depend on the result of the one before it
             (:class:`.sampler.Batched`), not only on those up to ``LAG`` before.
+        rules: variants with options of their own, by the word of the option ``rule``.
     """
 
     meaning: str
     make: Callable[[Space, int, int, Values], Sampler]
     options: Mapping[str, Option] = field(default_factory=dict)
-    depends_on: DependsOn = DependsOn.RESULTS
+    learns: bool = True
     batched: bool = False
+    rules: Mapping[str, SamplerKind] = field(default_factory=dict)
 
 
 def _check_make(where: str, make: Callable[..., object]) -> None:
@@ -89,7 +79,7 @@ def _check_make(where: str, make: Callable[..., object]) -> None:
 
 def proposer_kind(
     meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
-    options: Mapping[str, Option] | None = None, depends_on: DependsOn = DependsOn.RESULTS,
+    options: Mapping[str, Option] | None = None, learns: bool = True,
 ) -> SamplerKind:
     """The table row of a sampler that only proposes: a share of prior draws is mixed in.
 
@@ -100,14 +90,14 @@ def proposer_kind(
         floor: default of the option ``floor``, the share of prior draws. With 0 there is no rate,
             and the sampler's sequence is unchanged.
         options: its own options.
-        depends_on: see :attr:`SamplerKind.depends_on`.
+        learns: see :attr:`SamplerKind.learns`.
 
     Raises:
         UsageError: the factory takes other arguments.
     """
     _check_make('proposer_kind', make)
     return SamplerKind(
-        meaning=meaning, depends_on=depends_on, options={**(options or {}), **_floor_option(floor)},
+        meaning=meaning, learns=learns, options={**(options or {}), **_floor_option(floor)},
         make=lambda space, seed, runs, values: WithDrawn(
             make(space, seed, runs, values), space, seed, values['floor']
         ),
@@ -122,22 +112,22 @@ _STARTUP = Option(
 RANDOM = SamplerKind(
     meaning='independent draws from the program',
     make=lambda space, seed, runs, values: space_filling.Random(space, seed),
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 HALTON = proposer_kind(
     'evenly spread points (Halton, scrambled)',
     lambda space, seed, runs, values: space_filling.halton(space, seed), floor=0.0,
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 SOBOL = proposer_kind(
     'evenly spread points (Sobol, scrambled); best with 2^n runs',
     lambda space, seed, runs, values: space_filling.sobol(space, seed), floor=0.0,
-    depends_on=DependsOn.INDEX,
+    learns=False,
 )
 GRID = proposer_kind(
     'all combinations of even steps and categories, widely spaced ones first',
     lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
-    floor=0.0, depends_on=DependsOn.REFUSALS,
+    floor=0.0, learns=False,
     options={
         'points': Option(
             meaning='steps of each continuous dimension; 0: as many as fit into the runs',
@@ -173,19 +163,7 @@ COVERAGE = proposer_kind(
         ),
     },
 )
-CE = SamplerKind(
-    meaning='cross-entropy with importance weights: learns where failures are',
-    make=lambda space, seed, runs, values: CrossEntropy(
-        space, seed, floor=values['floor'], every=int(values['every'])
-    ),
-    options={
-        **_floor_option(0.3, low=0.01),
-        'every': Option(
-            meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
-        ),
-    },
-)
-CE_VERIFAI = SamplerKind(
+_VERIFAI_RULE = SamplerKind(
     meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
     make=lambda space, seed, runs, values: VerifaiRule(
         space, seed, alpha=values['alpha'], floor=values['floor']
@@ -197,6 +175,19 @@ CE_VERIFAI = SamplerKind(
             default=0.9, low=0.5, high=0.99999,
         ),
     },
+)
+CE = SamplerKind(
+    meaning='cross-entropy with importance weights: learns where failures are',
+    make=lambda space, seed, runs, values: CrossEntropy(
+        space, seed, floor=values['floor'], every=int(values['every'])
+    ),
+    options={
+        **_floor_option(0.3, low=0.01),
+        'every': Option(
+            meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
+        ),
+    },
+    rules={'verifai': _VERIFAI_RULE},
 )
 MAB = SamplerKind(
     meaning='multi-armed bandit over buckets (upper confidence bound)',
@@ -261,26 +252,6 @@ SPLITTING = SamplerKind(
         ),
         'floor': Option(
             meaning='least probability to look for', default=1e-6, low=1e-12, high=0.5,
-        ),
-    },
-)
-
-
-_MOST_LOOKS = Option(
-    meaning='most looks before a run', default=24, low=1, high=1000, whole=True,
-)
-SCREENING = proposer_kind(
-    'active search on cheap looks; runs what looks like a failure',
-    lambda space, seed, runs, values: Screening(
-        space, seed, None, radius=values['radius'], most=int(values['looks'])
-    ),
-    floor=0.25,
-    options={
-        **{name: option for name, option in ACTIVE.options.items() if name == 'radius'},
-        'looks': _MOST_LOOKS,
-        'every': Option(
-            meaning='control steps from one picture of a look to the next', default=10, low=2,
-            high=1000, whole=True,
         ),
     },
 )
@@ -375,7 +346,8 @@ def make_sampler(
         UsageError: unknown name or option (the known ones are listed), an invalid value, a negative
             seed, or dimensions that form no valid space.
     """
-    values = check_sampler(name, options)
+    kind, given = _variant(name, options)
+    values = parse_options(name, kind.options, given)
     if seed < 0:
         raise UsageError(f'seed is {seed}; it has to be 0 or more')
     space = Space(dimensions)
@@ -384,7 +356,7 @@ def make_sampler(
             f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
             'draws as it does'
         )
-    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
+    return Lagged(kind.make(space, seed, runs, values))
 
 
 def make_covering_sampler(
@@ -412,29 +384,6 @@ def make_covering_sampler(
     return Lagged(WithDrawn(covering, space, seed, values['floor'])), covering
 
 
-def make_screening_sampler(
-    dimensions: Iterable[Dimension], seed: int, look: Look, /, **options: str | float
-) -> tuple[Lagged, Screening]:
-    """Make the sampler ``screening`` of a campaign with its looks.
-
-    Args:
-        dimensions: the dimensions to search.
-        seed: seed of the campaign, 0 or more.
-        look: forecasts the robustness of a point's scene.
-        options: sampler options, as numbers or text.
-
-    Returns:
-        The sampler of the campaign, and the one inside that knows of its looks.
-
-    Raises:
-        UsageError: an unknown option or invalid value.
-    """
-    values = check_sampler(NAME, options)
-    space = Space(dimensions)
-    screening = Screening(space, seed, look, radius=values['radius'], most=int(values['looks']))
-    return Lagged(WithDrawn(screening, space, seed, values['floor'])), screening
-
-
 def drawn_share(name: str, options: Mapping[str, str | float]) -> float:
     """Share of a sampler's runs drawn from the prior, from which rates are estimated."""
     return check_sampler(name, options).get('floor', 1.0)
@@ -447,7 +396,21 @@ def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
         UsageError: unknown name or option (the known ones are listed), or a value that is not
             allowed.
     """
-    kind = SAMPLERS.get(name)
+    kind, given = _variant(name, options)
+    return parse_options(name, kind.options, given)
+
+
+def _variant(
+    name: str, options: Mapping[str, str | float]
+) -> tuple[SamplerKind, dict[str, str | float]]:
+    """The sampler with the rule that its options name, and the other options."""
+    kind, given = SAMPLERS.get(name), dict(options)
     if kind is None:
         raise UsageError(f'sampler {name!r} is unknown; known: {registry.known(registry.SAMPLERS)}')
-    return parse_options(name, kind.options, options)
+    if not kind.rules or 'rule' not in given:
+        return kind, given
+    rule = given.pop('rule')
+    if rule not in kind.rules:
+        known = ', '.join(kind.rules)
+        raise UsageError(f'sampler {name}: rule={rule}: unknown; known: {known}, or leave it out')
+    return kind.rules[str(rule)], given

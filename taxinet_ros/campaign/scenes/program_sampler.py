@@ -9,7 +9,8 @@ VerifAI        here             options
 ``random``     ``random``
 ``halton``     ``halton``       scrambled by the seed here, so ``sample_index`` and
                                 ``bases_skipped`` can only be 0
-``ce``         ``ce-verifai``   ``alpha`` (VerifAI's default 0.9), ``cont.buckets`` (its 5)
+``ce``         ``ce``           with ``rule=verifai``: ``alpha`` (VerifAI's default 0.9),
+                                ``cont.buckets`` (its 5)
 ``mab``        ``mab``          ``cont.buckets`` (its 5)
 ``grid``       ``grid``         ``N`` is ``points``
 ``bo``         ``bo``           ``init_num`` is ``startup``
@@ -31,15 +32,14 @@ from taxinet_ros.errors import UsageError
 TYPE, PARAMS = 'verifaiSamplerType', 'verifaiSamplerParams'
 
 _HERE = {
-    'random': 'random', 'halton': 'halton', 'ce': 'ce-verifai', 'mab': 'mab', 'grid': 'grid',
-    'bo': 'bo',
+    'random': 'random', 'halton': 'halton', 'ce': 'ce', 'mab': 'mab', 'grid': 'grid', 'bo': 'bo',
 }
 _NOT_HERE = {
     'eg': 'epsilon-greedy raises NotImplementedError in VerifAI, and there is none here; mab is '
           'the nearest',
     'sa': 'VerifAI refuses simulated annealing, and there is none here; cmaes is the nearest',
 }
-_DEFAULTS: Mapping[str, Mapping[str, str]] = {'ce': {'alpha': '0.9'}}
+_DEFAULTS: Mapping[str, Mapping[str, str]] = {'ce': {'rule': 'verifai', 'alpha': '0.9'}}
 _OPTIONS: Mapping[str, Mapping[str, str]] = {
     'ce': {'alpha': 'alpha'}, 'grid': {'N': 'points'}, 'bo': {'init_num': 'startup'},
 }

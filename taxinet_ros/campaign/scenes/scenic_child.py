@@ -24,9 +24,7 @@ each request has a ticket and gets one answer with the same ticket:
 or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
 human units.
 
-For programs in Scenic 1 or 2, such as the paper's, the error includes the equivalent Scenic 3 line:
-objects are created with ``new`` and intervals are written ``Range``. Scenic 3's parser only reports
-"invalid syntax", so the text is matched by patterns instead of parsed.
+Of programs in Scenic 1 or 2, such as the paper's, the error also names the version.
 """
 
 from __future__ import annotations
@@ -57,86 +55,34 @@ from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.campaign.scenes.values import ProgramError, scene_values
 from taxinet_ros.processes.child import limit_cpu, limit_memory
 
-_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
-_PAIR = rf'\(\s*({_NUMBER})\s*,\s*({_NUMBER})\s*\)'
-_SPECIFIER = (
-    r'(?:at|in|on|with|facing|offset|beyond|visible|not\s+visible|following|left\s+of|right\s+of|'
-    r'ahead\s+of|behind|apparently|contained\s+in|using)'
-)
-_MADE = re.compile(rf'(^\s*|[=(,]\s*|\breturn\s+)([A-Z]\w*)(?=\s+{_SPECIFIER}\b)')
-_EGO = re.compile(r'^(\s*ego\s*=\s*)([A-Z]\w*)(?=\s*$)')
-_MODEL = re.compile(r'^\s*(?:model|from|import)\s+[\w.]*xplane[\w.]*(?:\s+import\s+.*)?$')
-_SURE = (
-    re.compile(rf'(?<![\w)\]]){_PAIR}(?=\s*(?:deg\b|@))'),
-    re.compile(rf'(?<=@){_PAIR}'),
-    re.compile(rf'(?<=@\s){_PAIR}'),
-    re.compile(rf'(?<=\bfacing\s){_PAIR}'),
-    re.compile(rf'(?<=\bparam\s)(?P<name>[^=]*=\s*){_PAIR}'),
-)
-"""A pair of numbers that can only be a Scenic 1 interval."""
-_LIKELY = (
-    re.compile(rf'(?<=[=*/+-]\s){_PAIR}'),
-    re.compile(rf'(?<![\w)\]]){_PAIR}(?=\s*[*/+:-])'),
-    re.compile(rf'(?<=,\s){_PAIR}(?=\s*\)\s*:)'),
-)
-"""A pair that is an interval if others are; alone it may be a tuple."""
-_PAIRS = re.compile(r'\b(?:tuple|sequence)\b')
+_OLD = re.compile(r'^\s*ego\s*=\s*(?!new\b)[A-Z]\w*\s*(?:$|#|[a-z])', re.MULTILINE)
+"""An object made without ``new``, as in Scenic 1 and 2."""
 _NAMES = re.compile(r"'(?:Plane|CLOUDS|RAIN_CLOUDS)' is not defined")
 _KNOWS_MODEL = re.compile(rf'^\s*(?:model|from|import)\s+{MODEL}\b', re.MULTILINE)
-_MOST_LINES = 8
 
 
-def scenic3_lines(text: str, *, pairs: bool = False) -> dict[int, str]:
-    """Scenic 3 equivalents of older lines, by line number from 1.
-
-    Args:
-        text: text of the program.
-        pairs: whether a pair of numbers is known to be in the place of a number.
-    """
-    lines = [line.partition('#')[0].rstrip() for line in text.splitlines()]
-    changed = {number: _scenic3_line(line) for number, line in enumerate(lines, 1)}
-    if pairs or any(line != lines[number - 1] for number, line in changed.items()):
-        for number, line in changed.items():
-            for pattern in _LIKELY:
-                changed[number] = line = pattern.sub(_scenic3_range, line)
-    return {number: line for number, line in changed.items() if line != lines[number - 1]}
-
-
-def scenic3_hint(text: str, message: str) -> str:
-    """Hint to append to a Scenic error; empty if the program has no Scenic 1 or 2 syntax.
+def version_hint(text: str, message: str) -> str:
+    """Hint to append to a Scenic error; empty if there is none.
 
     Args:
         text: text of the program.
         message: Scenic's error message.
     """
-    lines = scenic3_lines(text, pairs=bool(_PAIRS.search(message)))
-    known = _KNOWS_MODEL.search(text) or f'model {MODEL}' in lines.values()
-    model = '' if known else f'"model {MODEL}" as first line'
-    if not lines:
-        return f'write {model}' if model and _NAMES.search(message) else ''
-    said = [f'line {number} "{line.strip()}"' for number, line in sorted(lines.items())]
-    more = f' and {len(said) - _MOST_LINES} more' if len(said) > _MOST_LINES else ''
-    words = [model, *said[:_MOST_LINES]] if model else said[:_MOST_LINES]
-    return f'is this Scenic 1 or 2? Scenic 3 has {", ".join(words)}{more}'
-
-
-def _scenic3_line(line: str) -> str:
-    if _MODEL.match(line):
-        return f'model {MODEL}'
-    line = _EGO.sub(r'\1new \2', _MADE.sub(r'\1new \2', line))
-    for pattern in _SURE:
-        line = pattern.sub(_scenic3_range, line)
-    return line
-
-
-def _scenic3_range(found: re.Match[str]) -> str:
-    name = found.groupdict().get('name') or ''
-    low, high = found.groups()[-2:]
-    return f'{name}Range({low}, {high})'
+    if _OLD.search(text):
+        return (
+            'this program is written for Scenic 1 or 2, and Scenic 3 runs here: '
+            f'"model {MODEL}", "ego = new Plane", "Range(LOW, HIGH)"; see docs/scenic.md'
+        )
+    if _NAMES.search(message) and not _KNOWS_MODEL.search(text):
+        return f'write "model {MODEL}" as first line'
+    return ''
 
 
 MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
+
+_COMPARED, _COMPARED_DRAWS = 3, 100
+"""Scenes that a program has to draw again when it is compiled again, and draws for each."""
 
 MAX_CHARACTERS = 1000
 """Maximum length of an error message; a program may raise one with any text."""
@@ -164,7 +110,7 @@ class Programs:
         self._constructs = constructs.watch_constructs()
         sys.path.append(shipped)  # after the program's own folder, which Scenic prepends
         self._compile = scenic.scenarioFromFile
-        self._watched = chance.compile_watched
+        self._compile_twice = chance.compile_twice
         self._find_choices = choices.Choices
         self._seed = seed
         self._scenario: Any = None
@@ -176,14 +122,13 @@ class Programs:
 
     def compile(self, program: str) -> dict[str, Any]:
         """Compile ``program`` and refuse constructs without effect; no scene is drawn."""
-        self._reseed(0)  # a program may draw while it is compiled
         self._choices = self._scenario = None
         self._loaded.clear()
-        self._loading = True
-        try:
-            scenario = self._watched(lambda: self._begin(program))
-        finally:
-            self._loading = False
+        scenario = self._compile_twice(
+            Path(program), lambda: self._begin(program),
+            lambda attempt: self._reseed(0, attempt),  # a program may draw while it is compiled
+            self._first_scenes,
+        )
         self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
         self._constructs.check(scenario)
         if scenario.externalSampler is not None:
@@ -208,7 +153,22 @@ class Programs:
     def _begin(self, program: str) -> Any:
         self._constructs.begin(Path(program))
         self._words.begin()
-        return self._compile(program)
+        self._loading = True
+        try:
+            return self._compile(program)
+        finally:
+            self._loading = False
+
+    def _first_scenes(self, scenario: Any) -> list[Any]:
+        """The first scenes, or what is wrong with them, to be compared."""
+        found: list[Any] = []
+        for index in range(_COMPARED):
+            self._reseed(index)
+            try:
+                found.append(_generated(scenario, _COMPARED_DRAWS))
+            except Exception as error:  # of the program; it is reported when the scene is drawn
+                found.append(type(error).__name__)
+        return found
 
     def asked(self) -> dict[str, Any]:
         """The program's sampler request and overrides, and notes on likely mistakes."""
@@ -237,21 +197,12 @@ class Programs:
         """
         self._reseed(index)
         if point is None:
-            return self._generate(MAX_ITERATIONS)
+            return _generated(self._scenario, MAX_ITERATIONS)
         requirements = self._scenario.userRequirements
         active = [random.random() <= requirement.prob for requirement in requirements]
         self._reseed(index, attempt)
         with self._found().placed(point), _decided(requirements, active):
-            return self._generate(1)
-
-    def _generate(self, iterations: int) -> dict[str, Any]:
-        from scenic.core.distributions import RejectionException
-
-        try:
-            scene, drawn = self._scenario.generate(maxIterations=iterations)
-        except RejectionException:
-            return {'rejected': iterations}
-        return {'values': scene_values(scene), 'refused': drawn - 1}
+            return _generated(self._scenario, 1)
 
     def _found(self) -> Any:
         if self._choices is None:
@@ -265,6 +216,16 @@ class Programs:
         words = np.random.SeedSequence(key).generate_state(8)
         random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
         np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
+
+
+def _generated(scenario: Any, iterations: int) -> dict[str, Any]:
+    from scenic.core.distributions import RejectionException
+
+    try:
+        scene, drawn = scenario.generate(maxIterations=iterations)
+    except RejectionException:
+        return {'rejected': iterations}
+    return {'values': scene_values(scene), 'refused': drawn - 1}
 
 
 @contextlib.contextmanager
@@ -284,16 +245,11 @@ def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, 
     """Describe an error in one line, with its file and line (0 if unknown)."""
     file, line = _place(error, Path(program))
     message = _message(error, allowed_s)
-    if isinstance(error, Exception) and (more := _scenic3_hint_for(program, message)):
-        message = f'{message}; {more}'
+    if isinstance(error, Exception):
+        with contextlib.suppress(OSError, UnicodeDecodeError):  # which is the error, then
+            text = Path(program).read_text(encoding='utf-8')
+            message = '; '.join(filter(None, (message, version_hint(text, message))))
     return {'file': file, 'line': line, 'message': message}
-
-
-def _scenic3_hint_for(program: str, message: str) -> str:
-    try:
-        return scenic3_hint(Path(program).read_text(encoding='utf-8'), message)
-    except (OSError, UnicodeDecodeError):
-        return ''  # the error is already reported
 
 
 def _message(error: BaseException, allowed_s: float) -> str:
@@ -306,6 +262,8 @@ def _message(error: BaseException, allowed_s: float) -> str:
         return 'the program needs more memory than it may have'
     if isinstance(error, ProgramError) or type(error).__module__.startswith('scenic.'):
         return text
+    if text.startswith('multiple choices for scenario to run'):
+        return 'there are several scenarios; call the one to be run Main'
     if isinstance(error, NameError) and error.name == 'DotMap':
         text += '; a dict does as well: {"alpha": 0.9}'
     return f'{type(error).__name__}: {text}'

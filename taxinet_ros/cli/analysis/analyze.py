@@ -14,7 +14,6 @@ from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_t
 from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
-from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.cli.progress import Heartbeat
 from taxinet_ros.errors import ExitCode, UsageError
@@ -55,7 +54,6 @@ def run_analyze(
         findings = analyse(runs, others, alpha=alpha, on_progress=show)
         report = campaign_report(findings, viewers=viewers)
         values = write_analysis(findings, report, folder, on_progress=show)
-    add_page_beside(campaign, folder / PAGE_NAME, 'Analysis of all runs')
     if as_json:
         print(json_text(values), end='')
     else:

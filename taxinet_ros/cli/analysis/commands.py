@@ -349,14 +349,6 @@ def doctor(
             'some; without it, this machine is checked',
         ),
     ] = None,
-    mend: Annotated[
-        bool,
-        typer.Option(
-            '--mend',
-            help='rebuild tables and campaign.json from the ledger; keep a copy of a damaged '
-            'ledger and continue with its intact lines',
-        ),
-    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this machine, or every file in a results folder.
@@ -367,19 +359,16 @@ def doctor(
 
     With a folder: checks every ledger line, tables against the ledger, each bag against its row and
     each dataset image against its label, and finds leftovers of killed processes. Exit codes: 0 no
-    findings, 3 something is incomplete or damaged, 2 nothing to check.
+    findings, 3 something is incomplete or damaged, 2 nothing to check. The command that made it
+    goes on with `--resume`.
     """
-    from taxinet_ros.errors import UsageError
-
     if folder is None:
         from taxinet_ros.cli.system import run_system_doctor
 
-        if mend:
-            raise UsageError('--mend: only with the folder of a CAMPAIGN')
         raise typer.Exit(run_system_doctor(as_json=as_json))
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
-    raise typer.Exit(run_results_doctor(folder, mended=mend, as_json=as_json))
+    raise typer.Exit(run_results_doctor(folder, as_json=as_json))
 
 
 def gate(

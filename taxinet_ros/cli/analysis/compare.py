@@ -38,7 +38,7 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of,
     scenes_of_program,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
@@ -100,7 +100,6 @@ def run_compare(options: CompareOptions) -> int:
         first = read_runs(Path(options.before))
         runs = first, read_runs(Path(options.after), first.spec)
         found = compared(*distinct_labels(runs))
-        campaigns = [Path(options.before), Path(options.after)]
     else:
         if any(named):
             raise UsageError(
@@ -122,8 +121,7 @@ def run_compare(options: CompareOptions) -> int:
             return ExitCode.INTERRUPTED
         # Nothing but the network differs between these runs.
         found = replace(compared(*distinct_labels(done)), differing=())
-        campaigns = [path for path in [Path(options.scenes)] if path.exists()]
-    _write(found, out, campaigns)
+    _write(found, out)
     if options.as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
     for sentence in compared_sentences(found):
@@ -195,7 +193,7 @@ def _driven(
     return tables
 
 
-def _write(found: Compared, out: Path, campaigns: Sequence[Path]) -> None:
+def _write(found: Compared, out: Path) -> None:
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 
@@ -208,9 +206,6 @@ def _write(found: Compared, out: Path, campaigns: Sequence[Path]) -> None:
     text = json.dumps(compared_json(found), indent=2, allow_nan=False)
     write_atomically(out / JSON_NAME, text + '\n')
     write_report_page(report, out / PAGE_NAME)
-    title = f'Comparison of {found.before.label} with {found.after.label}'
-    for campaign in campaigns:
-        add_page_beside(campaign, out / PAGE_NAME, title)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,6 @@ from taxinet_ros.analysis.explain.report import explain_json, explain_report
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
-from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
@@ -191,7 +190,4 @@ def _write(found: Explanation, out: Path) -> Path:
     write_atomically(
         out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
     write_report_page(report, out / PAGE_NAME)
-    add_page_beside(
-        found.bag, out / PAGE_NAME, f'Explanation of {found.run.request.run_id}'
-    )
     return out / PAGE_NAME

@@ -24,7 +24,6 @@ from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
 from taxinet_ros.api.run import Run
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
-from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
@@ -221,7 +220,6 @@ def _sweep(
             title=f'{past.recording.run_id}, changed at {options.at_s:g} s',
         ), out, LIGHT,
     )
-    _link(past, picture, f'{key} from {options.at_s:g} s')
     if options.as_json:
         print(json.dumps({'key': key, 'headline': headline, 'points': rows}, indent=2))
     for row in rows:
@@ -323,7 +321,6 @@ def _written(
             title=f'{fork.run_id}, forked at {fork.at_s:g} s: {words}',
         ), out, LIGHT,
     )
-    _link(past, picture, f'{words} at {fork.at_s:g} s')
     return {
         'run_id': fork.run_id, 'at_s': fork.at_s, 'steps_repeated': fork.step, 'change': words,
         'before': {
@@ -333,13 +330,6 @@ def _written(
         'after': {'outcome': outcomes[1], 'rho': _ends(done.rho[headline])},
         'headline': headline, 'bag': str(bag), 'picture': str(picture),
     }
-
-
-def _link(past: Past, picture: Path, words: str) -> None:
-    """Let the pages of the run's campaign link to the picture."""
-    add_page_beside(
-        past.recording.path, picture, f'Fork of {past.recording.run_id}: {words}'
-    )
 
 
 def _ends(interval: Any) -> list[float | None]:

@@ -37,7 +37,6 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import recorded_shard
 from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.cli.checked import check_output, tell_doubts
@@ -268,18 +267,13 @@ def _beside(junit: Path) -> Path:
 
 def _record_notes(content: LedgerContent) -> Iterator[str]:
     """Notes about the campaign's record."""
-    if (shard := recorded_shard(content.campaign)) is not None:
-        yield f'this is shard {shard} of a search, by itself; taxinet merge joins all of them'
     if found := differences(*recorded_stacks(content.campaign).values()):
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: started but has no result'
-    if content.never_begun:
-        yield f'run {ranges(content.never_begun)}: has a result but no record of its start'
     for timing in sorted({row.timing for row in content.rows if row.timing}):
         again = ', so their verdicts are not reproducible' if is_free(timing) else ''
         yield f'timing of the runs: {timing}{again}'
-    yield from content.lost
 
 
 def _words(

@@ -25,7 +25,6 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -58,7 +57,6 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     )
     unfinished = len(trials) < options.wanted
     written = _write(found, campaign, options.out)
-    add_page(campaign.folder, written[0], 'Network or controller')
     if as_json:
         print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
     else:

@@ -28,7 +28,6 @@ from taxinet_ros.analysis.runs.campaign import (
 )
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.odd.openodd import binding_path, openodd_texts
-from taxinet_ros.campaign.record.facts import add_page_beside
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.programs import SUFFIX, known_programs
 from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES
@@ -151,8 +150,6 @@ def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
         _print(_console(), found, options, runs)
     if plot is not None:
         write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
-        for campaign in campaigns:
-            add_page_beside(campaign, plot, f'Coverage of ODD {odd.name}')
         if not options.as_json:
             print(f'picture: {plot}')
     return ExitCode.OK

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from taxinet_ros.bag.check.doctor import check_bag, check_recorded_frames
 from taxinet_ros.bag.check.findings import Check, Finding
-from taxinet_ros.campaign.doctor import Examination, examine, mend
+from taxinet_ros.campaign.doctor import Examination, examine
 from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.errors import ExitCode
 
@@ -103,20 +103,19 @@ def _mend(finding: Finding, bag: Path) -> str:
     return finding.mend.replace('{bag}', shlex.quote(str(bag)))
 
 
-def run_results_doctor(folder: Path, *, mended: bool, as_json: bool) -> int:
-    """Check a folder, after repairing it if asked, and print one line per finding.
+def run_results_doctor(folder: Path, *, as_json: bool) -> int:
+    """Check a folder and print one line per finding.
 
     Returns:
         Exit code: 0 no findings, 3 something is incomplete or damaged.
 
     Raises:
-        UsageError: there is nothing to check, or the folder is in use.
+        UsageError: there is nothing to check.
     """
-    done = mend(folder) if mended else []
     found = examine(folder, _show_bag_name)
     if sys.stderr.isatty():
         print('\r\033[K', end='', file=sys.stderr)
-    print(_results_json(found, done, folder) if as_json else _results_words(found, done, folder))
+    print(_results_json(found, folder) if as_json else _results_words(found, folder))
     return ExitCode.INCOMPLETE if found.findings else ExitCode.OK
 
 
@@ -125,30 +124,23 @@ def _show_bag_name(bag: Path) -> None:
         print(f'\r\033[K{bag.name}', end='', file=sys.stderr, flush=True)
 
 
-def _results_words(found: Examination, done: list[str], folder: Path) -> str:
+def _results_words(found: Examination, folder: Path) -> str:
     looked_at = ', '.join(f'{count:,} {what}' for what, count in found.looked_at.items())
-    mends = Counter(_mend_command(one.mend, folder) for one in found.findings)
+    mends = Counter(one.mend for one in found.findings)
     lost = mends.pop('', 0)
     parts = [f'{number} mended by: {command}' for command, number in mends.items()]
     parts += [f'{lost} only by making it again'] if lost else []
     summary = f'{len(found.findings)} found; {"; ".join(parts)}' if found.findings else 'sound'
     return '\n'.join([
-        *(f'mended  {line}' for line in done),
         *(f'BAD     {one.where}: {one.what}' for one in found.findings),
         *(f'note    {line}' for line in found.notes),
         f'{folder}: {looked_at}: {summary}',
     ])
 
 
-def _results_json(found: Examination, done: list[str], folder: Path) -> str:
+def _results_json(found: Examination, folder: Path) -> str:
     return json.dumps({
         'folder': str(folder), 'sound': not found.findings, 'looked_at': found.looked_at,
-        'mended': done, 'notes': found.notes, 'not_checked': list(map(str, found.unchecked)),
-        'findings': [
-            {**asdict(one), 'mend': _mend_command(one.mend, folder)} for one in found.findings
-        ],
+        'notes': found.notes, 'not_checked': list(map(str, found.unchecked)),
+        'findings': [asdict(one) for one in found.findings],
     }, indent=2)
-
-
-def _mend_command(command: str, folder: Path) -> str:
-    return command.replace('{folder}', shlex.quote(str(folder)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from rich.progress import track
 from taxinet_ros.bag.check.lockstep import run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
-from taxinet_ros.bag.reader import read_info, unchecked_files
+from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE, missing_frames, restore_frames, restore_in_place
 from taxinet_ros.bag.rewrite.recovery import Recovery, recover
 from taxinet_ros.bag.rewrite.split import write_runs
@@ -26,7 +27,7 @@ from taxinet_ros.version import __version__
 
 
 def run_recover(bag: Path, out: Path) -> int:
-    """Copy the intact messages and print what was saved and lost.
+    """Copy the messages before the damage and print what was saved and lost.
 
     Returns:
         Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 no disk
@@ -44,8 +45,8 @@ def _recover(bag: Path, out: Path) -> int:
     recovery = recover(bag, out)
     for line in recovery.damage:
         print(f'damage: {line}')
-    if bare := unchecked_files(bag):
-        print(bare)
+    if recovery.unchecked:
+        print(recovery.unchecked)
     try:
         steps = list(_steps(out))
     except BagError:  # The recovered bag may still not be a valid run.
@@ -57,6 +58,11 @@ def _recover(bag: Path, out: Path) -> int:
     lost = _lost(recovery)
     if lost:
         print(lost)
+    for file in recovery.damaged_files:
+        print(
+            'the tool of MCAP also looks for messages behind the damage: '
+            f'mcap recover {shlex.quote(str(file))} -o NEW.mcap'
+        )
     return ExitCode.INCOMPLETE if lost else ExitCode.OK
 
 

@@ -1,1 +1,1 @@
-"""Commands that measure: taxinet bench ...."""
+"""``taxinet bench``."""

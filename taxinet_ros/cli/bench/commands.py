@@ -1,26 +1,28 @@
-"""``taxinet bench``: arguments, options and help; implementations are imported on use."""
+"""``taxinet bench``: timings on this machine, compared with others and among themselves."""
 
 from __future__ import annotations
 
+import json
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from taxinet_ros.cli.options import asks_for_study, given_options
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.errors import ExitCode, UsageError
+
+_WIDTH = 100
+"""Width of the table [columns] when written to a file."""
 
 
 def bench(
-    context: typer.Context,
     subjects: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar='[SUBJECT]...',
-            help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all except campaign (the default; 3 to 5 minutes on two cores); or soak; or chaos; '
-            'or intervals [SAMPLER]...; or sequential; or rare [LANDSCAPE]...; '
-            'or searches [SAMPLER|LANDSCAPE]...; or processors',
-        ),
+        typer.Argument(metavar='[SUBJECT]...', help='camera, loop, graph (default: all)'),
     ] = None,
     repeats: Annotated[int, typer.Option(help='number of measurements of each subject, '
     'interleaved')] = 40,
@@ -28,104 +30,99 @@ def bench(
     compare: Annotated[
         Path | None, typer.Option(metavar='OLD.json', help='earlier JSON report to compare with')
     ] = None,
-    peers: Annotated[
-        str | None,
-        typer.Option(metavar='PYTHON', help='Python interpreter with third-party monitors '
-        'installed: measure them too'),
-    ] = None,
     guard: Annotated[
         bool, typer.Option('--guard', help='exit 1 if a guarded ratio is out of bounds')
     ] = False,
-    runs: Annotated[int | None, typer.Option(min=1, help='soak: number of runs (default 1000); '
-    'processors: of scenes (default 40); screening: budget of a search (default 100, of a network '
-    '20)')] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(help='soak, processors: simulated length of each run (default 3) [s]'),
-    ] = None,
-    minutes: Annotated[
-        float | None,
-        typer.Option(help='soak, chaos: wall-clock limit (default 10 with --pid and for chaos) '
-        '[min]')
-    ] = None,
-    pid: Annotated[
-        int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
-    ] = None,
-    seed: Annotated[int, typer.Option(help='chaos, rare: (first) random seed')] = 0,
-    trials: Annotated[int | None, typer.Option(min=1, help='chaos: number of trials')] = None,
-    trial: Annotated[int | None, typer.Option(min=0, help='chaos: run only this trial')] = None,
 ) -> None:
-    """Benchmark every component on one core, or run soak and chaos tests.
+    """Benchmark camera, closed loop and graph on one core.
 
-    Prints medians, spreads and ratios: the closed loop with ROS 2 (composed or one process per
-    node) and without, the parts of a control step, bytes and memory.
-
-    `taxinet bench soak` runs many short scenes in one process, or watches a running process, and
-    checks memory, file descriptors, threads and shared memory for growth; exit code 1 if any grows.
-
-    `taxinet bench intervals` searches landscapes of known failure rate and reports how often the
-    intervals of `falsify` cover it and how often `gate` passes wrongly.
-
-    `taxinet bench sequential` simulates sequential tests of known rates and reports how often they
-    err and how many runs they take.
-
-    `taxinet bench rare` estimates known probabilities of rare failures as `estimate` does, and
-    reports how often the intervals hold, and on which side they miss.
-
-    `taxinet bench searches` searches landscapes with known failure regions and reports how many of
-    them each sampler finds in 200 runs.
-
-    `taxinet bench screening` compares samplers at equal budgets, in which looks of `screening`
-    count by their cost, on landscapes and, with the name of a network, in closed loops.
-
-    `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them and compares
-    the results with undisturbed campaigns; exit code 4 if any differs.
-
-    `taxinet bench processors` digests every frame and message of fixed runs with both networks;
-    with --compare, it repeats those of another machine's --json report and exits with 1 if any bit
-    differs.
+    Prints medians, spreads and ratios: camera frames with their stages, the closed loop without ROS
+    and over ROS 2, composed or one process per node. Compare two commits on one machine with --json
+    and --compare.
     """
-    words, given = subjects or [], given_options(context)
-    from taxinet_ros.cli.bench.processors import asks_for_processors, run_processors
+    from taxinet_ros.bench.report import compare_reports, load_report, ratio_violations
+    from taxinet_ros.bench.run import GRAPH, run_subjects
 
-    if asks_for_processors(words, given):
-        raise typer.Exit(run_processors(
-            scenes=runs, duration_s=duration, old=compare, as_json=as_json,
-        ))
-    if asks_for_study('rare', words, given, also=('seed',)):
-        from taxinet_ros.cli.bench.samplers import run_rare
+    words = subjects or []
+    if guard and words and GRAPH not in words:
+        raise UsageError(f'bench: --guard checks the ratios of the graph; name {GRAPH}')
+    before = None if compare is None else load_report(compare)
+    with stage_bars(Console(stderr=as_json)) as show:
+        report = run_subjects(words, repeats, lambda done, total: show('measuring', done, total))
+    if before is not None:
+        report['compared'] = {'with': str(compare), **compare_reports(report, before)}
+    if as_json:
+        print(json.dumps(report, indent=2))
+    else:
+        print_report(report)
+    violated = ratio_violations(report.get('ratios', {})) if guard else []
+    for line in violated:
+        print(line, file=sys.stderr)
+    raise typer.Exit(ExitCode.VIOLATED if violated else ExitCode.OK)
 
-        raise typer.Exit(run_rare(words[1:], repeats=repeats, seed=seed, as_json=as_json))
-    from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
 
-    if asks_for_chaos(words, given):
-        raise typer.Exit(run_chaos(
-            seed=seed, minutes=minutes, trials=trials, trial=trial, as_json=as_json,
-        ))
-    if asks_for_study('intervals', words, given):
-        from taxinet_ros.cli.bench.samplers import run_intervals
+def print_report(report: Mapping[str, Any]) -> None:
+    """Print the figures of a report, its ratios, and what it was compared with."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH
+    facts = (f'{name.replace("_", " ")} {value}' for name, value in report['machine'].items())
+    console.print(', '.join(facts), soft_wrap=True, markup=False)
+    compared = report.get('compared')
+    headings = ['median', 'spread', 'least', 'cpu', 'runs', 'real time', 'per core']
+    rows = []
+    for name, figure in report['figures'].items():
+        part = name.split('/', 2)[2:]
+        rows.append([f'  {part[0]}' if part else name, *_cells(figure)])
+        if compared:
+            ratio = compared['ratios'].get(name)
+            rows[-1].append('-' if ratio is None else f'{ratio:.2f}')
+    print_table(console, ('', *headings, *(['new/old'] if compared else [])), rows)
+    console.print(
+        'spread: interquartile range, as a share of the median; real time: simulated time per '
+        'wall-clock time, and per processor time', style='dim', soft_wrap=True,
+    )
+    if ratios := report.get('ratios'):
+        print_table(console, ('ratio of processor times', 'value', 'quartiles', 'guarded'), [
+            [name, f'{ratio["value"]:.2f}', f'{ratio["low"]:.2f} .. {ratio["high"]:.2f}',
+             '' if ratio['most'] is None else f'<= {ratio["most"]:g}']
+            for name, ratio in ratios.items()
+        ])
+    if compared:
+        console.print(f'new/old: ratio of medians, old: {compared["with"]}', soft_wrap=True)
+        for fact, (was, now) in compared['differences'].items():
+            console.print(f'not the same machine: {fact} was {was}, is {now}', soft_wrap=True)
 
-        raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('sequential', words, given):
-        from taxinet_ros.cli.bench.samplers import run_sequential
 
-        raise typer.Exit(run_sequential(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('searches', words, given):
-        from taxinet_ros.cli.bench.samplers import run_searches
+def print_table(
+    console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Print a table whose first column is aligned left, the others right."""
+    table = Table(box=None, pad_edge=False)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify='right' if number else 'left', no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
 
-        raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for_study('screening', words, given, also=('runs',)):
-        from taxinet_ros.cli.bench.samplers import run_screening
 
-        raise typer.Exit(run_screening(words[1:], repeats=repeats, runs=runs, as_json=as_json))
-    from taxinet_ros.cli.bench.soak import asks_for_soak, run_soak
+def _cells(figure: Mapping[str, Any]) -> list[str]:
+    median = figure['median_s']
+    factors = (figure['real_time_factor'], figure['real_time_per_core'])
+    return [
+        time_text(median),
+        f'{(figure["q3_s"] - figure["q1_s"]) / median:.0%}' if median > 0 else '',
+        time_text(figure['min_s']),
+        '' if figure['cpu_s'] is None else time_text(figure['cpu_s']),
+        str(figure['repeats']),
+        *('' if factor is None else f'{factor:.3g}x' for factor in factors),
+    ]
 
-    if asks_for_soak(words, given):
-        raise typer.Exit(run_soak(
-            runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
-        ))
-    from taxinet_ros.cli.bench.subjects import run_bench
 
-    raise typer.Exit(run_bench(
-        words, repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
-    ))
+def time_text(seconds: float) -> str:
+    """A time with three digits and its unit."""
+    for unit, size in (('s', 1.0), ('ms', 1e-3)):
+        if seconds >= size:
+            value = seconds / size
+            return f'{value:.0f} {unit}' if value >= 100 else f'{value:.3g} {unit}'
+    return f'{seconds * 1e6:.3g} us'

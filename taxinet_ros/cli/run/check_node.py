@@ -56,6 +56,8 @@ def run_check(
         raise UsageError(
             'check-node: name a COMMAND, or give --external for a node you start yourself'
         )
+    if external and role is None:
+        raise UsageError('--role: with --external, give perception or controller')
     if not math.isfinite(patience_s):
         raise UsageError(f'--patience {patience_s:g}: not a number of seconds')
     if log is not None:

@@ -61,7 +61,6 @@ from taxinet_ros.cli.options import (
     SceneArgument,
     SeedOption,
     SetOption,
-    ShardOption,
     SpecOption,
     StopOnOption,
     UntilOption,
@@ -203,7 +202,6 @@ def falsify(
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
-    shard: ShardOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
@@ -224,7 +222,6 @@ def falsify(
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
-    from taxinet_ros.campaign.record.shard import parse_shard
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -236,7 +233,6 @@ def falsify(
             f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
             'use taxinet run --runs N --free, or search with --latency'
         )
-    part = None if shard is None else parse_shard(shard)
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
@@ -246,11 +242,10 @@ def falsify(
             controller=controller_of(context), latency=latency or (),
             world=world_word(world, renderer_of(camera)),
             engine=engine, audit=audit,
-            part='' if part is None else f'shard{part.number}of{part.count}',
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, shard=part, lag=lag, cluster=cluster,
+            resume=resume, until=until, budget_min=budget, lag=lag, cluster=cluster,
             odd=odd,
         )
     raise ended(run_falsify(options, quiet=quiet, as_json=as_json), exit_zero)
@@ -329,53 +324,6 @@ def estimate(
     raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
 
 
-def merge(
-    shards: Annotated[
-        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of all shards')
-    ],
-    out: Annotated[Path, typer.Option(help='folder for the campaign; must be new')],
-    bags: Annotated[
-        str,
-        typer.Option(
-            metavar='HOW',
-            help='hardlink (no further space), copy, or symlink, which needs the shards to stay',
-        ),
-    ] = 'hardlink',
-    quiet: QuietOption = False,
-) -> None:
-    """Merge the shards of a search into the campaign that it would be without --shard.
-
-    Checks every file of the shards first, and that they are of one search: the same program,
-    weights, versions, seed, sampler, options and world, every run once and none missing. The shards
-    are left as they are. Exit codes: 0 merged, 2 refused.
-    """
-    from taxinet_ros.cli.run.merge import run_merge
-
-    raise typer.Exit(run_merge(shards, out, bags=bags, quiet=quiet))
-
-
-def learned(
-    folders: Annotated[
-        list[Path], typer.Argument(metavar='DIR...', help='folders (--out) of searches with ce or '
-        'mab')
-    ],
-    within: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='DIMENSION=LOW:HIGH', help='print the probability of such values; repeatable'
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar='FILE.png', writable=True, dir_okay=False, help='picture to write'),
-    ] = None,
-) -> None:
-    """Combine the learned distributions of searches with different seeds."""
-    from taxinet_ros.cli.run.learned import show_learned
-
-    show_learned(folders, within or (), out)
-
-
 def shrink(
     run: FailedRunArgument,
     nominal: NominalOption = None,
@@ -406,30 +354,7 @@ def shrink(
             workers=workers, out=out, resume=resume, images=images, controller=controller,
             engine=engine, audit=audit, cluster=cluster,
         )
-    raise typer.Exit(run_shrink(options, run, quiet=quiet))
-
-
-xplane_app = command_group('X-Plane as camera and as world.')
-
-
-@xplane_app.command('doctor')
-def xplane_doctor(
-    setup: Annotated[
-        Path | None,
-        typer.Option(metavar='FILE.yaml', help='where X-Plane is and how it is used; else that of '
-        'TAXINET_XPLANE, else the defaults'),
-    ] = None,
-) -> None:
-    """Check what a run with X-Plane relies on, in a line each.
-
-    X-Plane has to run, with an aircraft on the ground near the runway. It is paused, its aircraft
-    is placed, driven for a second, and released.
-
-    Exit code 4 if something does not work.
-    """
-    from taxinet_ros.cli.run.xplane import run_xplane_doctor
-
-    raise typer.Exit(run_xplane_doctor(setup))
+    raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
 place_app = command_group('Places where runs take place.')
@@ -593,7 +518,7 @@ def check_node(
         str | None,
         typer.Option(
             metavar='ROLE',
-            help='perception or controller (default: detected from the node)',
+            help='perception or controller (default: detected; --external needs it)',
         ),
     ] = None,
     external: Annotated[
@@ -707,43 +632,3 @@ def experiment(
             cluster=cluster,
         )
     )
-
-
-flightgear_app = command_group('FlightGear as a camera: start it, and see whether it works.')
-
-
-@flightgear_app.command('start')
-def flightgear_start(
-    at: Annotated[
-        str, typer.Option(metavar='ICAO', help='airport whose terrain is loaded first')
-    ] = 'BIKF',
-    size: Annotated[
-        str, typer.Option(metavar='WIDTHxHEIGHT', help='window; larger for sharper lenses')
-    ] = '480x288',
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=65535, help='port on this machine (default: that of TAXINET_FLIGHTGEAR, '
-            'else 5480)',
-        ),
-    ] = None,
-) -> None:
-    """Start FlightGear under a virtual display, and keep it until Ctrl-C.
-
-    Says when it has loaded; then --camera flightgear takes its pictures from it. Exit code 130
-    after Ctrl-C, 4 if FlightGear ended by itself.
-    """
-    from taxinet_ros.cli.run.flightgear import run_flightgear
-
-    run_flightgear(port=port, airport=at, size=size)
-
-
-@flightgear_app.command('doctor')
-def flightgear_doctor() -> None:
-    """Report whether FlightGear is installed, runs, and shows what is asked for.
-
-    Exit code 4 if anything is missing.
-    """
-    from taxinet_ros.cli.run.flightgear import check_flightgear
-
-    raise typer.Exit(check_flightgear())

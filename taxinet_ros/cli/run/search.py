@@ -42,7 +42,7 @@ from taxinet_ros.campaign.experiment import (
 )
 from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -68,7 +68,6 @@ from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.nodes.graph.worker import campaign_worker_command
@@ -210,9 +209,8 @@ def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | C
         return WorkerPool(command, options.workers, campaign.out / 'logs')
     elsewhere = dataclasses.replace(campaign, out=Path(OUT))
     return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), campaign.out, runs=options.runs,
-        in_flight=options.in_flight, fingerprint=facts['perception_sha256'],
-        on_machine=search.book.add_machine,
+        cluster, campaign_worker_command(elsewhere, facts), campaign.out,
+        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
     )
 
 
@@ -298,8 +296,6 @@ def _report(
         for picture in section.pictures
     ]
     write_report_page(report, out / PAGE_NAME)
-    for name in rows:
-        add_page(out / name, out / PAGE_NAME, f'Experiment {experiment.name}')
     if as_json:
         print(json.dumps(values, indent=2))
         return
@@ -308,12 +304,11 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def run_shrink(options: ShrinkOptions, run: Path, *, quiet: bool) -> int:
+def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     """Shrink the run, write the result and print it.
 
     Args:
         options: options of the search.
-        run: the failed run; the pages of its campaign and this one link to each other.
         quiet: print the outcome only.
 
     Returns:
@@ -344,9 +339,6 @@ def run_shrink(options: ShrinkOptions, run: Path, *, quiet: bool) -> int:
     _check_reproduced(options, found)
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
-    page = options.campaign.out / 'shrink.html'
-    if page.is_file():
-        add_page_beside(run, page, f'Shrunk run of {options.run.run_id}')
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 

@@ -212,7 +212,6 @@ def make_up_options(
             images=recorded_images(chosen, images),
             gains=gains,
             controller=controller,
-            alone=False,
             timing=timing,
             world=chosen.name,
         ),

@@ -11,10 +11,9 @@ from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.campaign.cluster.connection import check_cluster
-from taxinet_ros.campaign.experiment import PAGE_NAME as EXPERIMENT_PAGE
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, add_page_beside
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.cli.study.case_study import stage_command
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -22,7 +21,7 @@ from taxinet_ros.study.stages.log import LOG_NAME, StageLog
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
-from taxinet_ros.study.why.plan import Budget, confirm_name, explain_name
+from taxinet_ros.study.why.plan import Budget, explain_name
 from taxinet_ros.study.why.report import (
     JSON_NAME,
     PAGE_NAME,
@@ -33,7 +32,6 @@ from taxinet_ros.study.why.report import (
 )
 from taxinet_ros.study.why.verdict import (
     Action,
-    CauseEvidence,
     Evidence,
     Fault,
     Verdict,
@@ -123,12 +121,6 @@ def run_why(options: WhyOptions) -> int:
         todo = tuple(_actions(evidence, verdict, path, kind))
         worst = _worst(work, evidence)
         write_report_page(why_report(evidence, verdict, todo, worst, out), out / PAGE_NAME)
-        what = '' if kind == 'campaign' else f' ({path.name})'
-        add_page_beside(path, out / PAGE_NAME, f'Why it failed{what}')
-        for cause in evidence.causes:
-            page = out / confirm_name(cause.rank) / EXPERIMENT_PAGE
-            if page.is_file():
-                add_page_beside(path, page, f'Experiment on {_subject(cause)}{what}')
         values = why_json(evidence, verdict, todo)
         write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if options.as_json:
@@ -137,10 +129,6 @@ def run_why(options: WhyOptions) -> int:
         _print(show, verdict, todo, out)
     unclear = verdict.fault in (Fault.UNCLEAR, Fault.BENCH)
     return ExitCode.INCOMPLETE if unclear else ExitCode.OK
-
-
-def _subject(cause: CauseEvidence) -> str:
-    return f'cause {cause.rank}' if cause.rank else 'the failures'
 
 
 def _print(

@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from PIL import Image
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from taxinet_ros.analysis.camera import second_opinion
 from taxinet_ros.analysis.camera.compare import (
     Comparison,
     QuantityErrors,
     compare_frames,
     comparison_scenes,
     comparison_sheet,
-)
-from taxinet_ros.analysis.camera.mitsuba_scene import check_installed, check_shown
-from taxinet_ros.analysis.camera.second_opinion import (
-    AIM_PX,
-    NEAR_M,
-    SURFACES,
-    LightCurves,
-    SceneOpinion,
-    plot_opinion,
 )
 from taxinet_ros.analysis.camera.shadow import shadow_appearances
 from taxinet_ros.analysis.camera.sheets import (
@@ -43,16 +32,13 @@ from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
-from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
-from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
-OTHERS = {'mitsuba': 'Mitsuba', 'flightgear': 'FlightGear'}
-"""Renderers that ours can be compared with, and their names in figures."""
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
@@ -214,118 +200,6 @@ def run_compare(
         f'perception {perception}, weights {network.fingerprint[:12]}'
     )
     console.print(f'sheet: {path}')
-
-
-def run_second_opinion(
-    against: str, *, settings: Iterable[str], out: Path | None, json_wanted: bool
-) -> ExitCode:
-    """Compare our camera with another renderer, write the figure, and print the results.
-
-    Returns:
-        1 if a scene misses the aim, 3 if one shows too little paint to tell, else 0.
-
-    Raises:
-        UsageError: an unknown renderer, one that is not installed, bad settings or output file.
-        InfraError: FlightGear does not run, or failed.
-    """
-    if against not in OTHERS:
-        raise UsageError(f'--against {against}: unknown; known: {", ".join(OTHERS)}')
-    values = read_settings(settings)
-    for key in ('time_of_day_h', 'shadows'):
-        if key in values:
-            raise UsageError(f'--set {key}: varies over the comparison; leave it out')
-    notes = Console(stderr=True, highlight=False, soft_wrap=True)
-
-    def watched(chosen: Iterable[Scenario]) -> Iterable[Scenario]:
-        off = not notes.is_terminal
-        return track(list(chosen), 'scenes', console=notes, disable=off, transient=True)
-
-    compare = _with_mitsuba if against == 'mitsuba' else _with_flightgear
-    path, opinions, curves = compare(values, out, watched)
-    write_picture(path, lambda: plot_opinion(opinions, curves, path, OTHERS[against]))
-    missed, unclear = (
-        sum(one.meets_aim is word for one in opinions) for word in (False, None)
-    )
-    code = ExitCode.VIOLATED if missed else ExitCode.INCOMPLETE if unclear else ExitCode.OK
-    if json_wanted:
-        print(json.dumps({
-            'against': against, 'figure': str(path), 'missed_aim': missed, 'unclear': unclear,
-            'scenes': [one.to_dict() for one in opinions], 'light': curves.to_dict(),
-            'made_on': dict(provenance()),
-        }, indent=2, allow_nan=False))
-        notes.print(f'figure: {path}')
-        return code
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(_opinion_table(opinions))
-    console.print(_light_table(curves))
-    console.print(
-        f'{len(opinions)} scenes, {missed} with more than {AIM_PX:g} px in 5 % of the edges of '
-        f'paint beyond {NEAR_M:g} m, {unclear} with too few edges to tell'
-    )
-    console.print(f'figure: {path}')
-    return code
-
-
-_Compared = tuple[Path, list[SceneOpinion], LightCurves]
-_Watch = Callable[[Iterable[Scenario]], Iterable[Scenario]]
-
-
-def _with_mitsuba(values: Mapping[str, object], out: Path | None, watched: _Watch) -> _Compared:
-    chosen, day = second_opinion.scenes(values), second_opinion.light_scenes(values)
-    check_installed()
-    for scenario in (*chosen, *day):
-        check_shown(scenario)
-    path = new_picture(out, 'camera-compare-mitsuba')
-    opinions = [
-        second_opinion.compare_scene(scenario, shown=number % 2 == 0)
-        for number, scenario in enumerate(watched(chosen))
-    ]
-    return path, opinions, second_opinion.compare_light(day)
-
-
-def _with_flightgear(values: Mapping[str, object], out: Path | None, watched: _Watch) -> _Compared:
-    from taxinet_ros.analysis.camera import flightgear_opinion
-
-    chosen, day = flightgear_opinion.scenes(values), flightgear_opinion.light_scenes(values)
-    path = new_picture(out, 'camera-compare-flightgear')
-    for scenario in (*chosen, *day):
-        flightgear_opinion.check_running(scenario)
-    opinions = [
-        flightgear_opinion.compare_scene(scenario, shown=number % 2 == 0)
-        for number, scenario in enumerate(watched(chosen))
-    ]
-    return path, opinions, flightgear_opinion.compare_light(day)
-
-
-def _opinion_table(opinions: Iterable[SceneOpinion]) -> Table:
-    """Shifts of edges in pixels, ours minus theirs; the last three columns are of their sizes."""
-    shown = Table(
-        'scene', 'edges', 'offset u, v', 'larger', 'median', '95 %', f'>{NEAR_M:g} m',
-        box=SIMPLE_HEAD, padding=0,
-    )
-    for one in opinions:
-        scene = f'{find_place(one.scenario.place).name} {one.scenario.camera_model.name}'
-        for kind, edges in (('paint', one.markings), ('shadow', one.shadow)):
-            if edges is None:
-                continue
-            found = edges.summary()
-            shown.add_row(
-                scene, f'{kind} {found["measured"]} of {found["edges"]}',
-                f'{_figure(found["offset_u_px"], "+.2f")} {_figure(found["offset_v_px"], "+.2f")}',
-                _figure(found['growth_px'], '+.2f'), _figure(found['median_px']),
-                _figure(found['p95_px']), _figure(found['p95_beyond_8_m_px']),
-            )
-    return shown
-
-
-def _light_table(curves: LightCurves) -> Table:
-    """Greatest differences of the light's curves over the day."""
-    shown = Table(
-        'light, sun above 10°', 'greatest difference over the day, stops', box=SIMPLE_HEAD,
-    )
-    for surface in SURFACES:
-        shown.add_row(surface, _figure(curves.greatest_ev(surface)))
-    return shown
 
 
 def _network(word: str) -> Perception:

@@ -289,24 +289,14 @@ def shadow(
 
 @camera_app.command()
 def compare(
-    context: typer.Context,
     folder: Annotated[
-        Path | None,
+        Path,
         typer.Argument(
             metavar='DIR',
             help='folder of frames with labels.csv: image, cte_m, heading_error_deg (left '
             'positive), distance_m along the runway',
         ),
-    ] = None,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            metavar='RENDERER',
-            help='instead of labelled frames: our camera against another renderer, mitsuba or '
-            'flightgear (which has to run), in scenes of several cameras and poses; --set sets a '
-            'value in all of them',
-        ),
-    ] = None,
+    ],
     perception: Annotated[
         str, typer.Option(help='taxinet (the shipped network) or a .safetensors weights file')
     ] = 'taxinet',
@@ -322,27 +312,16 @@ def compare(
     settings: SetOption = None,
     out: PictureOption = None,
     json: Annotated[
-        bool, typer.Option('--json', help='print one JSON object with all frames or scenes')
+        bool, typer.Option('--json', help='print one JSON object with all frames')
     ] = False,
 ) -> None:
     """Measure the network on labelled frames, shown beside rendered frames of the same poses.
 
     Rendered frames have the light of the published ones, 9:04 under a clear sky, unless changed by
-    --set. With --against: shifts of edges of paint and shadow in pixels, and light by the hour;
-    exit status 1 if a scene misses the aim of 1 pixel, 3 if one shows too little paint to tell.
+    --set.
     """
-    from taxinet_ros.cli.training.camera import run_compare, run_second_opinion
+    from taxinet_ros.cli.training.camera import run_compare
 
-    if against is not None:
-        why = '--against renders scenes of its own, without labelled frames'
-        if folder is not None:
-            raise UsageError(f'DIR: {why}')
-        refuse_given(context, ('perception', 'distance_offset'), why)
-        raise typer.Exit(run_second_opinion(
-            against, settings=settings or (), out=out, json_wanted=json
-        ))
-    if folder is None:
-        raise UsageError('give a folder DIR of labelled frames, or --against mitsuba or flightgear')
     run_compare(
         folder, perception=perception, distance_offset_m=distance_offset,
         settings=settings or (), out=out, json_wanted=json,

@@ -50,7 +50,6 @@ class Lockstep:
         self.last_seq = last_seq
         self.seq = -1
         self._chain = tuple(chain)
-        self._participants = frozenset(participants)
         self._not_ready = set(participants)
         self._answered = dict.fromkeys(chain, -1)
         self._progress = {name: -1 for name in followers if name in participants}
@@ -62,11 +61,6 @@ class Lockstep:
             return False
         self._not_ready.discard(node)
         return not self._not_ready
-
-    def unready(self, node: str) -> None:
-        """Note that ``node`` is not ready any more; before the first frame only."""
-        if node in self._participants:
-            self._not_ready.add(node)
 
     @property
     def all_ready(self) -> bool:

@@ -55,7 +55,6 @@ from taxinet_ros.extras.evidence.inputs import (
 )
 from taxinet_ros.extras.evidence.limits import WORDS, SystemFacts, known_limits
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_json import file_sha256
 
 SCHEMA = 'taxinet-evidence-2'
@@ -567,10 +566,6 @@ def make_evidence(
         draft.mkdir()
         write_evidence(found.content, draft)
         shutil.move(draft, out)
-    requirement = found.content['requirement']
-    toward = f' toward {requirement["id"]}' if requirement else ''
-    for one in found.inputs.values():
-        add_page(one.folder, out / PAGE_NAME, f'Evidence{toward} ({out.name})')
     return found
 
 

@@ -21,9 +21,8 @@ from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, planned_runs, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.shard import planned_runs
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.weights import (

@@ -272,8 +272,6 @@ def _of_campaign(name: str, one: CampaignInput) -> list[Limit]:
         (count[Outcome.REJECTED], 'rejected', f'{count[Outcome.REJECTED]:,} scenes were rejected '
          "by the program's own requirements and not run."),
         (blind, 'blind', f'{blind:,} runs passed with too many frames without a usable estimate.'),
-        *((True, 'mended', f'The ledger was mended: {line.rstrip(".")}.')
-          for line in one.recorded.content.lost),
         (lacking, 'no-bags', f'{lacking:,} of {len(judged):,} judged runs have no bag: their '
          'scenes are known to nine decimals, which is not enough to repeat them to the bit.'),
         (facts.get('engine') == 'loop' and not facts.get('audit_percent'), 'not-audited', 'The '

@@ -21,7 +21,6 @@ from rclpy.validate_namespace import validate_namespace
 from taxinet_ros.core import topics
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.user_code import (
-    COMMAND,
     find_user_code,
     is_node_elsewhere,
     names_user_code,
@@ -36,13 +35,10 @@ from taxinet_ros.registry import KMWH
 ARGUMENTS = {
     'perception': ('taxinet', 'perception: truth, taxinet, original, …; a .safetensors or .onnx '
                    'file; FILE.py:NAME; external, a node started elsewhere; or cmd:COMMAND'),
-    'perception_cmd': ('', 'command of your own perception: short for perception:=cmd:…'),
     'controller': (STEERING, 'controller: steering; FILE.py:NAME; external; or cmd:COMMAND'),
-    'controller_cmd': ('', 'command of your own controller: short for controller:=cmd:…'),
     'world': (KMWH, 'world of the runs: kmwh, the simulated airport, or a name that a package '
               'adds; with +CAMERA, who takes its pictures, as kmwh+flightgear'),
     'scenario': ('s_falsif', 'Scenic program to draw scenes from: a shipped name or a file'),
-    'program': ('', 'older name of scenario'),
     'runs': ('10', 'number of runs'),
     'seed': ('0', 'seed of the scenes'),
     'sampler': ('', 'ce, random, …: search for failures; empty: scenes drawn by the program'),
@@ -60,13 +56,6 @@ ARGUMENTS = {
     'params': ('', 'parameter file of the nodes; empty: the shipped one'),
 }
 """Default and description of every launch argument."""
-
-_EITHER = (
-    ('perception', 'perception_cmd'), ('controller', 'controller_cmd'), ('scenario', 'program'),
-)
-
-RENAMED = {'weights': 'perception'}
-"""Renamed arguments of older launch files, with their new names."""
 
 CLOCK_REMAP = (topics.CLOCK.name, topics.CLOCK.name.lstrip('/'))
 """Moves the clock into the node's namespace, if it has one."""
@@ -101,16 +90,10 @@ def check_names(given: Sequence[str]) -> None:
         given: arguments as ``NAME:=VALUE``.
 
     Raises:
-        UsageError: an argument is unknown (the nearest known one is named), or two are equivalent.
+        UsageError: an argument is unknown; the nearest known one is named.
     """
-    typed = {name: value for name, _, value in (text.partition(':=') for text in given) if value}
-    for one, other in _EITHER:
-        if one in typed and other in typed:
-            raise UsageError(_one_of_two(one, other, typed))
     for text in given:
         name = text.partition(':=')[0]
-        if name in RENAMED:
-            raise UsageError(f'{text}: renamed; use {RENAMED[name]}:={text.partition(":=")[2]}')
         if name not in ARGUMENTS and name not in _OF_LAUNCH:
             near = difflib.get_close_matches(name, ARGUMENTS, 1)
             hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(ARGUMENTS)}'
@@ -127,8 +110,10 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
         UsageError: a value is invalid, as far as it can be checked here.
     """
     out = words['out'] or f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}'
-    perception = _word_or_command(words, 'perception')
-    controller = _word_or_command(words, 'controller')
+    perception, controller = words['perception'], words['controller']
+    for role, word in (('perception', perception), ('controller', controller)):
+        if names_user_code(word):
+            find_user_code(word, role)
     seeing, weights = perception_executable(perception)
     there = {} if words['world'] == KMWH else {'world': words['world']}
     if there and (again := find_world(words['world']).again_words) and words['images'] != 'all':
@@ -256,25 +241,6 @@ class Ending:
         return None if self._running else self.code or None
 
 
-def _word_or_command(words: Mapping[str, str], role: str) -> str:
-    """Word that selects the node of one role.
-
-    Raises:
-        UsageError: two are given, or it is not a valid command or function.
-    """
-    word, command = words[role], words[f'{role}_cmd']
-    if command and word != ARGUMENTS[role][0]:
-        raise UsageError(_one_of_two(role, f'{role}_cmd', words))
-    word = f'{COMMAND}{command}' if command else word
-    if names_user_code(word):
-        find_user_code(word, role)
-    return word
-
-
-def _one_of_two(one: str, other: str, words: Mapping[str, str]) -> str:
-    return f'{one}:={words[one]} and {other}:={words[other]}: give only one'
-
-
 def _ours(name: str, **parameters: Any) -> NodePlan:
     return NodePlan(name=name, executable=name, parameters=parameters)
 
@@ -297,15 +263,10 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
     """Parameters of the sampler.
 
     Raises:
-        UsageError: a number is invalid, or the program is named twice.
+        UsageError: a number is invalid.
     """
-    scenario = words['scenario']
-    if words['program']:
-        if scenario not in (ARGUMENTS['scenario'][0], words['program']):
-            raise UsageError(_one_of_two('scenario', 'program', words))
-        scenario = words['program']
     return {
-        'program': scenario,
+        'program': words['scenario'],
         'runs': _number(words, 'runs', int),
         'seed': _number(words, 'seed', int),
         'sampler': words['sampler'],

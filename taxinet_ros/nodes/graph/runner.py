@@ -64,7 +64,6 @@ class GraphOptions:
         controller: ``steering``, ``FILE.py:NAME``, or a word of :mod:`taxinet_ros.core.user_code`.
         controller_sha256: required hash of the controller's file and the files it lists, so that a
         change during a campaign is detected; '' for any.
-        alone: whether only this process may request runs; others are not recorded.
         timing: timing of answers.
         world: name of the world that runs take place in.
         world_sha256: required hash of the package that provides it; '' for any.
@@ -79,7 +78,6 @@ class GraphOptions:
     patience: Mapping[str, float] = field(default_factory=dict)
     controller: str = STEERING
     controller_sha256: str = ''
-    alone: bool = True
     timing: Timing = AT_ONCE
     world: str = KMWH
     world_sha256: str = ''
@@ -98,7 +96,6 @@ class GraphOptions:
             interface.MTL_MONITOR: (MtlMonitor, {}),
             interface.RECORDER: (Recorder, {
                 'out': str(self.out), 'make_out': self.make_out, 'images': self.images,
-                'alone': self.alone,
             }),
         }
         return {name: node for name, node in every.items() if name not in self.elsewhere}

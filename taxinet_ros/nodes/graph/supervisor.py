@@ -27,7 +27,6 @@ from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.lockstep.endpoints import End, ends_of, missing_nodes
 from taxinet_ros.nodes.lockstep.observer import AT_LEISURE
 from taxinet_ros.nodes.messages.convert import death_notice, lost_run_status
-from taxinet_ros.nodes.running.domain import another_graph, clock_keepers
 
 _ASK_PERIOD_S = 1.0
 _MOST_QUESTIONS = 60
@@ -383,7 +382,6 @@ class Supervisor(Node):
         self.ended = Future()
         self._end_by_s: float | None = None
         self._stopped = self._aborted = False
-        self._strangers: list[str] = []
         now_s = time.monotonic()
         for watched in self.nodes:
             watched.begin(now_s)
@@ -428,7 +426,6 @@ class Supervisor(Node):
                 self._check_answering(watched, now_s)
             else:
                 watched.pulse.ask(now_s)
-        self._look_for_strangers()
         if any(watched.state is State.STARTING for watched in self.nodes):
             self._wait(now_s)
 
@@ -459,27 +456,6 @@ class Supervisor(Node):
     def _gone(self) -> set[End]:
         """Endpoints of all dead processes."""
         return {end for watched in self.nodes for end in watched.gone}
-
-    def _look_for_strangers(self) -> None:
-        """Check for foreign clocks, which would drive every node on simulated time."""
-        keepers = clock_keepers(self)
-        gone = self._gone()
-        own = f'{self.get_namespace().rstrip("/")}/{interface.SIMULATOR}'
-        strangers = [name for name in keepers if name != own]
-        live = [
-            end for end in self.get_publishers_info_by_topic(interface.CLOCK.name)
-            if tuple(end.endpoint_gid) not in gone
-        ]
-        # Endpoints of a simulator that died early may be discovered after its death.
-        if not strangers and len(live) > 1 and not any(watched.restarts for watched in self.nodes):
-            strangers = [f'another {own}']
-        if strangers == self._strangers:
-            return
-        self._strangers = strangers
-        if strangers and not self.ready:
-            raise UsageError(another_graph(self.context.get_domain_id(), strangers))
-        if strangers:
-            self._say(f'{" and ".join(strangers)} also publishes /clock: runs may fail')
 
     # Death and silence -----------------------------------------------------------------------
 

@@ -154,6 +154,7 @@ class ActiveRun:
         self.ready: dict[str, NodeStatus] = {}
         self.perception = {'perception': '', 'fingerprint': ''}
         self.started = False
+        self.publishers: dict[str, int] = {}
         self.command: TaxiCommand | None = None
         self.suspect: tuple[InfraError, float] | None = None
         self.verdict: Verdict | None = None

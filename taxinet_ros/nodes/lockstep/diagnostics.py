@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -17,7 +17,6 @@ from rclpy.node import Node
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.running.parameters import Parameter, declare
-from taxinet_ros.nodes.running.remaps import cut_off
 
 PARAMETER = Parameter(
     name='diagnostics', default=1.0, limits=(0.0, 3600.0),
@@ -71,9 +70,6 @@ class Diagnostics:
             return
         try:
             health = self._health()
-            if parted := cut_off(self._node):
-                level = max(health.level, DiagnosticStatus.WARN)
-                health = replace(health, level=level, message='; '.join([health.message, *parted]))
         except Exception as error:  # A reporting error must not end the node.
             line = f'{type(error).__name__}: {error}'.splitlines()[0]
             health = Health(level=DiagnosticStatus.ERROR, message=line)

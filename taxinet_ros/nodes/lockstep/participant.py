@@ -12,14 +12,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.run.messages import progress_cdr
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.errors import InfraError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
-from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN, HeardSpeakers, first_stranger, heard_by
+from taxinet_ros.nodes.lockstep.endpoints import absent_publishers, heard_by, hears
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
 from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
 
@@ -32,10 +33,8 @@ class Participant(Node):
 
     A subclass overrides :meth:`prepare`, and :meth:`clear` if it stores messages. An exception in a
     callback becomes an ERROR status that names the node, so that the run ends at once with a reason
-    instead of a timeout. The publishers of the node's inputs are pinned at its READY. A publisher
-    that joins later, but before the first step, may be a restarted node of the run: the node waits
-    until each is present once, and becomes ready again. One that joins after that is reported as an
-    error.
+    instead of a timeout. The node is ready when each publisher of its inputs is present once and
+    matched, and each of its own publishers is matched with its subscribers in the run.
 
     Attributes:
         run_id: the run the node is prepared for, or ''.
@@ -55,8 +54,7 @@ class Participant(Node):
         self._scenario: Scenario | None = None
         self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
-        self._listeners: list[HeardSpeakers] = []
-        self._charged = self._begun = False
+        self._listeners: list[tuple[Topic, Subscription]] = []
         self._work, self._trouble, self._taken_s = Pace(), '', 0.0
         self._diagnostics = Diagnostics(self, self.health)
         self._status = self.speak(interface.NODE_STATUS)
@@ -93,16 +91,10 @@ class Participant(Node):
         """
         if is_read_raw(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
-        self._listeners.append(HeardSpeakers(
-            self, topic, self._guarded(callback, topic.each_step), raw=raw,
-            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.end_qos,
-        ))
-
-    def destroy_node(self) -> None:
-        """See :class:`rclpy.node.Node`."""
-        for heard in self._listeners:
-            heard.close()
-        super().destroy_node()
+        self._listeners.append((topic, self.create_subscription(
+            topic.type, topic.name, self._guarded(callback),
+            interface.NEWEST if newest else topic.end_qos, raw=raw,
+        )))
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Report this node's state in the current run to the simulator."""
@@ -123,9 +115,7 @@ class Participant(Node):
 
     def _declared(self) -> list[str]:
         """Topics it declares; the simulator knows who must hear of a free run's timing."""
-        return [
-            heard.topic.name for heard in self._listeners if heard.topic is not interface.TIMING
-        ]
+        return [topic.name for topic, _ in self._listeners if topic is not interface.TIMING]
 
     def progress(self, seq: int, stamp_ns: int) -> bytes:
         """Serialised status for progress up to control step ``seq``."""
@@ -171,8 +161,8 @@ class Participant(Node):
 
     def without_simulator(self) -> bool:
         """Whether there is no run, or no simulator that could end it."""
-        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        return not self.run_id or not heard.subscription.get_publisher_count()
+        heard = next(heard for topic, heard in self._listeners if topic is interface.SCENARIO)
+        return not self.run_id or not heard.get_publisher_count()
 
     def waits_for(self) -> set[str]:
         """Nodes of the run not matched yet, see :class:`.node_main.Waiting`."""
@@ -185,9 +175,9 @@ class Participant(Node):
             if not heard_by(self, publisher, names):
                 ends = self.get_subscriptions_info_by_topic(publisher.topic_name)
                 found |= names - {end.node_name for end in ends} or names
-        for heard in self._listeners:
-            if not heard.settled(present):
-                found |= heard.absent(present) or heard.wanted(present)
+        for topic, heard in self._listeners:
+            if not hears(self, heard, topic, present):
+                found |= absent_publishers(self, topic, present) or topic.speakers(present)
         return found - {self.get_name()}
 
     def close(self) -> None:
@@ -197,38 +187,9 @@ class Participant(Node):
         """End the run because of another node's error."""
         Participant.report(self, NodeStatus.ERROR, detail=blame_text(error))
 
-    def spoken_into(self) -> bool:
-        """Whether an input has a publisher that was not present at READY.
-
-        Reports it to the simulator once.
-        """
-        if not self._charged and (stranger := first_stranger(self._listeners)) is not None:
-            if not self._begun:
-                self._wait_again()
-                return False
-            self._charged = True
-            self.charge(stranger.error(-1))
-        return self._charged
-
-    def _wait_again(self) -> None:
-        """Withdraw READY."""
-        for heard in self._listeners:
-            heard.release()
-        self.report(NodeStatus.PROGRESS, detail='waits until each publisher is present once')
-        self._poll.reset()
-
     def _take(self, scenario: Scenario) -> None:
-        before = self._scenario
-        waits = before is not None and not self._begun and before.run_id == scenario.run_id
-        if waits and before != scenario:
-            raise InfraError(
-                InfraKind.INTRUDER, UNKNOWN, -1, 'somebody sent another scenario for this run'
-            )
         if self.get_name() not in scenario.participants:
             return
-        for heard in self._listeners:
-            heard.release()
-        self._charged = self._begun = False
         self.run_id = scenario.run_id
         self._scenario = scenario
         self._trouble, self._taken_s = '', time.monotonic()
@@ -243,13 +204,9 @@ class Participant(Node):
         """
         if self._scenario is None or self._poll.is_canceled():
             return
-        present = self._scenario.participants
         if next(self._unsettled(), None) is not None:
             return
-        for heard in self._listeners:
-            heard.pin(present)
         self.clear()
-        self._begun = False
         self._poll.cancel()
         self.report(NodeStatus.READY, detail=self.origin)
 
@@ -260,24 +217,20 @@ class Participant(Node):
         for topic, publisher in self._speakers:
             if not heard_by(self, publisher, topic.listeners(present)):
                 yield topic.name
-        for heard in self._listeners:
-            if not heard.settled(present):
-                yield heard.topic.name
+        for topic, heard in self._listeners:
+            if not hears(self, heard, topic, present):
+                yield topic.name
 
     @staticmethod
     def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
         read = step_reader(topic)
         return lambda cdr: callback(read(cdr))
 
-    def _guarded(
-        self, callback: Callable[[Any], None], begins: bool = False
-    ) -> Callable[[Any], None]:
+    def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
             if message is not None:  # None for a timer
                 self.silent_looks = 0
-            if begins:
-                self._begun = True
             watched = self._diagnostics.watched and message is not None
             begun_s = time.perf_counter() if watched else 0.0
             try:
@@ -285,9 +238,6 @@ class Participant(Node):
                 if watched:
                     self._work.took(time.perf_counter() - begun_s)
             except Exception as error:
-                # A bad message may come from a foreign node, which is then to blame.
-                if self.spoken_into():
-                    return
                 if isinstance(error, InfraError):
                     self.charge(error)
                     return

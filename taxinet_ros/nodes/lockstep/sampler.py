@@ -21,7 +21,7 @@ from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.lockstep.endpoints import Gid
+from taxinet_ros.nodes.lockstep.endpoints import End
 from taxinet_ros.nodes.messages.convert import (
     account_of,
     death_notice,
@@ -52,25 +52,6 @@ PATIENCE = (
 )
 
 
-class _RunClient(ActionClient):
-    """Action client that tolerates a second server's response, for which rclpy 7.1 raises.
-
-    Attributes:
-        answered_twice: whether there was a second response.
-    """
-
-    answered_twice = False
-
-    async def execute(self, taken_data: Any) -> None:
-        """See :class:`rclpy.action.ActionClient`."""
-        try:
-            await super().execute(taken_data)
-        except RuntimeError as error:
-            if 'goals were accepted with the same ID' not in str(error):
-                raise
-            self.answered_twice = True
-
-
 class ScenarioSampler(Node):
     """Drives the graph run by run over the action ``run_scenario``.
 
@@ -85,13 +66,13 @@ class ScenarioSampler(Node):
         super().__init__(interface.SCENARIO_SAMPLER, **node)
         given = declare_all(self, PATIENCE)
         self._limits = (given['server_timeout'], given['silence_timeout'])
-        self._client = _RunClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
+        self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         topic = interface.OBITUARY
         self._death_notices = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
         self._sent: Any = None
-        self._asked_of: set[Gid] = set()
-        self._dead: set[Gid] = set()
+        self._asked_of: set[End] = set()
+        self._dead: set[End] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
         self._active = self._aborted = self._cancelled = False
@@ -207,7 +188,7 @@ class ScenarioSampler(Node):
         if not self._finished.done():
             self._finished.set_result(None)
 
-    def _servers(self) -> dict[Gid, str]:
+    def _servers(self) -> dict[End, str]:
         """Known servers of the action: node by response endpoint."""
         name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
         # DDS topic name of service responses in all ROS 2 implementations.
@@ -216,9 +197,8 @@ class ScenarioSampler(Node):
 
     def _may_ask(self) -> bool:
         """Whether there is exactly one simulator, with no remains of a dead one."""
-        servers = self._servers()
-        alone = len(servers) <= 1 and not self._dead & servers.keys()
-        return alone and self._client.server_is_ready()
+        servers = self._servers().keys()
+        return len(servers) <= 1 and not self._dead & servers and self._client.server_is_ready()
 
     def _ask(self, request: RunRequest, answer: Future) -> None:
         self._asked_of = set(self._servers())
@@ -259,15 +239,8 @@ class ScenarioSampler(Node):
         request = self._request
         half_m = request.scenario.line.half_width_m if request else KMWH_HALF_WIDTH_M
         result = result_of(found.result, half_m)
-        servers = self._servers()
-        strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
-        if self._client.answered_twice:
-            strangers.append(interface.SIMULATOR)
-        if result.outcome is not Outcome.INFRA_ERROR and strangers:
-            detail = f'serves {interface.RUN_SCENARIO} too, so the result is ambiguous'
-            result = RunResult.infra_error(
-                InfraKind.INTRUDER, strangers[0], detail, result.last_seq
-            )
+        if result.outcome is not Outcome.INFRA_ERROR and len(self._servers()) > 1:
+            result = dataclasses.replace(self._two_servers(''), last_seq=result.last_seq)
         answer.set_result(result)
 
     def _on_feedback(self, message: Any) -> None:
@@ -318,14 +291,17 @@ class ScenarioSampler(Node):
 
     def _not_asked(self, within: str) -> RunResult:
         """Reason why there was no simulator, or more than one."""
-        names = sorted(self._servers().values())
-        if len(names) > 1:
-            others = [name for name in names if name != interface.SIMULATOR] or names
-            detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
-            return RunResult.infra_error(InfraKind.INTRUDER, others[0], detail, 0)
+        if len(self._servers()) > 1:
+            return self._two_servers(f', {within} too')
         return RunResult.infra_error(
             InfraKind.NOT_READY, interface.SIMULATOR, f'not found {within}', 0
         )
+
+    def _two_servers(self, still: str) -> RunResult:
+        names = sorted(self._servers().values())
+        others = [name for name in names if name != interface.SIMULATOR] or names
+        detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}{still}'
+        return RunResult.infra_error(InfraKind.INTRUDER, others[0], detail, 0)
 
 
 def result_of(answer: Any, half_width_m: float = KMWH_HALF_WIDTH_M) -> RunResult:

@@ -12,7 +12,7 @@ import math
 import re
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,7 +21,6 @@ import numpy as np
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph.command_wrapper import SIGINT_GRACE_S, SIGTERM_GRACE_S
 from taxinet_ros.nodes.messages.convert import same_ready
 from taxinet_ros.nodes.messages.step import subnormal
 from taxinet_ros.nodes.node_check.record import (
@@ -37,7 +36,6 @@ from taxinet_ros.nodes.node_check.record import (
 BOTH: Final = ('perception', 'controller')
 """The roles of a clause that applies to both."""
 _DEGREES = 180.0 / math.pi
-_GRACES_S: Final = {'SIGINT': SIGINT_GRACE_S + SIGTERM_GRACE_S, 'SIGTERM': SIGTERM_GRACE_S}
 _STEERING_LIMIT_RAD, _SPEED_LIMIT_MPS = math.pi / 3, 10.0
 
 
@@ -69,67 +67,49 @@ class Clause:
     roles: tuple[str, ...] = BOTH
     informative: bool = False
 
-_END_MEND = (
-    'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin; end the processes '
-    'that it started, and wait for them'
-)
 CLAUSES: Final = (
     Clause('starts', 'the command starts, and a node of it joins the graph within 30 s',
            'run it by hand: its own output says why'),
     Clause('name', 'its node is called {node}, in no namespace',
            'hand the command line on: rclpy.init(), or rclcpp::init(argc, argv); '
            'a second node of yours with use_global_arguments=False'),
-    Clause('topics', 'publishes {answers} and node_status, hears scenario and {hears}; publishes '
-           'nothing else of the graph', 'relative names, as in the table of the docs'),
-    Clause('types', 'each topic has the type of the table', 'use the message of the table'),
+    Clause('topics', 'publishes {answers} and node_status, hears scenario and {hears}, with the '
+           'types of the table; publishes nothing else of the graph',
+           'relative names and messages, as in the table of the docs'),
     Clause('qos', 'scenario and node_status reliable, transient local; the rest reliable, its '
            'subscriptions volatile',
            'QoSProfile(depth=16), for those two with durability=TRANSIENT_LOCAL'),
-    Clause('ready', 'a NodeStatus READY with the run_id of the Scenario',
-           'publish it on node_status when the ends are matched'),
-    Clause('ready_says', 'READY names node, implementation, fingerprint (SHA-256 or empty), and '
-           'listens (its topics)', 'fill in these fields'),
+    Clause('ready', 'a NodeStatus READY for each run, with the run_id of its Scenario, node, '
+           'implementation, fingerprint (SHA-256 or empty), and listens (its topics)',
+           'publish it on node_status at every Scenario, when the ends are matched'),
     Clause('waits', 'no READY before each end of the run is matched, in both directions',
            'count the subscriptions of your publisher, and the publishers of your input'),
-    Clause('uninvited', 'no READY for a run whose participants do not name the node',
-           "leave a Scenario alone whose participants lack your node's name"),
-    Clause('ready_again', 'READY for each further run', 'get ready anew at every Scenario'),
-    Clause('answers', 'an answer to each message, within the patience',
-           'publish from the callback of the input, without conditions'),
-    Clause('once', 'one answer to each message, and none unasked', 'publish once in each callback'),
-    Clause('run_id', 'the answer has the run_id of the run', 'the one you said READY for'),
-    Clause('seq', "the answer's seq is the number of the control step",
-           'the stamp in ns divided by 100,000,000; a controller copies seq'),
-    Clause('stamp', "the answer's header.stamp is that of the message answered",
-           'copy the stamp of the header'),
-    Clause('fields', 'each field has the type of the message: no int, bool, str or array where a '
-           'float is due', 'in Python, float(x) around each number, bool(x) around valid'),
-    Clause('finite', 'finite numbers, a speed not below 0; or valid=false',
-           'say valid=false where you cannot tell; a controller brakes; float(x) around a negative '
-           'int, which is NaN otherwise'),
+    Clause('answers', 'one answer to each message, within the patience, and none unasked',
+           'publish once from the callback of the input, without conditions'),
+    Clause('step', 'the answer has the run_id of the run, and seq and header.stamp of the message '
+           'answered',
+           'copy the stamp; seq is the stamp in ns divided by 100,000,000; a controller copies it'),
+    Clause('values', 'each field has the type of the message, numbers are finite, a speed is not '
+           'below 0; or valid=false',
+           'float(x) around each number, bool(x) around valid; say valid=false where you cannot '
+           'tell; a controller brakes'),
     Clause('forgets', 'the same messages in a second run have the same answers',
            'begin each run as the first: reset filters and counters, seed random numbers, have a '
            'GPU compute in a fixed order'),
-    Clause('strange_image', 'an image that is empty, cut off or of another encoding does not end '
-           'the node: valid=false, no answer, or ERROR with a detail',
+    Clause('bad_input', 'an image that is empty, cut off or of another encoding does not end the '
+           'node: valid=false, no answer, or ERROR with a detail',
            'look at encoding, size and len(data) before you reshape', ('perception',)),
-    Clause('unusable', 'an estimate that is not valid, NaN or infinite has a finite command too',
+    Clause('bad_input', 'an estimate that is not valid, NaN or infinite has a finite command too',
            'brake: angle 0, speed 0', ('controller',)),
-    Clause('other_run', 'an estimate of another run gets no answer in the name of this one',
-           "leave it alone, or answer with the estimate's own run_id", ('controller',)),
     Clause('lives', 'the node lives on from run to run', 'see its output'),
-    Clause('sigint', 'ends within 5 s of SIGINT, without a traceback, and leaves no process',
-           _END_MEND),
-    Clause('sigterm', 'ends within 5 s of SIGTERM, without a traceback, and leaves no process',
-           _END_MEND),
-    Clause('reproducible', 'a fresh process gives the same answers', informative=True),
+    Clause('ends', 'ends within 5 s of SIGINT and of SIGTERM, without a traceback, and leaves no '
+           'process',
+           'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin; end the '
+           'processes that it started, and wait for them'),
     Clause('time', 'how long an answer takes', informative=True),
-    Clause('memory', 'memory and what it grew by', informative=True),
-    Clause('disorder', 'a message that comes twice, and one that is late', informative=True),
     Clause('accuracy', 'estimates against the truth', roles=('perception',), informative=True),
-    Clause('sign', 'to which side it steers, left positive', roles=('controller',),
-           informative=True),
-    Clause('limits', 'largest angle and speed', roles=('controller',), informative=True),
+    Clause('steering', 'to which side it steers, left positive; largest angle and speed',
+           roles=('controller',), informative=True),
 )
 """Clauses in order of evaluation; those blocked by the first broken one are not tried."""
 
@@ -156,8 +136,7 @@ def judge(record: Record) -> list[Finding]:
     }
     owed = [clause for clause in CLAUSES if role.word in clause.roles]
     judged = {clause.name: _JUDGES[clause.name](record) for clause in owed}
-    fields = judged['fields']
-    if fields is not None and fields[0] is Status.FAIL:  # Nothing follows from other numbers.
+    if (values := judged['values']) is not None and values[0] is Status.FAIL:
         judged.update(dict.fromkeys(_OF_NUMBERS & judged.keys()))
     broken = ', '.join(name for name, one in judged.items() if one and one[0] is Status.FAIL)
     left = Status.NOT_TRIED, f'fix {broken} first' if broken else 'not reached'
@@ -187,11 +166,13 @@ def _name(record: Record) -> Judged:
         return None
     shown, name = ', '.join(record.nodes), f'/{record.role.node}'
     others = {f'/{one}' for one in (interface.SIMULATOR, *interface.PARTICIPANTS)} - {name}
-    taken = sorted(others & set(record.nodes))
     wrong = [] if name in record.nodes else [f'found {shown}']
     if (count := record.nodes.count(name)) > 1:
         wrong.append(f'{count} nodes are called {name}')
-    wrong += [f'{one} is the name of another node of the graph' for one in taken]
+    wrong += [
+        f'{one} is the name of another node of the graph'
+        for one in sorted(others & set(record.nodes))
+    ]
     return _kept('; '.join(wrong), shown)
 
 
@@ -216,21 +197,14 @@ def _topics(record: Record) -> Judged:
     wrong += [f'publishes {name}' for name in sorted(extra)]
     wrong += [f'publishes {name} {times} times' for name, times in spoken.items() if times > 1]
     wrong += [
-        f'{end.node} publishes {end.topic.name}, an intruder' for end in record.ends
+        f'{end.node} publishes {end.topic.name}' for end in record.ends
         if end.publishes and end.node != role.node
     ]
-    if wrong and record.elsewhere:
-        wrong.append(f'there is {", ".join(record.elsewhere)}')
-    return _kept('; '.join(wrong), f'hears {", ".join(sorted(heard))}')
-
-
-def _types(record: Record) -> Judged:
-    ends = _of_node(record)
-    wrong = [
+    wrong += [
         f'{end} has {end.type_name}, not {end.topic.type_name}'
         for end in ends if end.type_name != end.topic.type_name
     ]
-    return _kept('; '.join(wrong), f'{len(ends)} ends') if ends else None
+    return _kept('; '.join(wrong), f'hears {", ".join(sorted(heard))}')
 
 
 def _qos(record: Record) -> Judged:
@@ -245,25 +219,16 @@ def _qos(record: Record) -> Judged:
 # READY -------------------------------------------------------------------------------------------
 
 
-def _no_ready(run: Run) -> str:
-    if run.errors:
-        return f'ERROR: {run.errors[0]}'
-    if run.others:
-        return f'READY for run_id {run.others[0]!r}, not {run.run_id!r}'
-    return '' if run.ready else 'none came'
-
-
 def _ready(record: Record) -> Judged:
-    run = record.run('first')
-    if run is None or (record.died_in == 'first' and not run.ready):
+    unready = [run for run in record.runs if not run.ready]
+    if not record.runs or (unready and record.died):
         return None
-    return _kept('' if run.ready else _no_ready(run), f'after {run.ready_s:.3f} s')
-
-
-def _ready_says(record: Record) -> Judged:
+    for run in unready:
+        if run.errors:
+            return Status.FAIL, f'run {run.kind}: ERROR: {run.errors[0]}'
+        others = f'READY for run_id {run.others[0]!r}, not {run.run_id!r}' if run.others else ''
+        return Status.FAIL, f'run {run.kind}: {others or "none came"}'
     said = [status for run in record.runs for status in run.ready]
-    if not said:
-        return None
     heard = {end.topic.name for end in _of_node(record) if not end.publishes}
     for status in said:
         if status.node != record.role.node:
@@ -277,9 +242,8 @@ def _ready_says(record: Record) -> Judged:
             return Status.FAIL, f'listens is {list(status.listens)}; it hears {lacks}'
         if not same_ready(said[0], status):
             return Status.FAIL, 'implementation or fingerprint changes between runs'
-    one = said[0]
-    mark = one.fingerprint[:12] or 'no fingerprint: its versions cannot be distinguished'
-    return Status.PASS, f'{one.implementation!r}, {mark}'
+    mark = said[0].fingerprint[:12] or 'no fingerprint: its versions cannot be distinguished'
+    return Status.PASS, f'{len(record.runs)} runs, {said[0].implementation!r}, {mark}'
 
 
 def _waits(record: Record) -> Judged:
@@ -288,25 +252,13 @@ def _waits(record: Record) -> Judged:
         return None
     return _kept(f'READY without {run.early}' if run.early else '', 'waits for both')
 
-
-def _uninvited(record: Record) -> Judged:
-    run = record.run('uninvited')
-    return _kept('READY' if run.ready else '', 'no READY') if run is not None else None
-
-
-def _ready_again(record: Record) -> Judged:
-    runs = [run for run in record.runs if run.kind not in ('first', 'uninvited')]
-    late = [run for run in runs if not run.ready]
-    if not runs or (late and record.died):
-        return None
-    broken = f'run {late[0].kind}: {_no_ready(late[0])}' if late else ''
-    return _kept(broken, f'{len(runs)} more runs')
-
 # Answers -----------------------------------------------------------------------------------------
 
 
 def _answers(record: Record) -> Judged:
     for run, one in record.asked():
+        if len(one.answers) > 1:
+            return Status.FAIL, f'{len(one.answers)} to frame {one.seq} of run {run.kind}'
         if one.answers and not one.missed:
             continue
         if run.errors:
@@ -314,73 +266,71 @@ def _answers(record: Record) -> Judged:
         if run.given_up:
             return Status.FAIL, f'frame {one.seq} of run {run.kind}: none in ' \
                 f'{record.patience_s:g} s'
-    every = [one for _, one in record.asked() if one.answers]
-    return (Status.PASS, f'{len(every)} of {len(every)}') if every else None
-
-
-def _once(record: Record) -> Judged:
     for run in record.runs:
         if run.unasked:
             return Status.FAIL, f'{run.unasked} before the first frame of run {run.kind}'
-        for one in run.ordinary:
-            if len(one.answers) > 1:
-                return Status.FAIL, f'{len(one.answers)} to frame {one.seq} of run {run.kind}'
-    return (Status.PASS, 'one each') if _all_answers(record) else None
+    count = len(_all_answers(record))
+    return (Status.PASS, f'{count} of {count}') if count else None
 
 
 def _all_answers(record: Record) -> list[tuple[Run, Question, Answer]]:
     return [(run, one, said) for run, one in record.asked() for said in one.answers]
 
 
-def _each_answer(
-    wrong: Callable[[Run, Question, Answer], str], came: str
-) -> Callable[[Record], Judged]:
+def _each_answer(wrong: Callable[[Run, Question, Answer], str]) -> Callable[[Record], Judged]:
     """Evaluator that checks each answer separately."""
     def judge_answers(record: Record) -> Judged:
         every = _all_answers(record)
         broken = next((words for one in every if (words := wrong(*one))), '')
-        return _kept(broken, came) if every else None
+        return _kept(broken, 'in each answer') if every else None
 
     return judge_answers
 
 
-def _wrong_run_id(run: Run, asked: Question, said: Answer) -> str:
-    return '' if said.run_id == run.run_id else f'{said.run_id!r}, not {run.run_id!r}'
-
-
-def _wrong_seq(run: Run, asked: Question, said: Answer) -> str:
-    return '' if said.seq == asked.seq else f'{said.seq} to frame {asked.seq}'
-
-
-def _wrong_stamp(run: Run, asked: Question, said: Answer) -> str:
+def _wrong_step(run: Run, asked: Question, said: Answer) -> str:
+    if said.run_id != run.run_id:
+        return f'run_id {said.run_id!r}, not {run.run_id!r}'
+    if said.seq != asked.seq:
+        return f'seq {said.seq} to frame {asked.seq}'
     if said.stamp_ns == asked.stamp_ns:
         return ''
-    return f'{said.stamp_ns / NS_PER_S:g} s to frame {asked.seq}, of {asked.stamp_ns / NS_PER_S:g}'
+    return f'stamp {said.stamp_ns / NS_PER_S:g} s to frame {asked.seq}, of ' \
+        f'{asked.stamp_ns / NS_PER_S:g}'
 
 
-_OF_NUMBERS: Final = {
-    'finite', 'forgets', 'unusable', 'reproducible', 'accuracy', 'sign', 'limits',
-}
+_OF_NUMBERS: Final = {'forgets', 'bad_input', 'accuracy', 'steering'}
+"""Clauses that need valid numbers."""
 _FIELD_REFUSED: Final = re.compile(r"The '\w+' field must be ")
 
 
-def _fields(record: Record) -> Judged:
+def _values(record: Record) -> Judged:
     if _FIELD_REFUSED.search(record.died):
         return Status.FAIL, record.died
-    return _each_answer(lambda run, asked, said: subnormal(said.value), 'in each answer')(record)
+    return _each_answer(lambda run, asked, said: _bad_value(said.value))(record)
 
 
-def _not_finite(run: Run, asked: Question, said: Answer) -> str:
-    value = said.value
+def _bad_value(value: TrackingError | TaxiCommand) -> str:
+    if words := subnormal(value):
+        return words
     if isinstance(value, TrackingError):
         wrong = value.valid and not value.usable
         return f'{value.cte_m:g} m, {value.he_rad:g} rad, valid=true' if wrong else ''
-    return _bad_command(value)
-
-
-def _bad_command(value: TaxiCommand) -> str:
     fits = math.isfinite(value.steering_rad) and 0 <= value.speed_mps < math.inf
     return '' if fits else f'{value.steering_rad:g} rad at {value.speed_mps:g} m/s'
+
+
+def _forgets(record: Record) -> Judged:
+    first, second, fresh = (_whole(record, kind) for kind in ('first', 'second', 'fresh'))
+    if first is None or second is None:
+        return None
+    different = _difference(first, second)
+    if not different:
+        return Status.PASS, f'{len(second)} bit-identical'
+    if fresh is None:
+        return Status.FAIL, different
+    why = 'differs again: unseeded random numbers, or arithmetic without fixed order' \
+        if _difference(first, fresh) else 'repeats the first run: it keeps state'
+    return Status.FAIL, f'{different}; a fresh process {why}'
 
 
 def _whole(record: Record, kind: str) -> list[Any] | None:
@@ -402,99 +352,38 @@ def _difference(first: list[Any], other: list[Any]) -> str:
     return f'frame {at}: {shown[0]}, then {shown[1]}'
 
 
-def _forgets(record: Record) -> Judged:
-    first, second, fresh = (_whole(record, kind) for kind in ('first', 'second', 'fresh'))
-    if first is None or second is None:
-        return None
-    different = _difference(first, second)
-    if not different:
-        return Status.PASS, f'{len(second)} bit-identical'
-    if fresh is None or _difference(first, fresh):
-        again = 'a fresh process differs again: unseeded random numbers, or '
-        again += 'arithmetic without fixed order'
-        return Status.FAIL, f'{different}; {again}' if fresh is not None else different
-    return Status.FAIL, f'{different}; a fresh process repeats the first run: it keeps state'
-
-
-def _reproducible(record: Record) -> Judged:
-    first, fresh = _whole(record, 'first'), _whole(record, 'fresh')
-    if not record.ours:
-        return Status.NOT_TRIED, 'the process was not started by the kit'
-    if first is None or fresh is None:
-        return None
-    different = _difference(first, fresh)
-    return Status.NOTE, f'not reproducible: {different}' if different else 'yes, bit for bit'
-
-
-def _strange_image(record: Record) -> Judged:
-    heard = {end.topic.name for end in _of_node(record) if not end.publishes}
-    if interface.IMAGE.name not in heard:
-        return (Status.NOT_TRIED, 'does not use images') if heard else None
-    runs = [run for run in record.runs if run.kind == 'strange']
-    if (deadly := _deadly(record)) is not None:
-        return Status.FAIL, f'{deadly.kind}: {record.died}'
+def _bad_input(record: Record) -> Judged:
+    runs = [run for run in record.runs if run.kind == 'strange' and run.questions]
+    if not runs:
+        unused = record.runs and record.role.word == 'perception' and not any(
+            end.topic is interface.IMAGE and not end.publishes for end in _of_node(record)
+        )
+        return (Status.NOT_TRIED, 'does not use images') if unused else None
+    told = []
+    for run in runs:
+        for one in run.questions:
+            reaction, sound = _reaction(record, run, one)
+            if not sound:
+                return Status.FAIL, f'{one.kind}: {reaction}'
+            told.append(f'{one.kind}: {reaction}')
     after = record.run('after')
-    if not runs or after is None or record.died:
+    if record.died_in == 'after':
+        return Status.FAIL, f'{runs[-1].questions[-1].kind}: {record.died}'
+    if after is None:
         return None
-    if not after.answered():
-        return Status.FAIL, 'no answer to a valid one in the next run'
-    return Status.PASS, '; '.join(_of_strange(run) for run in runs)
+    return _kept('' if after.answered() else 'no answer to a valid one in the next run',
+                 '; '.join(told))
 
 
-def _deadly(record: Record) -> Question | None:
-    """The malformed message that ended the node; its process may end only in the next run.
-
-    A message it answered is not the cause if it survived into the next run.
-    """
-    if not record.died or not record.runs or record.died_in not in ('strange', 'after'):
-        return None
-    last = record.runs[-1]
-    if last.kind == 'strange' and last.questions:
-        return last.questions[-1]
-    before = record.runs[-2] if len(record.runs) > 1 else last
-    if record.role.word == 'controller' or before.kind != 'strange' or not before.questions:
-        return None
-    asked = before.questions[-1]
-    lived = asked.answers or before.errors or any(one.answers for one in last.questions)
-    return None if lived else asked
-
-
-def _of_strange(run: Run) -> str:
-    if not run.questions:
-        return 'not asked'
-    one = run.questions[-1]
-    if run.errors:
-        return f'{one.kind}: ERROR: {run.errors[0]}'
-    said = [answer.value for answer in one.answers]
-    if not said:
-        return f'{one.kind}: no answer'
-    usable = isinstance(said[0], TrackingError) and said[0].usable
-    return f'{one.kind}: {"a valid estimate from a bad image" if usable else "valid=false"}'
-
-
-def _unusable(record: Record) -> Judged:
-    run = record.run('strange')
-    if run is None or not run.questions:
-        return None
-    for one in run.questions:
-        if not one.answers:
-            reason = f'ERROR: {run.errors[0]}' if run.errors else record.died or 'no answer'
-            return Status.FAIL, f'{one.kind}: {reason}'
-        if broken := _not_finite(run, one, one.answers[0]):
-            return Status.FAIL, f'{one.kind}: {broken}'
-    return Status.PASS, '; '.join(
-        f'{one.kind}: {_shown(comparable(one.answers[0].value))}' for one in run.questions
-    )
-
-
-def _other_run(record: Record) -> Judged:
-    run = record.run('third')
-    asked = [one for one in run.questions if one.kind == 'another run'] if run else []
-    if run is None or not asked:
-        return None
-    named = [said.run_id for said in asked[0].answers]
-    came = 'answers with its run_id, which is ignored' if named else 'no answer'
-    return _kept("answers it with this run's run_id" if run.run_id in named else '', came)
+def _reaction(record: Record, run: Run, one: Question) -> tuple[str, bool]:
+    """How a node answered invalid input, and whether it may."""
+    if one.answers:
+        value = one.answers[0].value
+        return _bad_value(value) or _shown(comparable(value)), not _bad_value(value)
+    if record.died and run is record.runs[-1]:
+        return record.died, False
+    words = f'ERROR: {run.errors[0]}' if run.errors else 'no answer'
+    return words, record.role.word == 'perception'
 
 # Its process -------------------------------------------------------------------------------------
 
@@ -502,29 +391,27 @@ def _other_run(record: Record) -> Judged:
 def _lives(record: Record) -> Judged:
     if not record.runs:
         return None
-    if record.died and _deadly(record) is None:
+    if record.died and record.died_in not in ('strange', 'after'):
         return Status.FAIL, f'run {record.died_in}: {record.died}'
     return Status.PASS, f'{len(record.runs)} runs'
 
 
-def _ends(name: str) -> Callable[[Record], Judged]:
-    def judge_end(record: Record) -> Judged:
-        if not record.ours:
-            return Status.NOT_TRIED, 'the process was not started by the kit'
-        ending = record.endings.get(name)
-        if ending is None:
-            return None
+def _ends(record: Record) -> Judged:
+    if not record.ours:
+        return Status.NOT_TRIED, 'the process was not started by the kit'
+    told = []
+    for name, ending in record.endings.items():
         wrong = [
             *(['had to be killed'] if ending.after_s is None else []),
             *(['a traceback'] if ending.traceback else []),
             *([f'leaves {ending.left}'] if ending.left else []),
         ]
-        took_s = ending.after_s or 0.0
-        late = f'; in a graph a command is killed after {_GRACES_S[name]:g} s' \
-            if took_s > _GRACES_S[name] else ''
-        return _kept(', '.join(wrong), f'after {took_s:.1f} s{late}')
+        if wrong:
+            return Status.FAIL, f'{name}: {", ".join(wrong)}'
+        told.append(f'{name}: after {ending.after_s or 0.0:.1f} s')
+    return (Status.PASS, '; '.join(told)) if told else None
 
-    return judge_end
+# Plausibility of its answers ---------------------------------------------------------------------
 
 
 def _time(record: Record) -> Judged:
@@ -532,34 +419,12 @@ def _time(record: Record) -> Judged:
     if not took:
         return None
     median, worst = statistics.median(took), took[-1]
-    high = took[min(len(took) - 1, round(0.95 * len(took)))]
     factor = CONTROL_PERIOD_NS / NS_PER_S / max(median, 1e-9)
     slow = '' if factor >= 1 else '; slower than real time'
     return Status.NOTE, (
-        f'median {median * 1e3:.1f} ms, 95 % {high * 1e3:.1f} ms, max {worst * 1e3:.1f} ms of '
-        f'{len(took)}: at most {factor:.3g} x real time{slow}'
+        f'median {median * 1e3:.1f} ms, max {worst * 1e3:.1f} ms of {len(took)}: at most '
+        f'{factor:.3g} x real time{slow}'
     )
-
-
-def _memory(record: Record) -> Judged:
-    if not record.ours:
-        return Status.NOT_TRIED, 'the process was not started by the kit'
-    if len(record.memory_mb) < 2:
-        return None
-    before, after = record.memory_mb[0], record.memory_mb[-1]
-    return Status.NOTE, f'{after:.0f} MB, {after - before:+.1f} MB in {len(record.asked())} frames'
-
-
-def _disorder(record: Record) -> Judged:
-    run = record.run('third')
-    odd = [one for one in run.questions if one.kind in ('twice', 'late')] if run else []
-    if not odd:
-        return None
-    return Status.NOTE, ', '.join(
-        f'{one.kind}: {"answered" if one.answers else "no answer"}' for one in odd
-    )
-
-# Plausibility of its answers ---------------------------------------------------------------------
 
 
 def _accuracy(record: Record) -> Judged:
@@ -600,42 +465,30 @@ def _suspect(name: str, pairs: np.ndarray[Any, Any]) -> str:
     return ''
 
 
-def _sides(record: Record) -> Iterator[tuple[TrackingError, TaxiCommand]]:
+def _steering(record: Record) -> Judged:
     run = record.run('first')
-    for one, said in (run.answered() if run else [])[:len(SIDES)]:
-        if isinstance(said.value, TaxiCommand):
-            yield one.truth, said.value
-
-
-def _sign(record: Record) -> Judged:
-    sides = list(_sides(record))
+    sides = [
+        (one.truth, said.value) for one, said in (run.answered() if run else [])[:len(SIDES)]
+        if isinstance(said.value, TaxiCommand)
+    ]
     if len(sides) < len(SIDES):
         return None
-    away = []
-    for true, command in sides:
-        words = f'{true.cte_m:g} m, {math.degrees(true.he_rad):.0f} deg'
-        if command.steering_rad * (true.cte_m + true.he_rad) > 0:
-            away.append(words)
-    left = f'3 m left of the line: {math.degrees(sides[0][1].steering_rad):.1f} deg'
-    if away:
-        return Status.NOTE, f'{left}; steers AWAY from the centreline at {"; ".join(away)}'
+    away = [
+        f'{true.cte_m:g} m, {math.degrees(true.he_rad):.0f} deg' for true, command in sides
+        if command.steering_rad * (true.cte_m + true.he_rad) > 0
+    ]
     still = all(command.steering_rad == 0 for _, command in sides)
-    return Status.NOTE, f'{left}; {"it does not steer" if still else "towards the line"}'
-
-
-def _limits(record: Record) -> Judged:
-    said = [one.value for _, _, one in _all_answers(record)]
-    commands = [one for one in said if isinstance(one, TaxiCommand)]
-    if not commands:
-        return None
-    angle = max(abs(one.steering_rad) for one in commands)
-    speed = max(one.speed_mps for one in commands)
-    words = f'{math.degrees(angle):.1f} deg, {speed:g} m/s'
-    if angle > _STEERING_LIMIT_RAD:
-        words += ': beyond any nose wheel; is it in radians?'
-    if speed > _SPEED_LIMIT_MPS:
-        words += ': faster than taxiing; is it in m/s?'
-    return Status.NOTE, words
+    side = f'steers AWAY from the centreline at {"; ".join(away)}' if away else \
+        'it does not steer' if still else 'towards the line'
+    words = f'3 m left of the line: {math.degrees(sides[0][1].steering_rad):.1f} deg; {side}'
+    commands = [one.value for _, _, one in _all_answers(record)]
+    angle = max(abs(one.steering_rad) for one in commands if isinstance(one, TaxiCommand))
+    speed = max(one.speed_mps for one in commands if isinstance(one, TaxiCommand))
+    words += f'; at most {math.degrees(angle):.1f} deg, {speed:g} m/s'
+    words += ': beyond any nose wheel; is it in radians?' if angle > _STEERING_LIMIT_RAD else ''
+    return Status.NOTE, words + (
+        ': faster than taxiing; is it in m/s?' if speed > _SPEED_LIMIT_MPS else ''
+    )
 
 
 def _shown(values: tuple[Any, ...], digits: int = 6) -> str:
@@ -645,16 +498,8 @@ def _shown(values: tuple[Any, ...], digits: int = 6) -> str:
     return f'({", ".join(numbers)})'
 
 _JUDGES: Final[dict[str, Callable[[Record], Judged]]] = {
-    'starts': _starts, 'name': _name, 'topics': _topics, 'types': _types, 'qos': _qos,
-    'ready': _ready, 'ready_says': _ready_says, 'waits': _waits, 'uninvited': _uninvited,
-    'ready_again': _ready_again, 'answers': _answers, 'once': _once,
-    'run_id': _each_answer(_wrong_run_id, 'in each answer'),
-    'seq': _each_answer(_wrong_seq, 'in each answer'),
-    'stamp': _each_answer(_wrong_stamp, 'in each answer'), 'fields': _fields,
-    'finite': _each_answer(_not_finite, 'in each answer'),
-    'forgets': _forgets, 'strange_image': _strange_image, 'unusable': _unusable,
-    'other_run': _other_run, 'lives': _lives, 'sigint': _ends('SIGINT'),
-    'sigterm': _ends('SIGTERM'), 'reproducible': _reproducible, 'time': _time,
-    'memory': _memory, 'disorder': _disorder, 'accuracy': _accuracy, 'sign': _sign,
-    'limits': _limits,
+    'starts': _starts, 'name': _name, 'topics': _topics, 'qos': _qos, 'ready': _ready,
+    'waits': _waits, 'answers': _answers, 'step': _each_answer(_wrong_step), 'values': _values,
+    'forgets': _forgets, 'bad_input': _bad_input, 'lives': _lives, 'ends': _ends, 'time': _time,
+    'accuracy': _accuracy, 'steering': _steering,
 }

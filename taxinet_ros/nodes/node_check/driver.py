@@ -12,16 +12,12 @@ import dataclasses
 import math
 import signal
 import time
-import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import psutil
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
@@ -37,7 +33,6 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TrackingError
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
-from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT
 from taxinet_ros.nodes.graph.node_process import NodeProcess
@@ -62,7 +57,6 @@ from taxinet_ros.nodes.node_check.record import (
 )
 from taxinet_ros.nodes.running.domain import own_domain, require_discovery
 from taxinet_ros.nodes.running.executor import NodeExecutor
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_for
 
 START_S: Final = 30.0
@@ -75,9 +69,6 @@ _READY_FACTOR = 3.0
 _LOOK_S = 0.01
 _MOMENT_S = 0.3
 """Time to watch for unexpected messages [s]."""
-
-_SLOWER = 2.0
-"""Factor on the slowest answer time when waiting for an optional answer."""
 
 _ENDING_S: Final = 5.0
 """Time limit for a node to end [s]."""
@@ -100,7 +91,7 @@ class CheckOptions:
 
     Attributes:
         start: starts the node's process; None if the user starts it.
-        role: its role; None to detect it from its publishers.
+        role: its role; None to detect it from the publishers of the node started.
         domain: ROS domain; None for a free one.
         frames: number of messages per run.
         patience_s: timeout for an answer; three times as long for READY [s].
@@ -130,7 +121,6 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
         role = ROLES[options.role or 'perception']
         if options.start is None:
             say(f'waiting for your node on ROS domain {domain} (ROS_DOMAIN_ID={domain})')
-            role = ROLES[options.role] if options.role else _standing(domain)
         with _stage(options, role, domain) as stage:
             stage.find()
             seems = ROLES[options.role] if options.role else stage.looks_like()
@@ -139,26 +129,6 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Record:
         with _stage(options, seems, domain) as stage:
             stage.find()
             return stage.drive()
-
-
-def _standing(domain: int) -> Role:
-    """Role of a node already running or expected on a domain, by its name."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    probe = Node(
-        'taxinet_probe', context=context, enable_rosout=False, start_parameter_services=False
-    )
-    try:
-        for _ in range(round(_AWAITED_S / _LOOK_S)):
-            for role in ROLES.values():
-                if role.node in probe.get_node_names():
-                    return role
-            time.sleep(_LOOK_S)
-    finally:
-        leave_graph(probe)
-        rclpy.try_shutdown(context=context)
-    names = ' or '.join(role.node for role in ROLES.values())
-    raise UsageError(f'no node called {names} on ROS domain {domain} within {_AWAITED_S:g} s')
 
 
 @contextlib.contextmanager
@@ -201,7 +171,6 @@ class Stage:
         }
         for node in self._nodes.values():
             spinning.add(node)
-        self._ours = self._own_participant()
         self._late_ear = (interface.MTL_MONITOR, role.answers)
         for topic in interface.TOPICS:
             for name, node in self._nodes.items():
@@ -219,15 +188,6 @@ class Stage:
         """End the node if it was started here."""
         if self._process is not None:
             self._process.end()
-
-    def _own_participant(self) -> tuple[int, ...]:
-        """The kit's DDS participant, shared by all its endpoints."""
-        name = f'taxinet_check_{uuid.uuid4().hex}'
-        watcher = self._nodes[interface.SIMULATOR]
-        probe = watcher.create_publisher(RunStatus, name, 1)
-        ends = watcher.get_publishers_info_by_topic(name)
-        watcher.destroy_publisher(probe)
-        return _participant(ends[0])
 
     # The rest of the graph ---------------------------------------------------------------------
 
@@ -276,18 +236,9 @@ class Stage:
         self._changed()
 
     def _asked_by(self, run: Run, said: StepMessage) -> Question | None:
-        """The question an answer refers to: a slow answer may arrive after later questions."""
-        def meant(one: Question) -> bool:
-            return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
-
-        earlier = [
-            one for past in self._record.runs if past is not run and past.run_id == said.run_id
-            for one in past.questions if meant(one) and not one.answers
-        ]
-        now = [one for one in run.questions if meant(one)]
-        waiting = [one for one in now if not one.answers]
-        # An answer that matches no question can only refer to the newest one.
-        found = earlier[:1] or waiting[:1] or now[-1:] or run.questions[-1:]
+        """The question an answer refers to; one that matches none can only mean the newest."""
+        now = [one for one in run.questions if (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)]
+        found = now[-1:] or run.questions[-1:]
         return found[0] if found else None
 
     def _changed(self) -> None:
@@ -372,18 +323,12 @@ class Stage:
                         node=one.node_name, topic=topic, publishes=publishes,
                         type_name=one.topic_type, qos=one.qos_profile,
                     ) for one in found
-                    if one.node_name != NAMELESS and _participant(one) != self._ours
+                    if one.node_name not in (NAMELESS, *self._nodes)
                 ]
         self._record.ends = ends
         theirs = self._theirs()
         if theirs:
             self._record.nodes = sorted(f'{space.rstrip("/")}/{name}' for name, space in theirs)
-        known = {f'/{topic.name.lstrip("/")}' for topic in interface.TOPICS}
-        self._record.elsewhere = sorted({
-            topic for name, space in theirs
-            for topic, _ in watcher.get_publisher_names_and_types_by_node(name, space)
-            if topic not in known and topic.split('/')[-1] in {one.split('/')[-1] for one in known}
-        })
 
     # Driving it --------------------------------------------------------------------------------
 
@@ -393,17 +338,10 @@ class Stage:
             if not self._fits():
                 return self._record
             self._first()
-            self._memory()
-            self._uninvited()
             self._asked('second')
-            self._third()
-            self._memory()
             self._survey()
-        if self._process is None:
-            with contextlib.suppress(SilenceError):
-                self._strange()
-            return self._record
-        if not self._dead():
+            self._strange()
+        if self._process is not None and not self._dead():
             given_up = self._record.runs[-1].given_up
             self._end('SIGINT')
             if not given_up:
@@ -414,7 +352,7 @@ class Stage:
         """Whether its endpoints allow a run to start."""
         found = {one.clause.name: one.status for one in judge(self._record)}
         return not self._dead() and all(
-            found[name] is Status.PASS for name in ('starts', 'name', 'topics', 'types', 'qos')
+            found[name] is Status.PASS for name in ('starts', 'name', 'topics', 'qos')
         )
 
     def _begin_again(self) -> None:
@@ -424,7 +362,6 @@ class Stage:
         self._process.start()
         with contextlib.suppress(SilenceError):
             self._asked('fresh', START_S)
-            self._strange()
         if not self._dead():
             self._end('SIGTERM')
 
@@ -460,31 +397,11 @@ class Stage:
             )
         ]
 
-    def _uninvited(self) -> None:
-        others = tuple(name for name in self._nodes if name != interface.SIMULATOR)
-        self._begin('uninvited', others)
-        self._watch(2 * _MOMENT_S)
-        self._finish()
-
     def _asked(self, kind: str, within_s: float = 0.0) -> None:
         """An ordinary run."""
         run = self._begin(kind)
         self._await_ready(run, max(within_s, _READY_FACTOR * self._options.patience_s))
         self._ask_all(run)
-
-    def _third(self) -> None:
-        """A run with duplicate, late and foreign messages."""
-        run = self._begin('third')
-        self._await_ready(run, _READY_FACTOR * self._options.patience_s)
-        for seq in range(2):
-            self._ask(run, Question(seq=seq, truth=self._truth(seq)))
-        for kind, seq in (('twice', 1), ('late', 0)):
-            self._send_unexpected(run, Question(seq=seq, truth=self._truth(seq), kind=kind))
-        if self._role.word == 'controller':
-            question = Question(seq=2, truth=self._truth(2), kind='another run')
-            self._send_unexpected(run, question, run_id=f'{run.run_id}-other')
-        self._ask(run, Question(seq=3, truth=self._truth(3)))
-        self._finish()
 
     def _strange(self) -> None:
         """Malformed images, each in a separate run; or invalid estimates."""
@@ -499,7 +416,7 @@ class Stage:
                 run = self._begin('strange')
                 self._await_ready(run, _READY_FACTOR * self._options.patience_s)
                 question = Question(seq=0, truth=self._truth(0), kind=kind)
-                self._send_unexpected(run, question, image=_image(change, self._picture(0)))
+                self._show(run, question, _image(change, self._picture(0)))
                 self._finish()
         run = self._begin('after')
         self._await_ready(run, _READY_FACTOR * self._options.patience_s)
@@ -508,14 +425,14 @@ class Stage:
 
     # One run -----------------------------------------------------------------------------------
 
-    def _begin(self, kind: str, participants: Sequence[str] = interface.PARTICIPANTS) -> Run:
+    def _begin(self, kind: str) -> Run:
         run_id = f'check-{len(self._record.runs):05d}-{kind}'
         self._run = run = Run(run_id=run_id, kind=kind)
         self._record.runs.append(run)
         self._say(interface.SCENARIO, scenario_message(RunRequest(
             run_id=run_id, index=len(self._record.runs) - 1, program='check-node', seed=0,
             scenario=_SCENE, judging=Judging(specs=('phi_always',)),
-            participants=tuple(participants),
+            participants=interface.PARTICIPANTS,
         )))
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.PREPARING))
         return run
@@ -547,19 +464,10 @@ class Stage:
             question.missed = True
             self._abandon(run)
 
-    def _send_unexpected(
-        self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
-    ) -> None:
-        """Send a message that needs no answer, and wait for a possible one."""
-        self._put(run, question, image=image, run_id=run_id)
-        slowest_s = max(
-            (said.after_s for _, one in self._record.asked() for said in one.answers), default=0.0
-        )
-        self._until(
-            lambda: question.answers or run.errors or self._dead(),
-            max(_MOMENT_S, _SLOWER * slowest_s),
-        )
-        self._until(lambda: run.errors or self._dead(), _MOMENT_S)
+    def _show(self, run: Run, question: Question, image: Image) -> None:
+        """Send an image that needs no answer, and wait for a possible one."""
+        self._put(run, question, image=image)
+        self._until(lambda: question.answers or run.errors or self._dead(), _MOMENT_S)
         if self._dead():
             self._abandon(run)
 
@@ -579,7 +487,7 @@ class Stage:
 
     def _put(
         self, run: Run, question: Question, *, estimate: TrackingError | None = None,
-        image: Image | None = None, run_id: str = '',
+        image: Image | None = None,
     ) -> None:
         """Publish the simulator's and perception's messages of a control step."""
         seq, stamp_ns = question.seq, question.stamp_ns
@@ -588,14 +496,14 @@ class Stage:
         state = self._states[seq % len(self._states)]
         now = Observation(seq=seq, stamp_ns=stamp_ns, state=state, image=picture)
         question.asked_s = time.monotonic()
-        for topic, message in observation_messages(now, run_id or run.run_id):
+        for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
         if image is not None:
             image.header = header(stamp_ns, interface.CAMERA_FRAME)
             self._say(interface.IMAGE, image)
         if interface.ESTIMATE in self._role.hears:
             said = question.truth if estimate is None else estimate
-            self._say(interface.ESTIMATE, error_cdr(said, run_id or run.run_id, seq, stamp_ns))
+            self._say(interface.ESTIMATE, error_cdr(said, run.run_id, seq, stamp_ns))
 
     def _say(self, topic: topics.Topic, message: Any) -> None:
         self._publishers[topic.name].publish(message)
@@ -611,14 +519,6 @@ class Stage:
         return self._pictures[seq]
 
     # Its process -------------------------------------------------------------------------------
-
-    def _memory(self) -> None:
-        if self._process is None:
-            return
-        with contextlib.suppress(psutil.Error):
-            keeper = psutil.Process(self._process.pid)
-            nodes = keeper.children(recursive=True) or [keeper]
-            self._record.memory_mb.append(sum(one.memory_info().rss for one in nodes) / 1e6)
 
     def _end(self, name: str) -> None:
         """Request the process to end, and record how it does."""
@@ -640,11 +540,6 @@ class Stage:
             after_s=after_s, traceback=_TRACEBACK in said,
             left=left[-1].removeprefix(CHILDREN_LEFT) if left and after_s is not None else '',
         )
-
-
-def _participant(end: Any) -> tuple[int, ...]:
-    """Participant of an endpoint: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
-    return tuple(end.endpoint_gid[:12])
 
 
 def _run_status(run: Run, state: int) -> RunStatus:

@@ -6,17 +6,16 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 
 SIDES: Final = ((3.0, 0.0), (-3.0, 0.0), (0.0, 0.2), (0.0, -0.2))
 """First poses used for questions: cross-track error [m] and heading error [rad]."""
-_FOREVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,20 +68,6 @@ class End:
         if self.qos.durability != needed and (latched or not self.publishes):
             return f'{self}: durability {_word(self.qos.durability)} {offers}, {_word(needed)} ' \
                 'needed'
-        return self._untimely()
-
-    def _untimely(self) -> str:
-        """Time-related QoS policies that cause loss; the table has none."""
-        if self.publishes:
-            lifespan_s = _seconds(self.qos.lifespan)
-            lost = f'{self}: lifespan {lifespan_s:g} s offered, so older messages are lost'
-            return lost if lifespan_s < math.inf else ''
-        if (deadline_s := _seconds(self.qos.deadline)) < math.inf:
-            return f'{self}: deadline {deadline_s:g} s requested, none offered'
-        if self.qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC:
-            return f'{self}: liveliness {_word(self.qos.liveliness)} requested, automatic offered'
-        if (lease_s := _seconds(self.qos.liveliness_lease_duration)) < math.inf:
-            return f'{self}: liveliness lease {lease_s:g} s requested, none offered'
         return ''
 
     def __str__(self) -> str:
@@ -132,7 +117,7 @@ class Run:
 
     Attributes:
         run_id: run_id of its Scenario.
-        kind: ``first``, ``uninvited``, ``second``, ``third``, ``fresh``, ``strange`` or ``after``.
+        kind: ``first``, ``second``, ``strange``, ``after`` or ``fresh``.
         ready: its READY messages for the run.
         ready_s: time to the first one [s].
         early: missing peers at that time, or ''.
@@ -194,11 +179,9 @@ class Record:
         ours: whether the kit started its process.
         nodes: full names of the nodes found.
         ends: their endpoints on topics of the graph.
-        elsewhere: topics outside the graph they publish on.
         died: how it ended unexpectedly, or '', and in which kind of run.
         runs: in order.
         endings: endings by signal name.
-        memory_mb: before and after the runs of its first process [MB].
         patience_s: timeout for an answer [s].
     """
 
@@ -207,12 +190,10 @@ class Record:
     patience_s: float = 0.0
     nodes: list[str] = field(default_factory=list)
     ends: list[End] = field(default_factory=list)
-    elsewhere: list[str] = field(default_factory=list)
     died: str = ''
     died_in: str = ''
     runs: list[Run] = field(default_factory=list)
     endings: dict[str, Ending] = field(default_factory=dict)
-    memory_mb: list[float] = field(default_factory=list)
 
     def run(self, kind: str) -> Run | None:
         """The first run of a kind."""
@@ -228,11 +209,6 @@ def comparable(value: TrackingError | TaxiCommand) -> tuple[Any, ...]:
     if isinstance(value, TrackingError):
         return (repr(value.cte_m), repr(value.he_rad), value.valid) if value.valid else (False,)
     return repr(value.steering_rad), repr(value.speed_mps)
-
-
-def _seconds(duration: Any) -> float:
-    """Convert a QoS duration to seconds; unspecified or maximum is infinite."""
-    return duration.nanoseconds / NS_PER_S if 0 < duration.nanoseconds < _FOREVER_NS else math.inf
 
 
 def _word(policy: Any) -> str:

@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import os
+import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-import psutil
 import rclpy
 from domain_coordinator import domain_id
 from domain_coordinator.impl import PORT_BASE
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.utilities import get_rmw_implementation_identifier
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.running.leave import leave_graph
-
-_BASE, _PER_DOMAIN = 7400, 250
-"""PB and DG of DDSI-RTPS 2.2, section 9.6.1.1: first port of domain 0, and number of ports per
-domain (multicast ports and those of each participant)."""
-
-
-def anybody_here(domain: int) -> bool | None:
-    """Whether there is any DDS participant on a domain on this machine.
-
-    Args:
-        domain: a ROS domain id, 0 to 232.
-
-    Returns:
-        True also if another program uses one of the ports. None if ports are not conclusive: with
-        another middleware than Fast DDS, or if used ports cannot be listed.
-    """
-    if not get_rmw_implementation_identifier().startswith('rmw_fastrtps'):
-        return None
-    try:
-        used = {socket.laddr.port for socket in psutil.net_connections('udp') if socket.laddr}
-    except (psutil.Error, OSError):
-        return None
-    first = _BASE + _PER_DOMAIN * domain
-    return not used.isdisjoint(range(first, first + _PER_DOMAIN))
-
 
 HIGHEST = 232
 """The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
@@ -58,26 +31,27 @@ _RESERVED = 'TAXINET_RESERVED_DOMAIN'
 """Environment variable that tells a child which domain its parent has reserved."""
 # Participants announce themselves and their endpoints every 3 s: what was missed at first on a busy
 # machine is found after one period (3.4 s was observed) or two.
-_LOOK_S, _LOOK_FAR_S = 7.0, 3.5
+_LOOK_S = 7.0
 _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 _CHOICE = 100
 """Number of domains to choose from: Linux assigns the ports of higher ones dynamically."""
 # Each graph starts its search after the previous one's domain, to avoid remains of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
+# DDSI-RTPS 2.2, section 9.6.1.1: first port of domain 0, number of ports per domain, offset of the
+# unicast ports. Each participant of a machine takes the next two.
+_BASE, _PER_DOMAIN, _OF_NODES, _MOST_NODES = 7400, 250, 10, 20
 _made_sure_of: set[tuple[int, str]] = set()
 
 
 @contextlib.contextmanager
 def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]:
-    """Reserve a ROS domain id that is not in use, even by programs that reserve none.
+    """Reserve a ROS domain id that no node of this machine uses.
 
     Discovery is limited to this machine unless the user has set another range. Of the domains from
-    1 to 100, reserved ones and those in use are skipped; the DDS ports show use within a few
-    hundredths of a second. If ports are not conclusive (discovery may reach other machines, or
-    another middleware is used), each domain is observed for some seconds. ``TAXINET_DOMAIN_ID``
-    sets the domain by hand, to inspect the graph with other tools; such a domain is observed for
-    some seconds first, unless it is unused.
+    1 to 100, reserved ones and those in use are skipped. ``TAXINET_DOMAIN_ID`` sets the domain by
+    hand, to inspect the graph with other tools; such a domain is observed for some seconds first,
+    unless it is unused.
 
     Args:
         wanted: the domain; default ``TAXINET_DOMAIN_ID``, else a free one.
@@ -160,32 +134,32 @@ def refuse_neighbours(domain: int, namespace: str = '/') -> None:
     clock = f'{namespace.rstrip("/")}{interface.CLOCK.name}'
     if (domain, clock) in _made_sure_of:
         return  # Remaining endpoints belong to a previous graph of this process.
-    look_s = _LOOK_S
-    if anybody_here(domain) is False:
-        if not _looks_far():
-            return
-        look_s = _LOOK_FAR_S
-    found = _found(domain, functools.partial(clock_keepers, clock=clock), look_s)
-    if found:
-        raise UsageError(another_graph(domain, found, clock))
+    far = os.environ.get(DISCOVERY_RANGE) != LOCALHOST or os.environ.get(_PEERS)
+    if not (far or in_use(domain)):
+        return
+    if found := _clocks_on(domain, clock):
+        verb = 'publishes' if len(found) == 1 else 'publish'
+        raise UsageError(
+            f'another graph is on ROS domain {domain}: {" and ".join(found)} {verb} {clock}; end '
+            'it (a killed one disappears after about 20 s), or set another ROS_DOMAIN_ID'
+        )
     _made_sure_of.add((domain, clock))
 
 
-def _is_free(domain: int) -> bool:
-    """Whether no participant of any program is on a domain."""
-    here = anybody_here(domain)
-    if here is False and not _looks_far():
-        return True
-    return not here and not _found(domain, Node.get_node_names, _LOOK_FAR_S)
+def in_use(domain: int) -> bool:
+    """Whether a program of this machine uses a domain, by the UDP ports of its first nodes."""
+    first = _BASE + _PER_DOMAIN * domain
+    for port in (first, *range(first + _OF_NODES, first + _OF_NODES + _MOST_NODES)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', port))
+            except OSError:
+                return True
+    return False
 
 
-def _looks_far() -> bool:
-    """Whether discovery of this process reaches other machines."""
-    return os.environ.get(DISCOVERY_RANGE) != LOCALHOST or bool(os.environ.get(_PEERS))
-
-
-def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> list[str]:
-    """Names of foreign nodes discovered on a domain within a time [s]."""
+def _clocks_on(domain: int, clock: str) -> list[str]:
+    """Names of the nodes that publish a clock on a domain."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     try:
@@ -193,13 +167,20 @@ def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> lis
             f'taxinet_probe_{os.getpid()}', context=context, enable_rosout=False,
             start_parameter_services=False,
         )
-        deadline = time.monotonic() + look_s
-        while not (found := set(look(probe)) - {probe.get_name()}) and time.monotonic() < deadline:
+        found: list[str] = []
+        deadline = time.monotonic() + _LOOK_S
+        while not found and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
+            found = sorted(
+                f'{end.node_namespace.rstrip("/")}/{end.node_name}'
+                for end in probe.get_publishers_info_by_topic(clock)
+                # A publisher may be discovered shortly before its node.
+                if end.node_name != _NAMELESS
+            )
         leave_graph(probe)
     finally:
         rclpy.try_shutdown(context=context)
-    return sorted(found)
+    return found
 
 
 def require_discovery() -> None:
@@ -226,33 +207,13 @@ def require_free_domain() -> None:
         refuse_neighbours(domain)
 
 
-def clock_keepers(node: Node, clock: str = interface.CLOCK.name) -> list[str]:
-    """Full names of known nodes that publish a clock."""
-    found = node.get_publishers_info_by_topic(clock)
-    return sorted(
-        f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
-        # A publisher may be discovered shortly before its node.
-        if end.node_name != _NAMELESS
-    )
-
-
-def another_graph(domain: int, names: list[str], clock: str = interface.CLOCK.name) -> str:
-    """Error message on another graph on the same domain."""
-    they = ' and '.join(names)
-    verb = 'publishes' if len(names) == 1 else 'publish'
-    return (
-        f'another graph is on ROS domain {domain}: {they} {verb} {clock}; end it (a killed one '
-        'disappears after about 20 s), or set another ROS_DOMAIN_ID'
-    )
-
-
 @contextlib.contextmanager
 def _free() -> Iterator[tuple[int, bool]]:
     """Choose and reserve a domain, then check that it is free."""
     for _ in range(_CHOICE):
         with contextlib.ExitStack() as stack:
             domain, reserved = stack.enter_context(_reserved(next(_domains)))
-            if reserved and _is_free(domain):
+            if reserved and not in_use(domain):
                 yield domain, True
                 return
     raise UsageError('all ROS domains from 1 to 100 are in use; end a graph')

@@ -25,7 +25,6 @@ from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
 from taxinet_ros.nodes.running.domain import domain_number, require_discovery
 from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
-from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
     exit_handler,
     exit_now,
@@ -71,8 +70,7 @@ _PATIENCE_S = 2.0
 class Waiting:
     """Reports which nodes a node waits for: once it lasts, at each change, and at its end.
 
-    The node's method ``waits_for``, if any, returns the names of these nodes. Also warns of remaps
-    that separate the node from its counterparts.
+    The node's method ``waits_for``, if any, returns the names of these nodes.
     """
 
     def __init__(self, node: Any) -> None:
@@ -80,14 +78,12 @@ class Waiting:
         self._node = node
         self._since_s = 0.0
         self._told: tuple[str, ...] = ()
-        self._parted: list[str] = []
         self._timer = node.create_timer(
             _WAITING_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def look(self) -> None:
         """Report changes."""
-        self._look_for_remaps()
         names = tuple(sorted(getattr(self._node, 'waits_for', tuple)()))
         now_s = time.monotonic()
         if not names:
@@ -103,12 +99,6 @@ class Waiting:
     def end(self) -> None:
         """Stop watching."""
         self._timer.cancel()
-
-    def _look_for_remaps(self) -> None:
-        before, self._parted = self._parted, cut_off(self._node)
-        for line in self._parted:
-            if line not in before:
-                self._node.get_logger().warning(line)
 
     def _say(self, line: str) -> None:
         self._node.get_logger().info(line)

@@ -11,11 +11,9 @@ import pandas as pd
 
 from taxinet_ros.analysis.report.parts import Report
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.campaign.experiment import PAGE_NAME as EXPERIMENT_PAGE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.pages import add_page
 from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.study.report.claim import Claim
 from taxinet_ros.study.report.paper import judge_claims
@@ -36,7 +34,7 @@ from taxinet_ros.study.report.tables import (
 )
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.log import read_records
-from taxinet_ros.study.stages.plan import FALSIFY, REPORT, stages
+from taxinet_ros.study.stages.plan import REPORT, stages
 from taxinet_ros.version import __version__
 
 PAGE_NAME, JSON_NAME = 'case_study.html', 'case_study.json'
@@ -76,19 +74,10 @@ def write_study_report(
         for picture in section.pictures:
             write_png(picture, folder, LIGHT)
     write_report_page(report, folder / PAGE_NAME)
-    if tables is None:
-        _link_pages(out)
     text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
     write_atomically(folder / JSON_NAME, text + '\n')
     claims = [f'{claim.name}: {claim.sentence()}' for claim in found.claims] if tables else []
     return [*report.summary, *claims, f'report: {folder / PAGE_NAME}']
-
-
-def _link_pages(out: Path) -> None:
-    """Link the page of the study and of its experiments with those of its first campaign."""
-    add_page(out / FALSIFY, out / REPORT / PAGE_NAME, 'The case study')
-    for page in sorted(out.glob(f'experiment-*/{EXPERIMENT_PAGE}')):
-        add_page(out / FALSIFY, page, page.parent.name.replace('-', ' ', 1).capitalize())
 
 
 def gather_findings(config: StudyConfig, out: Path, tables: Path | None = None) -> StudyFindings:

@@ -10,14 +10,13 @@ import itertools
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.report.parts import Column, Table
-from taxinet_ros.campaign.learned_result import LearnedTogether
+from taxinet_ros.campaign.learned_result import share_of_failures
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.study.report.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
 from taxinet_ros.study.report.results import Network, Results
@@ -29,7 +28,6 @@ from taxinet_ros.study.stages.plan import (
     ITERATIVE,
     ORIGINAL,
     SPECIALISED,
-    search_of,
 )
 from taxinet_ros.study.stages.progress import Records
 from taxinet_ros.study.stages.stage import Stage
@@ -93,9 +91,7 @@ def learned_frame(results: Results) -> pd.DataFrame:
         return pd.DataFrame()
     generic = results.networks.get(GENERIC)
     found = results.searches.get(WEIGHTED, ())
-    together = None
-    if found and all(one.evidence for one in found):
-        together = LearnedTogether(found, [Path(search_of(WEIGHTED, 0))] * len(found))
+    weighted = bool(found) and all(one.evidence for one in found)
     lines = []
     for (low, high), paper in zip(
         itertools.pairwise(LEARNED_EDGES_M), PAPER_LEARNED, strict=True
@@ -115,8 +111,8 @@ def learned_frame(results: Results) -> pd.DataFrame:
             there = generic.within('distance_m', low, high)[generic.runs.failed]
             line |= {'failures': int(there.sum()),
                      **_with_interval('of_failures', generic.share(there))}
-        if together is not None:
-            line |= _with_interval('weighted', together.within(choice.dimension.name, low, high))
+        if weighted:
+            line |= _with_interval('weighted', share_of_failures(found, choice, low, high))
         lines.append(line)
     return pd.DataFrame(lines)
 

@@ -25,7 +25,7 @@ NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
 """Names of the networks; their campaigns are ``evaluate-<name>``, except the original's."""
 
 PAPER_RULE = 'ce-verifai'
-"""The sampler with the paper's learning rule."""
+"""What a study calls the sampler ``ce`` with the paper's learning rule."""
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
@@ -127,7 +127,9 @@ def _learning(config: StudyConfig) -> Iterator[Stage]:
     for sampler in config.samplers:
         for seed in config.learning_seeds:
             yield campaign_stage(
-                search_of(sampler, seed), config.learning_program, sampler=sampler, seed=seed,
+                search_of(sampler, seed), config.learning_program, seed=seed,
+                sampler='ce' if sampler == PAPER_RULE else sampler,
+                sampler_options=('rule=verifai',) if sampler == PAPER_RULE else (),
                 runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
             )
 

@@ -20,7 +20,6 @@ from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
-from taxinet_ros.files.pages import page_sha256
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.version import __version__
 
@@ -138,7 +137,7 @@ class Stage:
 
     def results(self, out: Path) -> dict[str, str]:
         """Digests of its existing outputs by name."""
-        return {name: page_sha256(out / name) for name in self.outputs if (out / name).is_file()}
+        return {name: file_sha256(out / name) for name in self.outputs if (out / name).is_file()}
 
 
 def _digest(values: Mapping[str, Any]) -> str:
@@ -184,6 +183,7 @@ def with_engine(
 def campaign_stage(
     name: str, program: str, *, sampler: str, seed: int, runs: int, workers: int, weights: str = '',
     perception: str = '', outputs: Sequence[str] = (), needs: str = '',
+    sampler_options: Sequence[str] = (),
 ) -> Stage:
     """Stage with a campaign of a network, without pictures in the bags.
 
@@ -198,10 +198,12 @@ def campaign_stage(
         perception: word or file of a network from outside the study.
         outputs: files written in addition to the table.
         needs: the weights, if they may be missing because there was nothing to learn.
+        sampler_options: options of the sampler, ``KEY=VALUE``.
     """
+    chosen = [word for option in sampler_options for word in ('--sampler-option', option)]
     return Stage(
         name=name, runs=runs, hints=workers_option(workers),
-        words=('falsify', program, '--sampler', sampler, '--seed', str(seed),
+        words=('falsify', program, '--sampler', sampler, *chosen, '--seed', str(seed),
                '--perception', perception or weights, '--images', 'none', '--out', name),
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
         outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs, needs=needs,

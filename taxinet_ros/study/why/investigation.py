@@ -178,8 +178,8 @@ class Investigation:
             )
         if not (self.path / PARQUET_NAME).is_file():
             raise UsageError(
-                f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or rebuild it by '
-                f'taxinet doctor --mend {self.path}'
+                f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or go on '
+                'with --resume'
             )
         runs = read_runs(self.path)
         network = self.perception or str(facts.get('perception', ''))

@@ -36,18 +36,18 @@ from taxinet_ros.analysis.causes.region import (
 )
 from taxinet_ros.analysis.causes.scan import (
     Scan,
-    SearchScan,
     hoeffding_bound,
     likelihood_ratio,
     log_evidence,
 )
 from taxinet_ros.analysis.runs.campaign import runs_of
-from taxinet_ros.bench.causes import Landscape, measure, searched
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
+
+pytestmark = pytest.mark.nightly
 
 SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
 
@@ -333,27 +333,6 @@ def test_t6_given_slanted_crossed_and_round_causes_when_looked_for_then_they_are
     (part,) = one.region.parts
     assert (part.low, part.high) == (pytest.approx(21.5, abs=0.6), pytest.approx(3, abs=0.6))
     assert one.region.words().startswith('after 21:')
-
-
-@pytest.mark.parametrize(('landscape', 'least'), [
-    ('either, not both', 0.25), ('night over midnight', 0.25),
-])
-def test_t6_given_a_hundred_runs_then_causes_of_two_features_are_found_often(landscape, least):
-    score = measure(landscape, 'random', 100, 8)
-    assert score.named >= least * score.tables
-
-
-@pytest.mark.parametrize('landscape', ['interaction, numbers'])
-def test_t5_given_a_cause_that_was_picked_then_its_intervals_hold_the_truth(landscape):
-    score = measure(landscape, 'random', 150, 6)
-    assert np.mean(score.holds, axis=0).min() >= 0.85, score.holds
-    assert np.mean(score.excess) > 0, 'picked for its rate, which is why the interval has to be'
-
-
-@pytest.mark.parametrize('sampler', ['mab', 'ce', 'cmaes'])
-def test_t4_given_a_search_of_nothing_when_looked_for_then_hardly_ever_a_cause_is_named(sampler):
-    """A shuffling names one in 8 to 9 of 100 such tables, for the search went where it failed."""
-    assert measure('no cause, 20 %', sampler, 60, 10).named <= 1
 
 
 @given(st.integers(0, 10**6))
@@ -670,13 +649,3 @@ def test_given_files_of_ones_own_that_go_then_a_causes_program_has_them_beside_i
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():
     assert tuple(part_of(part.to_json()) for part in PARTS) == PARTS
-
-
-def test_in_a_search_too_a_feature_that_matters_is_told_from_one_that_does_not():
-    """The sampler follows failures into some hours, so shuffled outcomes would not do."""
-    hours = Landscape(rate=lambda t: np.where(t['time_of_day_h'] < 9, 0.7, 0.05))
-    for seed in range(3):
-        scan = SearchScan(searched('ce', 200, seed, hours).frame)
-        rng = np.random.default_rng(0)
-        assert scan.p_given('time_of_day_h', rng) > 0.05
-        assert scan.p_given('heading_deg', rng) < 0.01

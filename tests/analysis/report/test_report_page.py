@@ -13,6 +13,7 @@ from report_examples import HOSTILE, LINK, RUNS, hostile_report, plain_report, r
 
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.analysis.report.parts import Report, Section
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
 
 ELEMENTS_WITHOUT_END = {'meta', 'link', 'img', 'input', 'br', 'hr'}
 KILOBYTE = 1024
@@ -86,6 +87,20 @@ def test_given_a_worst_run_when_written_then_its_frame_and_path_stand_before_the
     assert '<span class="rho">ρ −1.30</span>' in rest
     assert 'The runs were made on one machine.' in rest
     assert 'time of day 12:00' in plain, 'clock times, as in tables and figures'
+
+
+def test_given_pages_in_a_campaigns_folder_when_written_then_it_has_a_list_of_them(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / LEDGER_NAME).touch()
+    for name in ('analysis', 'why'):
+        (tmp_path / name).mkdir()
+        report = Report(title=f'Of {name}', facts={}, summary=(), sections=())
+        write_report_page(report, tmp_path / name / 'page.html')
+    text = (tmp_path / 'index.html').read_text(encoding='utf-8')
+    for name in ('analysis', 'why'):
+        assert f'<a href="{name}/page.html">Of {name}</a>' in text
+        assert 'index.html' not in (tmp_path / name / 'page.html').read_text(encoding='utf-8')
 
 
 def test_given_a_report_when_written_then_the_contents_lead_to_every_section(plain: str) -> None:

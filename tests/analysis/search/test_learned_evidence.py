@@ -33,7 +33,7 @@ def test_given_failures_then_weights_and_their_squares_are_summed_by_bin():
 
 
 def test_given_refused_points_then_their_runs_are_left_out_with_and_without_a_weight():
-    """Searches of earlier versions recorded a weight for them, which was wrong."""
+    """A weight of such a run would be wrong."""
     found = _evidence(search(run(2.0), run(None, refused=3), run(0.7, refused=1)))
     assert found['x'].amounts == (2.0, 0.0)
 
@@ -44,7 +44,8 @@ def test_given_weights_that_are_not_known_then_there_is_no_evidence():
 
 
 @pytest.mark.parametrize(('sampler', 'options', 'heaviest'), [
-    ('ce-verifai', {}, None), ('ce-verifai', {'floor': 0.5}, 2.0), ('mab', {}, 10.0),
+    ('ce', {'rule': 'verifai'}, None), ('ce', {'rule': 'verifai', 'floor': 0.5}, 2.0),
+    ('mab', {}, 10.0),
     ('mab', {'floor': '0.2'}, 5.0),
 ])
 def test_given_a_share_of_draws_by_the_program_then_it_bounds_the_weights(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,19 +10,17 @@ from pathlib import Path
 import pytest
 from bag_faults import chunks_of
 from bag_samples import Sample, serialise, store
-from mcap.opcode import Opcode
-from mcap.records import Footer, Statistics
 from whole_runs import PER_STEP, SPECS, STEPS, TYPES, run_messages, run_topics, write_run
 
 from taxinet_ros.bag.check.doctor import Checkup, check_bag
 from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.bag.check.lockstep import RunRecord
 from taxinet_ros.bag.errors import BagEmpty
-from taxinet_ros.bag.reader import StoredMessage
-from taxinet_ros.bag.storage.records import MAGIC, encode, parse_record, split_records
+from taxinet_ros.bag.storage.reader import StoredMessage
+from taxinet_ros.bag.storage.records import MAGIC
 from taxinet_ros.bag.writer import BagWriter
 
-CHECKS = ('bytes', 'index', 'description', 'types', 'stamps', 'steps', 'verdict')
+CHECKS = ('bytes', 'description', 'types', 'stamps', 'steps', 'verdict')
 STEP_NS = 100_000_000
 
 
@@ -82,7 +79,7 @@ def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_
     assert len(found) == 1
     assert found[0].where.startswith('x.mcap, byte ')
     assert found[0].mend == 'taxinet bag recover {bag} --out NEW'
-    assert {check.name for check in checkup.checks if check.skipped} == {'index', 'description'}
+    assert {check.name for check in checkup.checks if check.skipped} == {'description'}
 
 
 @pytest.mark.parametrize(('name', 'steps', 'expected'), [
@@ -126,9 +123,7 @@ def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_p
 
 
 @pytest.mark.parametrize(('name', 'other'), [
-    ('left_runway', True), ('max_cross_track_error', 99.0), ('settle_time', 0.7),
-    ('estimate_he_error_mean', 1.0), ('unusable_estimates', 9), ('satisfied', False),
-    ('complete', False), ('stopped_early', True), ('run_id', 'other'),
+    ('left_runway', True), ('max_cross_track_error', 99.0), ('satisfied', False),
 ])
 def test_given_a_verdict_with_another_figure_when_checked_then_it_is_named(
     tmp_path: Path, name: str, other: object
@@ -143,8 +138,7 @@ def test_given_a_verdict_with_another_figure_when_checked_then_it_is_named(
 
 
 @pytest.mark.parametrize(('name', 'other'), [
-    ('seq', 3), ('verdict', 2), ('final', False), ('valid', False), ('trusted', False),
-    ('samples', 15), ('rejected', 1), ('formula', 'always(abs(cte) <= 2)'),
+    ('verdict', 2), ('final', False), ('formula', 'always(abs(cte) <= 2)'),
 ])
 def test_given_a_verdict_with_another_reading_when_checked_then_its_field_is_named(
     tmp_path: Path, name: str, other: object
@@ -225,12 +219,12 @@ def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
     ('message_count: 135', 'message_count: 134', 'message_count is 134, in the bag 135'),
-    ('message_count: 16', 'message_count: 15', 'message_count differ from the bag'),
-    ('depth: 16', 'depth: 10', 'offered_qos_profiles differ from the bag'),
+    ('message_count: 16', 'message_count: 15', "'topics_with_message_count' differs from the desc"),
+    ('depth: 16', 'depth: 10', "'topics_with_message_count' differs from the desc"),
     ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
-    ('name: /clock', 'name: /clocks', 'lacks topic /clock'),
+    ('name: /clock', 'name: /clocks', "'topics_with_message_count' differs from"),
     ('version: 9', 'version: 10', 'version is 10; known up to 9'),
-    ('nanoseconds: 1500000000', 'nanoseconds: 15', 'duration is'),
+    ('nanoseconds: 1500000000', 'nanoseconds: 15', "'duration' differs from the description"),
 ])
 def test_given_a_description_that_lies_when_checked_then_it_is_told(
     tmp_path: Path, old: str, new: str, reason: str
@@ -257,33 +251,6 @@ def test_given_a_wrong_type_hash_when_checked_then_its_topic_is_named(tmp_path: 
     found = wrong(check_bag(tmp_path / 'run'))
     assert set(found) == {'types'}
     assert found['types'][0].startswith('/clock: type hash RIHS01_000')
-
-
-def test_given_an_index_that_lies_when_checked_then_it_is_told(run: Path, tmp_path: Path) -> None:
-    data = run.read_bytes()
-    footer = parse_record(Opcode.FOOTER, data[-28:-8])
-    assert isinstance(footer, Footer)
-    summary = data[footer.summary_start:-len(MAGIC) - 29]
-    parts = []
-    for opcode, body in split_records(summary):
-        record = parse_record(opcode, body)
-        if isinstance(record, Statistics):
-            record.attachment_count += 1
-            body = encode(record)[9:]
-        if opcode == Opcode.CHUNK_INDEX and not any(p[0] == opcode for p in parts):
-            body = struct.pack('<Q', 77) + body[8:]
-        parts.append(struct.pack('<BQ', opcode, len(body)) + body)
-    other = b''.join(parts)
-    assert len(other) == len(summary)
-    footer.summary_crc = zlib.crc32(other + encode(footer)[:-4])
-    (tmp_path / 'x.mcap').write_bytes(
-        data[:footer.summary_start] + other + encode(footer) + MAGIC
-    )
-    found = wrong(check_bag(tmp_path / 'x.mcap'))
-    assert set(found) == {'index'}
-    told = ' '.join(found['index'])
-    assert 'statistics: attachment_count is 3, in the data 2' in told
-    assert 'ChunkIndex points to something else' in told
 
 
 def test_given_nothing_readable_when_checked_then_empty(tmp_path: Path) -> None:

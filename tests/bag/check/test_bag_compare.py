@@ -12,7 +12,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from bag_edits import GOLDEN, SEEN, altered, unaltered
+from bag_edits import SEEN, altered, unaltered
 from bag_samples import STEP_NS, samples, serialise, step_messages, topics, write_bag
 from mcap.writer import Writer
 
@@ -170,7 +170,6 @@ def write(folder: Path, commit: str, **changes: str) -> Path:
 def test_provenance_of_a_bag_is_read_back_with_its_commit(tmp_path):
     bag = write(tmp_path / 'run', 'c0ffee')
     assert made_on(read_info(bag)) == {**without_commit(provenance()), COMMIT: 'c0ffee'}
-    assert made_on(read_info(GOLDEN / 'truth-nominal')) == {}, 'it is older than the record'
     description = next(c for c in check_bag(bag).checks if c.name == 'description')
     assert not description.findings
 

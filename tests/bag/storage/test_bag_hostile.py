@@ -1,43 +1,34 @@
-"""Files that are no bags of ours, or are made to do harm: one typed error, and little memory."""
+"""Files that are no bags of ours, or declare what cannot be: one typed error of one line."""
 
 from __future__ import annotations
 
-import resource
-import signal
-import time
-import tracemalloc
 import zlib
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-import hostile_bags
 import pytest
 import zstandard
 from bag_faults import chunk, declarations, file_with
 from bag_samples import drain
 from mcap.records import Channel, Chunk, Header, Message, Schema
 
-from taxinet_ros.bag import limits
 from taxinet_ros.bag.cdr.decode import decode, definition_hash
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
-from taxinet_ros.bag.limits import limited_reading, read_within_limits
-from taxinet_ros.bag.reader import Contents, read_contents, read_info, read_messages
+from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.run.tables import units_of
-from taxinet_ros.bag.storage import records as parse
 from taxinet_ros.bag.storage.records import MAGIC, encode
-from taxinet_ros.bag.storage.summary import index_troubles
-from taxinet_ros.bag.storage.writer import StorageFile
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
+
+pytestmark = pytest.mark.nightly
 
 
 @pytest.mark.parametrize(('content', 'kind', 'reason'), [
     (b'', BagEmpty, 'has no bytes'),
     (b'SQLite format 3\0', BagForeign, 'not an MCAP file'),
-    (MAGIC[:5], BagTruncated, 'within its first bytes'),
+    (MAGIC[:5], BagTruncated, 'the end of the file is missing'),
     (MAGIC + encode(Header('ros1', 'x')), BagForeign, "profile 'ros1'"),
 ])
 def test_given_no_ros2_mcap_when_read_then_the_error_says_what_it_is(
@@ -62,23 +53,43 @@ def test_given_a_chunk_that_declares_too_much_when_read_then_it_is_not_opened(
     damaged: Callable[[bytes], Path], declared: int
 ) -> None:
     path = damaged(file_with(chunk(zstandard.compress(bytes(2**20)), declared, 'zstd')))
-    with pytest.raises(BagCorrupt, match=f'declares {declared} bytes'):
+    with pytest.raises(BagCorrupt, match=f'declares {declared} bytes, more than'):
         list(read_messages(path))
 
 
 @pytest.mark.parametrize(('data', 'declared', 'compression', 'reason'), [
-    (zstandard.compress(bytes(2**20)), 100, 'zstd', 'its zstd frame 1048576'),
-    (b'nonsense', 100, 'zstd', 'cannot be decompressed'),
-    (b'nonsense', 100, 'lz4', 'cannot be decompressed'),
+    (zstandard.compress(bytes(2**20)), 100, 'zstd', 'crc validation failed in Chunk'),
+    (b'nonsense', 100, 'zstd', 'not a valid record: ZstdError'),
+    (b'nonsense', 100, 'lz4', 'not a valid record: RuntimeError'),
     (b'nonsense', 100, 'rar', "unknown compression 'rar'"),
-    (b'nonsense', 100, '', 'holds 8'),
-    (b'nonsense', 8, '', 'checksum'),
+    (b'nonsense', 8, '', 'crc validation failed in Chunk'),
 ])
 def test_given_a_chunk_that_contradicts_itself_when_read_then_corrupt(
     damaged: Callable[[bytes], Path], data: bytes, declared: int, compression: str, reason: str
 ) -> None:
     with pytest.raises(BagCorrupt, match=reason):
         list(read_messages(damaged(file_with(chunk(data, declared, compression)))))
+
+
+def test_given_a_chunk_of_another_size_than_declared_when_read_then_corrupt(
+    damaged: Callable[[bytes], Path]
+) -> None:
+    with pytest.raises(BagCorrupt, match='declares 100 bytes but holds 8'):
+        list(read_messages(damaged(file_with(chunk(b'nonsense', 100, '', crc=0)))))
+
+
+@pytest.mark.parametrize('length', [2**28 + 1, 2**40, 2**64 - 1])
+def test_given_a_record_that_declares_too_much_when_read_then_it_is_not_read(
+    tmp_path: Path, length: int
+) -> None:
+    path = tmp_path / 'run_0.mcap'
+    head = MAGIC + encode(Header('ros2', 'x')) + b'\x09' + length.to_bytes(8, 'little')
+    with path.open('wb') as stream:
+        stream.write(head)
+        stream.truncate(2**28 + 200)
+    why = f'declares {length}' if length < 2**40 else f'{length} bytes does not fit'
+    with pytest.raises(BagError, match=why):
+        list(read_messages(path))
 
 
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
@@ -114,23 +125,6 @@ def test_given_messages_of_another_encoding_when_read_then_refused_only_if_wante
         list(read_messages(path))
     with pytest.raises(BagTruncated):
         list(read_messages(path, ['/other']))
-
-
-def test_given_a_chunk_of_very_many_messages_when_read_then_few_are_held_at_once(
-    damaged: Callable[[bytes], Path],
-) -> None:
-    count = 60_000
-    raw = declarations() + encode(Message(1, 5, b'', 5, 0)) * count
-    path = damaged(file_with(chunk(zstandard.compress(raw), len(raw), 'zstd', crc=0)))
-    tracemalloc.start()
-    try:
-        with pytest.raises(BagTruncated) as caught:
-            deque(read_messages(path), maxlen=0)
-        _, most = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert caught.value.recovered == count
-    assert most < 4 * len(raw)
 
 
 SEPARATOR = '\n' + '=' * 80 + '\nMSG: '
@@ -177,75 +171,3 @@ def test_given_plain_yaml_when_written_and_read_then_it_is_the_same() -> None:
     assert '&' not in dump_yaml(value)
     assert load_yaml(dump_yaml(value), aliases=False) == value
     assert load_yaml('a: &x [1]\nb: *x') == {'a': [1], 'b': [1]}
-
-
-def raise_damage(contents: Contents) -> None:
-    raise contents.damage[0][1]
-
-
-@pytest.mark.parametrize('make', [
-    hostile_bags.private, hostile_bags.channel_of_many_words, hostile_bags.metadata_of_many_words,
-    hostile_bags.statistics_of_many_channels, hostile_bags.same_channel_again,
-], ids=lambda make: make.__name__)
-def test_f8_given_a_file_that_is_made_to_keep_its_reader_busy_then_it_is_done_in_time(
-    damaged: Callable[[bytes], Path], make: Callable[[], bytes], tmp_path: Path
-) -> None:
-    path = damaged(make())
-    assert path.stat().st_size < 30_000
-    for read in (
-        lambda: deque(read_messages(path), maxlen=0), lambda: index_troubles(path),
-        lambda: raise_damage(read_contents(path, lambda topic: 1)),
-    ):
-        begun = time.process_time()
-        with pytest.raises(BagCorrupt, match=r'more records than a recording|of kind \d+ within a'):
-            read()
-        assert time.process_time() - begun < 20.0
-
-
-def test_f8_given_more_bytes_unpacked_than_a_recording_holds_then_refused(
-    damaged: Callable[[bytes], Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(parse, 'FREE_BYTES', 1 << 20)
-    chunks = [hostile_bags.packed(encode(Message(1, n, bytes(1 << 18), n, 0))) for n in range(9)]
-    path = damaged(hostile_bags.whole(hostile_bags.DECLARED + b''.join(chunks), 9))
-    found, error = drain(read_messages(path))
-    assert 3 <= len(found) < 9
-    assert 'unpack to more than a recording' in str(error)
-
-
-def test_f8_given_a_dense_recording_of_ours_then_no_limit_is_near(tmp_path: Path) -> None:
-    """Fifty thousand messages that differ in their stamps only."""
-    topic = TopicInfo(name='/t', type='a/msg/B', qos='', definition='uint8 x', type_hash='')
-    bag = StorageFile(tmp_path / 'dense.mcap', topics=[topic], library='x')
-    for number in range(50_000):
-        bag.add_message('/t', b'\0\1\0\0\1', number * 10_000_000, 0)
-    bag.finish()
-    bag.output.close()
-    size = (tmp_path / 'dense.mcap').stat().st_size
-    assert size > 50_000 * parse.BYTES_FOR_A_RECORD * 3, 'each takes thrice what it needs to'
-    assert len(list(read_messages(tmp_path / 'dense.mcap'))) == 50_000
-
-
-def test_f8_given_reading_without_end_then_it_ends_with_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(limits, 'FREE_S', 0.1)
-    (tmp_path / 'a.mcap').write_bytes(bytes(1000))
-
-    def swallow() -> None:
-        while True:
-            try:
-                sum(range(1000))
-            except Exception as error:  # as readers of definitions do
-                raise AssertionError from error
-
-    with pytest.raises(BagCorrupt, match=r'a\.mcap: took more than 0 s of processor time'), \
-            limited_reading(tmp_path / 'a.mcap'):
-        swallow()
-    assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    with pytest.raises(UsageError, match='took too much memory for a recording of 1000 bytes'), \
-            read_within_limits(tmp_path):
-        bytearray(8 << 30)
-    assert resource.getrlimit(resource.RLIMIT_AS) == before
-    assert capfd.readouterr() == ('', '')

@@ -1,15 +1,13 @@
-"""A Dask cluster of processes on loopback, and a wire that can be cut between two of them."""
+"""A Dask cluster of processes on loopback."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import selectors
 import signal
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -83,45 +81,3 @@ class DaskProcesses:
 def kill(process: subprocess.Popen[bytes]) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
-
-
-class Wire:
-    """Forwards connections to a port; once cut, nothing passes and nobody is told."""
-
-    def __init__(self, port: int) -> None:
-        self._target, self._cut = port, threading.Event()
-        self._server = socket.create_server(('127.0.0.1', 0))
-        self.port = int(self._server.getsockname()[1])
-        self._sockets: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def cut(self) -> None:
-        self._cut.set()
-
-    def close(self) -> None:
-        self._cut.set()
-        for one in (self._server, *self._sockets):
-            one.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._server.accept()
-                far = socket.create_connection(('127.0.0.1', self._target))
-                self._sockets += [near, far]
-                threading.Thread(target=self._forward, args=(near, far), daemon=True).start()
-
-    def _forward(self, near: socket.socket, far: socket.socket) -> None:
-        with contextlib.suppress(OSError, ValueError), selectors.DefaultSelector() as selector:
-            selector.register(near, selectors.EVENT_READ, far)
-            selector.register(far, selectors.EVENT_READ, near)
-            while True:
-                for key, _ in selector.select():
-                    if self._cut.is_set():
-                        return
-                    part = key.fileobj.recv(65536)  # type: ignore[union-attr]
-                    if not part:
-                        near.close()
-                        far.close()
-                        return
-                    key.data.sendall(part)

@@ -12,14 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.campaign.record.facts import with_present_keys
-from taxinet_ros.campaign.record.ledger import Ledger, other_campaign, read_ledger
+from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.cli import main as cli
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS, other_form
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import RunStatistics
@@ -183,26 +182,6 @@ def test_given_a_row_when_written_then_its_scene_stands_by_keys() -> None:
     assert RunRow.from_json(written) == row(0)
 
 
-def test_given_a_row_of_before_keys_had_units_when_read_then_it_is_the_same() -> None:
-    before = {other_form(name) or name: value for name, value in row(0).to_json().items()}
-    assert before.keys() >= SHORT_FORMS.keys()
-    assert RunRow.from_json(before) == row(0)
-    with pytest.raises(UsageError, match='rain and rain_percent are the same; leave one out'):
-        RunRow.from_json({**before, 'rain_percent': 3.0})
+def test_given_a_row_with_an_unknown_column_then_it_is_refused() -> None:
     with pytest.raises(UsageError, match='unexpected fingerprint'):
-        RunRow.from_json({**before, 'fingerprint': ''})
-
-
-def test_given_facts_of_before_keys_had_units_then_they_are_those_of_now() -> None:
-    before = {
-        'seed': 3, 'overrides': {'rain': '0'}, 'nominal': {'heading': 0.0, 'clouds': 'clear'},
-        'parameters': ['time_of_day', 'clouds'],
-    }
-    now = {
-        'seed': 3, 'overrides': {'rain_percent': '0'},
-        'nominal': {'heading_deg': 0.0, 'clouds': 'clear'},
-        'parameters': ['time_of_day_h', 'clouds'],
-    }
-    assert with_present_keys(before) == with_present_keys(now) == now
-    assert other_campaign(before, now) == ''
-    assert other_campaign(before, {**now, 'overrides': {'rain_percent': '5'}}) == 'overrides'
+        RunRow.from_json({**row(0).to_json(), 'fingerprint': ''})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import falsify_samples as toy
 import pytest
-from journal_samples import rewrite, write_old
+from journal_samples import rewrite
 
 from taxinet_ros.analysis.campaign.report import stack_sentences
 from taxinet_ros.analysis.runs.campaign import read_runs
@@ -18,7 +18,6 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.files.journal import read_journal
 from taxinet_ros.study.stages.log import StageLog, stack_warning
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
@@ -67,19 +66,6 @@ def test_provenance_of_a_search_resumed_elsewhere_is_kept_for_each_sitting_and_w
     table = read_table(tmp_path)
     assert list(table['stack']) == [home] * 8 + [this_stack()] * 4
     assert list(table.attrs[STACKS]) == [home, this_stack()]
-
-
-def test_provenance_of_an_older_campaign_is_said_to_be_untold(tmp_path):
-    toy.finish(toy.options(tmp_path, runs=4))
-    ledger = tmp_path / 'ledger.jsonl'
-    events = read_journal(ledger)
-    for event in events:
-        event.get('campaign', {}).pop(STACKS, None)
-        event.get('row', {}).pop('stack', None)
-    (tmp_path / FACTS_NAME).unlink()
-    write_old(ledger, events)
-    with toy.searching(toy.options(tmp_path, runs=4, resume=True)) as search:
-        assert 'nothing tells on which machine and versions' in search.book.warning
 
 
 def test_provenance_of_tables_that_are_held_together_is_compared(tmp_path, elsewhere, monkeypatch):

@@ -10,7 +10,6 @@ import pytest
 
 from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
-from taxinet_ros.campaign.record.resumption import read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_table, table, write_tables
 from taxinet_ros.campaign.summary import campaign_summary, row_line, stopped_words
@@ -144,12 +143,3 @@ def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_i
         ledger.requirement('bad', 'always(cte < 1)', {1: (-1.0, 2.0)})
     with pytest.raises(UsageError, match=r'jsonl:5: damaged line \(run run-1: FAIL with bad'):
         read_ledger(path)
-
-
-def test_given_a_campaign_from_before_the_rule_when_resumed_then_it_was_never(tmp_path: Path):
-    facts = {'sampler': 'ce', 'runs': 3, 'perception': 'truth'}
-    with Ledger(tmp_path / 'ledger.jsonl') as ledger:
-        ledger.campaign(facts)
-    assert read_earlier_runs(tmp_path, {**facts, 'stop_on': StopOn.NEVER}).begun == 0
-    with pytest.raises(UsageError, match='begun with stop_on "never", not "violated"'):
-        read_earlier_runs(tmp_path, {**facts, 'stop_on': StopOn.VIOLATED})

@@ -20,8 +20,9 @@ SPACE = (
     Dimension(name='y', buckets=3),
 )
 RUNS = 19
-WEIGHTED = ('random', 'halton', 'sobol', 'grid', 'ce', 'ce-verifai', 'mab')
-HISTOGRAMS = ('ce', 'ce-verifai', 'mab')
+WEIGHTED = ('random', 'halton', 'sobol', 'grid', 'ce', 'mab')
+HISTOGRAMS = ('ce', 'mab')
+RULE = {'rule': 'verifai'}
 
 
 def bowl(point: Point) -> float:
@@ -69,21 +70,25 @@ def test_given_runs_without_results_when_told_then_nothing_is_learned_of_them(na
     points = run(name, 1, rho=lambda point: None)
     assert points[:8] == run(name, 1)[:8]
     assert 0.3 < np.mean([point[0] for point in points]) < 0.7
-    if name in ('ce', 'ce-verifai'):
+    if name == 'ce':
         np.testing.assert_allclose(points, run('random', 1), atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ('name', 'seed', 'options', 'message'),
     [
-        ('cma', 0, {}, r"sampler 'cma' is unknown; known: random, halton, .*, screening; packages"),
+        ('cma', 0, {}, r"sampler 'cma' is unknown; known: random, halton, .*, splitting; packages"),
         ('ce', -1, {}, r'seed is -1'),
         ('ce', 0, {'flor': '0.3'}, r'sampler ce: unknown option flor; known: floor, every$'),
         ('random', 0, {'floor': '0.3'}, r'unknown option floor; known: none$'),
         ('ce', 0, {'floor': 'a'}, r"sampler ce: floor=a: 'a' is no number"),
         ('ce', 0, {'floor': '0'}, r'sampler ce: floor=0: needs to be within 0.01..1'),
         ('ce', 0, {'floor': 'nan'}, r'floor=nan: needs to be within'),
-        ('ce-verifai', 0, {'alpha': '1'}, r'alpha=1: needs to be within 0.5..0.99999'),
+        ('ce', 0, {**RULE, 'alpha': '1'}, r'alpha=1: needs to be within 0.5..0.99999'),
+        ('ce', 0, {'alpha': '0.9'}, r'unknown option alpha; known: floor, every$'),
+        ('ce', 0, {**RULE, 'every': '5'}, r'unknown option every; known: floor, alpha$'),
+        ('ce', 0, {'rule': 'mine'}, r'rule=mine: unknown; known: verifai, or leave it out$'),
+        ('mab', 0, RULE, r'sampler mab: unknown option rule; known: floor, explore$'),
         ('bo', 0, {'window': '12.5'}, r'window=12.5: needs to be a whole number'),
     ],
 )
@@ -141,14 +146,16 @@ def test_s9_given_conditional_dimensions_when_sampled_then_every_point_belongs_t
     assert kinds == {0, 1}
 
 
-@pytest.mark.parametrize('name', HISTOGRAMS)
+@pytest.mark.parametrize(('name', 'options', 'least'), [
+    ('ce', {}, 0.45), ('mab', {}, 0.45),
+    ('ce', {**RULE, 'alpha': 0.995}, 0.25),  # lest weights be too uneven to tell
+])
 def test_s9_given_idle_dimensions_when_learned_and_weighted_then_they_have_no_part(
-    name: str,
+    name: str, options, least: float
 ) -> None:
     learned, weights, terms = [], [], []
-    slow = {'alpha': 0.995} if name == 'ce-verifai' else {}  # lest weights be too uneven to tell
     for seed in range(4):
-        sampler = make_sampler(name, CONDITIONAL, seed, 400, **slow)
+        sampler = make_sampler(name, CONDITIONAL, seed, 400, **options)
         for _ in range(400):
             index, point = sampler.next()
             sampler.tell(index, wet_failures(point))
@@ -157,7 +164,7 @@ def test_s9_given_idle_dimensions_when_learned_and_weighted_then_they_have_no_pa
         learned.append(sampler.learned())
     # No failure is dry, so of the dry options nothing is known.
     assert np.mean([each['dry'] for each in learned], axis=0) == pytest.approx([0.5, 0.5], abs=0.1)
-    assert min(each['rain'][3] for each in learned) > (0.25 if name == 'ce-verifai' else 0.45)
+    assert min(each['rain'][3] for each in learned) > least
     for values, expected in ((weights, 1), (terms, 1 / 16)):
         error = np.std(values) / np.sqrt(len(values))
         assert np.mean(values) == pytest.approx(expected, abs=4 * error)

@@ -27,6 +27,8 @@ from taxinet_ros.campaign.samplers.subset_simulation import (
     SubsetSimulation,
 )
 
+pytestmark = pytest.mark.nightly
+
 SPACE = Space((
     Dimension(name='x'), Dimension(name='y'), Dimension(name='z'),
     Dimension(name='kind', weights=(3, 1)),

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 _SCRIPT = Path(__file__).with_name('divergence.py')
 _LEVEL = 1e-3
 _DRAWS = 150

@@ -1,4 +1,4 @@
-"""Programs in Scenic 1 or 2, the paper's among them, are answered with the line of Scenic 3."""
+"""The paper's programs: its parameters set ours, and programs in Scenic 1 or 2 are told so."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from typing import Any
 import pytest
 
 from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
-from taxinet_ros.campaign.scenes.scenic_child import scenic3_hint, scenic3_lines
+from taxinet_ros.campaign.scenes.scenic_child import version_hint
 from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'model runway_world\n'
 
-# S_falsif and the position distribution for retraining as the paper (figures 3 and 8) prints them.
-FIGURE_3 = """# Time: from 6am to 6pm (+8 to get GMT, as used by X-Plane)
-param zulu_time = (6, 18) * 60 * 60 + 8 * 60 * 60
+# S_falsif and the position distribution for retraining as the paper (figures 3 and 8) has them, in
+# the spelling of Scenic 3.
+FIGURE_3 = MODEL + """# Time: from 6am to 6pm (+8 to get GMT, as used by X-Plane)
+param zulu_time = Range(6, 18) * 60 * 60 + 8 * 60 * 60
 
 # Rain: 1/3 of the time
 # Clouds: types 3-5 are compatible with rain
 clouds_and_rain = Options({
     (Uniform(0, 1, 2, 3, 4, 5), 0): 2,   # no rain
-    (Uniform(3, 4, 5), (0.25, 1)): 1     # 25%-100% rain
+    (Uniform(3, 4, 5), Range(0.25, 1)): 1     # 25%-100% rain
 })
 param cloud_type = clouds_and_rain[0]
 param rain_percent = clouds_and_rain[1]
 
 # Plane: up to 8 m to left/right, up to 2000 m down the runway, up to 30 deg to left/right
-ego = Plane at (-8, 8) @ (0, 2000),
-    facing (-30, 30) deg
+ego = new Plane at Range(-8, 8) @ Range(0, 2000),
+    facing Range(-30, 30) deg
 """
 FIGURE_8 = """rd = Options({
   (0, 400): 0.35,     # 0.2
@@ -65,43 +66,19 @@ def said(client: Any, folder: Path, text: str) -> tuple[int, str]:
     return error['line'], error['message']
 
 
-def mended(text: str) -> str:
-    """A program with the lines of Scenic 3 in place, and with the world model."""
-    lines = text.splitlines()
-    for number, line in scenic3_lines(text).items():
-        lines[number - 1] = line
-    return MODEL + '\n'.join(lines) + '\n'
-
-
-def test_s10_figure_8_is_answered_with_its_lines_in_scenic_3(client: Any, tmp_path: Path) -> None:
+def test_s10_figure_8_is_answered_with_the_version_and_scenic_s_own_error(
+    client: Any, tmp_path: Path
+) -> None:
     assert said(client, tmp_path, FIGURE_8) == (
-        7, "NameError: name 'Plane' is not defined; is this Scenic 1 or 2? Scenic 3 has "
-        '"model runway_world" as first line, line 2 "Range(0, 400): 0.35,", '
-        'line 3 "Range(400, 1200): 0.1,", line 4 "Range(1200, 1600): 0.5,", '
-        'line 5 "Range(1600, 2000): 0.05", line 7 "ego = new Plane at Range(-8, 8) @ rd"',
+        7, "NameError: name 'Plane' is not defined; this program is written for Scenic 1 or 2, and "
+        'Scenic 3 runs here: "model runway_world", "ego = new Plane", "Range(LOW, HIGH)"; see '
+        'docs/scenic.md',
     )
 
 
-def test_s10_figure_8_runs_with_these_lines(client: Any, tmp_path: Path) -> None:
+def test_s10_figure_3_runs_in_the_spelling_of_scenic_3(tmp_path: Path) -> None:
     path = tmp_path / 'mine.scenic'
-    path.write_text(mended(FIGURE_8))
-    assert client.ask(op='compile', program=str(path))['named'] == []
-    scenes = [client.ask(op='scene', index=index)['values'] for index in range(300)]
-    inside = sum(1200 <= scene['distance_m'] < 1600 for scene in scenes)
-    assert inside / 300 == pytest.approx(0.5, abs=5 * 0.5 / 300**0.5)
-    assert max(abs(scene['cross_track_m']) for scene in scenes) <= 8
-
-
-def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> None:
-    line, message = said(client, tmp_path, FIGURE_3)
-    assert line == 15
-    assert message.startswith('invalid syntax; is this Scenic 1 or 2? Scenic 3 has "model')
-    assert 'line 2 "param zulu_time = Range(6, 18) * 60 * 60 + 8 * 60 * 60"' in message
-    assert 'line 8 "(Uniform(3, 4, 5), Range(0.25, 1)): 1"' in message
-    assert 'line 14 "ego = new Plane at Range(-8, 8) @ Range(0, 2000),"' in message
-    assert message.endswith('line 15 "facing Range(-30, 30) deg"')
-    path = tmp_path / 'mine.scenic'
-    path.write_text(mended(FIGURE_3))
+    path.write_text(FIGURE_3)
     with SceneSource(str(path), seed=0) as source:
         scenes = [source.scene(index) for index in range(200)]
         assert ['rain_percent is a fraction' in note for note in source.notes] == [True]
@@ -123,7 +100,7 @@ def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> 
 
 def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
     path = tmp_path / 'mine.scenic'
-    path.write_text(mended(FIGURE_3))
+    path.write_text(FIGURE_3)
     ours = tmp_path / 'ours.scenic'
     text = path.read_text()
     for before, after in (
@@ -142,59 +119,25 @@ def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
             assert drawn == said_here
 
 
-@pytest.mark.parametrize(('text', 'line', 'end'), [
-    ('ego = new Plane at (0, 400)\n', 1, 'not defined; write "model runway_world" as first line'),
-    ('param clouds = Uniform(*CLOUDS)\n', 1, 'write "model runway_world" as first line'),
-    (MODEL + 'ego = Plane at (0, 4)\n', 2, 'line 2 "ego = new Plane at (0, 4)"'),
-    (MODEL + 'ego = Plane at 0 @ 4, facing 3 deg\n', 2,
-     'line 2 "ego = new Plane at 0 @ 4, facing 3 deg"'),
-    (MODEL + 'ego = Plane\n', 2, 'line 2 "ego = new Plane"'),
-    (MODEL + 'spot = OrientedPoint at 3 @ 4\n', 2, 'line 2 "spot = new OrientedPoint at 3 @ 4"'),
-    (MODEL + 'ego = new Plane at (-8, 8) @ (0, 2000)\n', 2,
-     'line 2 "ego = new Plane at Range(-8, 8) @ Range(0, 2000)"'),
-    (MODEL + 'ego = new Plane at (0, 4), facing (-30, 30) deg\n', 2,
-     'line 2 "ego = new Plane at (0, 4), facing Range(-30, 30) deg"'),
-    (MODEL + 'ego = new Plane at (0, 4), facing (-30, 30)\n', 2,
-     'line 2 "ego = new Plane at (0, 4), facing Range(-30, 30)"'),
-    (MODEL + 'param time_of_day = (6, 18)\nego = new Plane at (0, 4)\n', 2,
-     'line 2 "param time_of_day = Range(6, 18)"'),
-    (MODEL + 'rd = Options({(0, 4): 1, (4, 8): 2})\nego = new Plane at (0, rd)\n', 3,
-     'line 2 "rd = Options({Range(0, 4): 1, Range(4, 8): 2})"'),
-    (MODEL + 'rd = (0, 400)\nego = new Plane at (0, rd)\n', 0, 'line 2 "rd = Range(0, 400)"'),
-    (MODEL + 'sky = Options({("clear", 0): 1, ("stratus", (25, 100)): 1})\nparam clouds = sky[0]\n'
-     'param rain = sky[1]\nego = new Plane at (0, 4)\n', 4,
-     'line 2 "sky = Options({("clear", 0): 1, ("stratus", Range(25, 100)): 1})"'),
-    ('from scenic.simulators.xplane.model import *\nego = Plane at 3 @ 4\n', 2,
-     'line 1 "model runway_world", line 2 "ego = new Plane at 3 @ 4"'),
-])
-def test_s10_a_line_of_scenic_1_or_2_is_shown_in_scenic_3(
-    client: Any, tmp_path: Path, text: str, line: int, end: str
-) -> None:
-    place, message = said(client, tmp_path, text)
-    assert message.endswith(end)
-    assert place == line
-
-
-@pytest.mark.parametrize(('text', 'message'), [
+@pytest.mark.parametrize(('text', 'end'), [
+    ('ego = new Plane at (0, 400)\n', 'not defined; write "model runway_world" as first line'),
+    ('param clouds = Uniform(*CLOUDS)\n', 'not defined; write "model runway_world" as first line'),
+    (MODEL + 'ego = Plane at 0 @ 4, facing 3 deg\n', 'see docs/scenic.md'),
+    (MODEL + 'ego = Plane\n', 'see docs/scenic.md'),
+    ('from scenic.simulators.xplane.model import *\nego = Plane at 3 @ 4\n', 'see docs/scenic.md'),
     (MODEL + 'x = 3 +\nego = new Plane at (0, 4)\n', 'invalid syntax'),
-    (MODEL + 'pair = (3, 4)\nego = new Plane at (0, nope)\n',
-     "NameError: name 'nope' is not defined"),
-    (MODEL + 'WORDS = ("a", "b")\nego = new Plane at (1 / 0, 4)\n',
-     'ZeroDivisionError: division by zero'),
-    (MODEL + 'area = PolygonalRegion([(0, 0), (3, 0), (3, 3)])\nego = new Plane in aera\n',
-     "NameError: name 'aera' is not defined"),
+    (MODEL + 'pair = (3, 4)\nego = new Plane at (0, nope)\n', "name 'nope' is not defined"),
 ])
-def test_s10_a_mistake_in_scenic_3_gets_no_hint(
-    client: Any, tmp_path: Path, text: str, message: str
+def test_s10_the_version_is_named_where_it_is_the_reason(
+    client: Any, tmp_path: Path, text: str, end: str
 ) -> None:
-    assert said(client, tmp_path, text)[1] == message
+    assert said(client, tmp_path, text)[1].endswith(end)
 
 
 @pytest.mark.parametrize('program', known_programs())
 def test_s10_the_shipped_programs_are_scenic_3(program: str) -> None:
     text = (shipped_folder() / f'{program}.scenic').read_text()
-    assert scenic3_lines(text) == {}
-    assert scenic3_hint(text, 'invalid syntax') == ''
+    assert version_hint(text, 'invalid syntax') == ''
 
 
 @pytest.mark.parametrize(('params', 'values'), [
@@ -290,7 +233,6 @@ def test_s10_rain_that_varies_as_the_paper_s_fraction_does_is_refused(
 def test_s10_a_hint_comes_with_file_and_line(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'old.scenic').write_text(FIGURE_8)
-    with pytest.raises(UsageError) as caught, SceneSource('old.scenic', seed=0):
+    with pytest.raises(UsageError, match=r'^old\.scenic:7: NameError: .* Scenic 1 or 2, and'), \
+            SceneSource('old.scenic', seed=0):
         pass
-    assert str(caught.value).startswith('old.scenic:7: NameError: ')
-    assert str(caught.value).endswith('line 7 "ego = new Plane at Range(-8, 8) @ rd"')

@@ -73,6 +73,7 @@ def test_given_a_campaign_when_analysed_then_tables_pictures_and_page_are_writte
     assert (baseline['label'], baseline['failed']['failures']) == ('taxinet', 0)
 
 
+@pytest.mark.nightly
 def test_t2_given_runs_that_a_sampler_chose_when_analysed_then_there_is_no_rate_and_no_zero(
     tmp_path, capsys
 ):

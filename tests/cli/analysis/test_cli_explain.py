@@ -76,6 +76,7 @@ def dataset(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly
 def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_each(
     taxinet, tmp_path
 ):
@@ -135,6 +136,7 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     assert 'The nearest training images' in (tmp_path / 'x' / 'explain.html').read_text()
 
 
+@pytest.mark.nightly
 def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags, taxinet):
     code, out, _ = taxinet(
         'explain', bags / 'truth', '--perception', 'original', '--frames', 1, '--out', 'x',

@@ -12,10 +12,10 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.simulators.flightgear import camera as flightgear_camera
-from taxinet_ros.simulators.flightgear import client
-from taxinet_ros.simulators.flightgear.scene import weather_of
-from tests.simulators.flightgear.flightgear_peer import FlightGearPeer, serving
+from taxinet_ros.extras.flightgear import camera as flightgear_camera
+from taxinet_ros.extras.flightgear import client
+from taxinet_ros.extras.flightgear.scene import weather_of
+from tests.extras.flightgear.flightgear_peer import FlightGearPeer, serving
 
 SCENE = Scenario(
     place='bikf_10', time_of_day_s=13 * 3600.0, clouds='broken', cross_track_m=4.0,
@@ -64,6 +64,7 @@ def bag(served: Peer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run.save_bag(tmp_path_factory.mktemp('bags') / 'theirs')
 
 
+@pytest.mark.nightly
 def test_given_the_runs_camera_then_it_takes_the_moments_again_in_other_scenes(
     bag, peer, taxinet, tmp_path
 ):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -11,9 +10,6 @@ import yaml
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.files.pages import PAGES_NAME
 
 TABLE = Path(__file__).parents[3] / 'bags' / 's_falsif_generic_400.parquet'
 
@@ -34,6 +30,7 @@ def test_given_a_shipped_odd_when_shown_then_cells_exclusions_and_counts_are_the
     assert told['feasible'] == {'cells': 29, 'pairs': 339, 'triples': 2041}
 
 
+@pytest.mark.nightly
 def test_given_the_recorded_table_when_measured_then_the_numbers_are_those_of_the_docs(
     taxinet, tmp_path
 ):
@@ -48,14 +45,6 @@ def test_given_the_recorded_table_when_measured_then_the_numbers_are_those_of_th
     assert (tmp_path / 'seen.png').read_bytes().startswith(b'\x89PNG')
     told = json.loads(taxinet(*command, '--json')[1])
     assert [one['covered'] for one in told['combinations']] == [29, 339, 1869]
-    campaign = tmp_path / 'c'
-    campaign.mkdir()
-    shutil.copyfile(TABLE, campaign / PARQUET_NAME)
-    (campaign / LEDGER_NAME).touch()
-    taxinet('odd', 'coverage', 'c/runs.parquet', '--odd', 's_falsif', '--plot', 'c/seen.png')
-    assert json.loads((campaign / PAGES_NAME).read_text())['pages'] == [
-        {'path': 'seen.png', 'title': 'Coverage of ODD s_falsif'}
-    ]
     found = tx.odd_coverage(TABLE, 's_falsif', below=0.2)
     assert [one.below for one in found.strengths] == [
         one['below_limit'] for one in told['combinations']

@@ -70,7 +70,6 @@ def test_given_python_then_it_has_the_cluster_too(here, tmp_path):
     (['--cluster', 'local:1', '--perception', 'external'], 'a perception that you start yourself'),
     (['--lag', '0'], '--lag 0: needs to be within 1..10000'),
     (['--lag', '3', '--workers', '4'], '--workers 4: needs to be within 1..3'),
-    (['--lag', '9', '--shard', '1/2'], '--lag 9: has no effect with --shard'),
 ])
 def test_given_what_does_not_go_together_then_it_is_refused_before_anything_is_begun(
     words, named, tmp_path

@@ -66,6 +66,7 @@ def whole(tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.nightly
 def test_given_a_search_by_two_loops_then_rows_and_bags_are_those_of_the_graph(whole, tmp_path):
     out = tmp_path / 'c'
     done = taxinet(*SEARCH, *LOOP, '--audit', '50%', '--workers', '2', '--out', out)
@@ -81,6 +82,7 @@ def test_given_a_search_by_two_loops_then_rows_and_bags_are_those_of_the_graph(w
     assert taxinet('doctor', out).returncode == 0
 
 
+@pytest.mark.nightly
 def test_given_a_campaign_on_one_engine_when_resumed_on_the_other_then_nothing_tells(
     whole, tmp_path
 ):
@@ -107,6 +109,7 @@ def test_given_a_plain_campaign_by_the_loop_then_rows_and_bags_are_those_of_the_
     assert taxinet('run', '--from', one, '--out', tmp_path / 'again').returncode == 0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('engine', ['loop', 'graph'])
 def test_given_a_plain_campaign_on_workers_then_rows_and_bags_are_those_of_one_at_a_time(
     engine, tmp_path
@@ -121,7 +124,7 @@ def test_given_a_plain_campaign_on_workers_then_rows_and_bags_are_those_of_one_a
     check_same(tmp_path / 'one', tmp_path / 'two')
 
 
-@pytest.mark.parametrize('command', ['run', 'falsify'])
+@pytest.mark.parametrize('command', ['run', pytest.param('falsify', marks=pytest.mark.nightly)])
 def test_given_a_perception_that_is_not_a_function_of_its_frame_then_an_audit_ends_the_campaign(
     command, tmp_path
 ):
@@ -144,6 +147,7 @@ def test_given_a_perception_that_is_not_a_function_of_its_frame_then_an_audit_en
     assert len(read_ledger(tmp_path / 'c' / 'ledger.jsonl').rows) == len(table)
 
 
+@pytest.mark.nightly
 def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_as_if_not(
     whole, tmp_path
 ):
@@ -162,6 +166,7 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
     check_same(whole, out)
 
 
+@pytest.mark.nightly
 def test_given_a_killed_loop_then_the_rows_are_the_same(whole, tmp_path):
     out = tmp_path / 'c'
     words = [*SEARCH, *LOOP, '--audit', '100', '--workers', '2', '--out', str(out)]
@@ -180,6 +185,7 @@ def test_given_a_killed_loop_then_the_rows_are_the_same(whole, tmp_path):
     pd.testing.assert_frame_equal(*tables)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('command', ['run', 'falsify'])
 def test_given_an_interrupt_then_what_is_recorded_is_complete_and_can_be_resumed(
     command, tmp_path
@@ -219,6 +225,7 @@ def test_given_what_needs_a_graph_then_one_line_names_it_and_nothing_is_left_beh
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_given_an_experiment_and_a_shrinking_by_the_loop_then_they_are_as_on_the_graph(tmp_path):
     (tmp_path / 'e.yaml').write_text("""
 program: nominal

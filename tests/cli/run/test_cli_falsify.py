@@ -91,23 +91,7 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
     assert 'found by ce in 10 runs' in (whole / 'learned.scenic').read_text()
 
 
-def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_path):
-    picture = tmp_path / 'learned.png'
-    choice = next(choice for choice in LearnedResult.read(whole).choices if choice.pieces)
-    name = choice.dimension.name
-    done = taxinet('learned', whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
-    assert (done.returncode, done.stderr) == (0, '')
-    assert 'Failures of truth on nominal, found by ce: 1 search of 10 runs' in done.stdout
-    assert '100.0% of the failures (95 % interval ' in done.stdout
-    assert 'to 100.0%); the program 100.0%' in done.stdout
-    assert picture.read_bytes().startswith(b'\x89PNG')
-    for words, said in (((whole, whole), 'is given twice'), ((tmp_path,), 'no such file'),
-                        ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):
-        refused = taxinet('learned', *words)
-        assert (refused.returncode, refused.stderr.count('\n')) == (2, 1)
-        assert said in refused.stderr
-
-
+@pytest.mark.nightly
 def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(whole, tmp_path):
     out = tmp_path / 'c'
     with begun('--workers', '2', '--out', str(out)) as search:
@@ -121,6 +105,7 @@ def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(who
     assert read_table(out)['retries'].sum() <= 1
 
 
+@pytest.mark.nightly
 def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_on(whole, tmp_path):
     out = tmp_path / 'c'
     with begun('--out', str(out), stderr=subprocess.PIPE) as search:
@@ -135,6 +120,7 @@ def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_
     same_runs(whole, out, 'run_id', 'bag', 'retries')
 
 
+@pytest.mark.nightly
 def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_as_if_not(
     whole, tmp_path
 ):
@@ -156,6 +142,7 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
     same_runs(whole, out)
 
 
+@pytest.mark.nightly
 def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resumed(tmp_path):
     out = tmp_path / 'c'
     long = ('duration=600' if word == 'duration=2' else word for word in WORDS)

@@ -195,6 +195,7 @@ def test_given_an_interrupt_then_the_run_ends_in_order_and_its_bag_is_whole(tmp_
     assert read_info(bag).complete
 
 
+@pytest.mark.nightly
 def test_given_the_demo_then_there_are_three_campaigns_and_two_pictures(tmp_path):
     done = taxinet('demo', '--runs', '1', '--seed', '2', '--out', str(tmp_path / 'demo'))
     assert (done.returncode, done.stderr) == (0, '')

@@ -22,7 +22,7 @@ RUN = [
     '--set', 'rain=40', '--set', 'distance=1000', '--set', 'time_of_day=10',
 ]
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 @pytest.fixture(scope='module')

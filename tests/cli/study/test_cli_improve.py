@@ -22,7 +22,7 @@ WORDS = (
     '--workers', '1',
 )
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(tmp_path):

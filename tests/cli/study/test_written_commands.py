@@ -99,7 +99,7 @@ def robustness(path):
     return pd.read_parquet(path)['rho_near'].tolist()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize('name', DECIDES)
 def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
     tmp_path, taxinet, name,
@@ -157,7 +157,7 @@ def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
             row.scene[key] for row in campaign.rows}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_of_shrink_makes_the_shrunk_run_again(tmp_path, taxinet):
     campaign = made(taxinet, tmp_path, *DECIDES['place'][:2])
     run = Path('found') / campaign.rows[0].run_id
@@ -169,7 +169,7 @@ def test_the_command_of_shrink_makes_the_shrunk_run_again(tmp_path, taxinet):
     assert robustness('again/runs.parquet')[0] in rhos, shrunk
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_a_search_learned_runs_where_it_is_written(tmp_path, taxinet):
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)

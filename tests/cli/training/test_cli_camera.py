@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from taxinet_ros.analysis.camera import second_opinion
 from taxinet_ros.analysis.camera.sheets import scene_picture
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+
+pytestmark = pytest.mark.nightly
 
 Output = tuple[int, str, str]
 
@@ -50,26 +51,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lines.append(f'{k}.png,{cte},{heading},{distance}')
     (folder / 'labels.csv').write_text('\n'.join(lines))
     return folder
-
-
-def test_given_a_renderer_when_compared_then_there_are_tables_and_a_figure(taxinet, monkeypatch):
-    pytest.importorskip('mitsuba')
-    monkeypatch.setattr(second_opinion, 'HOURS', (9.0, 12.0))
-    monkeypatch.setattr(second_opinion, 'SCENES', second_opinion.SCENES[1:2])
-    code, out, err = taxinet('compare', '--against', 'mitsuba', '--set', 'distance=950')
-    assert (code, err) == (0, '')
-    assert 'kmwh_04 wing paint ' in out
-    assert 'pavement ' in out
-    assert '1 scenes, 0 with more than 1 px' in out
-    assert out.endswith('figure: bags/camera-compare-mitsuba.png\n')
-    assert picture_of('bags/camera-compare-mitsuba.png').shape == (900, 1400, 4)
-    monkeypatch.setattr(second_opinion, 'AIM_PX', 0.01)
-    code, out, err = taxinet('compare', '--against', 'mitsuba', '--json', '--out', 'f.png')
-    assert (code, err) == (1, 'figure: f.png\n')
-    values = json.loads(out)
-    assert (values['against'], values['missed_aim']) == ('mitsuba', 1)
-    assert values['scenes'][0]['markings']['measured'] > 100
-    assert [hour['hour'] for hour in values['light']['hours']] == [9, 12]
 
 
 def picture_of(path: str) -> np.ndarray:
@@ -172,21 +153,6 @@ BAD = {
     'unknown sky': (['sheet', '--clouds', 'fog'], "clouds is 'fog'"),
     'rain from a clear sky': (['sheet', '--clouds', 'clear', '--rain', '9'], 'rain needs clouds'),
     'unknown command': (['film'], 'film'),
-    'no folder, no renderer': (['compare'], 'give a folder DIR of labelled frames, or --against'),
-    'unknown renderer': (['compare', '--against', 'blender'], 'blender: unknown; known: mitsuba,'),
-    'frames and renderer': (['compare', 'DRIVE', '--against', 'mitsuba'], 'DIR: --against renders'),
-    'perception and renderer': (
-        ['compare', '--against', 'mitsuba', '--perception', 'taxinet'], '--perception: --against',
-    ),
-    'lens of a renderer': (
-        ['compare', '--against', 'mitsuba', '--set', 'camera=nose'], 'camera nose: its lens dis',
-    ),
-    'sky of a renderer': (['compare', '--against', 'mitsuba', '--set', 'clouds=broken'], 'clouds'),
-    'hour of a renderer': (['compare', '--against', 'mitsuba', '--set', 'time_of_day=9'], 'varies'),
-    'picture of a renderer': (['compare', '--against', 'mitsuba', '--out', 'f.jpg'], 'use f.png'),
-    'rain of FlightGear': (
-        ['compare', '--against', 'flightgear', '--set', 'crossing=off'], 'flightgear: crossing is',
-    ),
 }
 
 

@@ -83,6 +83,7 @@ def test_given_a_network_with_a_flipped_sign_when_measured_then_a_line_says_so(
     assert 'other sign' not in call(capsys, *words, 'left.py:Eyes')[1]
 
 
+@pytest.mark.nightly
 def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(tmp_path):
     out = tmp_path / 'set'
     words = ['dataset', 'nominal', '--count', '2000', '--out', str(out)]

@@ -19,6 +19,8 @@ from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
 
+pytestmark = pytest.mark.nightly
+
 NATIVE = Path(pixels.__file__).parent / 'native'
 TESTS = Path(__file__).parent
 INSTEAD = """

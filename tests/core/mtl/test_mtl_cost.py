@@ -13,6 +13,8 @@ import pytest
 from taxinet_ros.core.mtl import Monitor, parse_formula, parse_spec, robustness
 from taxinet_ros.errors import UsageError
 
+pytestmark = pytest.mark.nightly
+
 STEP = 100_000_000
 WAVES: dict[str, Callable[[int], float]] = {
     'swings in': lambda i: 6 * math.exp(-i / 40) * math.cos(i / 15),

@@ -6,11 +6,14 @@ import itertools
 import struct
 
 import mtl_reference as reference
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mtl_strategies import ATOMS, HORIZON, PLAIN_ATOMS, Trace, formulas, fuzz, random_traces, traces
 
 from taxinet_ros.core.mtl import Monitor, Reading, Spec, ast, parse_formula, robustness
+
+pytestmark = pytest.mark.nightly
 
 TRACES_PER_FORMULA = 10
 FORMULAS = 1_000

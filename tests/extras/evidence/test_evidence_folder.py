@@ -136,14 +136,6 @@ def test_given_markup_in_a_requirement_then_page_and_drawing_show_it_as_text(tmp
     assert '#60;script#62;x#60;/script#62; #34;quoted#34; #93;' in drawn
 
 
-def test_given_a_campaign_with_pages_then_these_link_to_the_evidence(tmp_path):
-    out = made(tmp_path, requirement=REQUIREMENT)
-    pages = json.loads((tmp_path / 'found' / 'pages.json').read_text(encoding='utf-8'))['pages']
-    assert [(one['path'], one['title']) for one in pages] == [
-        ('../evidence/evidence.html', 'Evidence toward REQ-7 (evidence)')]
-    assert not verified(out).damaged
-
-
 def test_given_a_folder_that_is_there_or_refused_inputs_then_nothing_is_written(tmp_path):
     made(tmp_path)
     with pytest.raises(UsageError, match='already exists'):

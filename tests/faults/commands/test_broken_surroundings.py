@@ -21,6 +21,8 @@ from typer.main import get_command
 
 from taxinet_ros.cli.main import app
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / 'bags' / 'golden' / 'truth-nominal')
 SCRIPT = Path(sys.prefix) / 'bin' / 'taxinet'
@@ -42,9 +44,9 @@ DOES_NOTHING = {
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'flightgear': ['nothing'], 'forecast': ['show', 'nowhere', 'nowhere'],
     'fork': ['nowhere', '--at', '1'],
-    'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'],
+    'gate': ['nowhere'], 'improve': ['nothing'],
     'live-monitor': ['nothing'], 'localize': ['nowhere'],
-    'merge': ['nowhere', '--out', 'merged'], 'monitor': ['nowhere'],
+    'monitor': ['nowhere'],
     'network': ['see', 'nowhere'], 'node': ['nothing'],
     'odd': ['show', 'nowhere'],
     'place': ['show', 'nowhere'], 'plan': ['nowhere', '--min-satisfaction', '0.9'],

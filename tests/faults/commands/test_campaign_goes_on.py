@@ -19,7 +19,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.nodes.running.domain import own_domain
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
 

@@ -14,7 +14,7 @@ from waiting import wait_for
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 RUNS = ['--perception', 'truth', '--images', 'none', '--set', 'duration=1', '--out', 'c']
 RUN = ['run', 'nominal', '--runs', '2000', *RUNS]

@@ -29,7 +29,7 @@ from taxinet_ros.processes.interrupts import (
     signals_handled,
 )
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 RUN = ('run', 'nominal', '--runs', '3', '--perception', 'truth', '--images', 'none',
        '--set', 'duration=600', '--out', 'c')

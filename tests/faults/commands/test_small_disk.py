@@ -16,7 +16,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import RECORDER
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 
 class NothingKeptFree(GraphOptions):

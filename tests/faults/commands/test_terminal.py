@@ -32,7 +32,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.running.domain import own_domain
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 CTRL_C = b'\x03'
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
@@ -100,7 +100,7 @@ def launch(folder: Path) -> tuple[list[str], Place]:
     )
     file = str(REPOSITORY / 'launch' / 'taxinet.launch.py')
     # Its runs take 30 s of simulated time each, so it is not over before the key is pressed.
-    words = [file, 'perception:=truth', 'program:=nominal', 'runs:=3', f'out:={folder}/c']
+    words = [file, 'perception:=truth', 'scenario:=nominal', 'runs:=3', f'out:={folder}/c']
     return [sys.executable, '-P', '-c', program, *words], Place(folder / 'c', folder / 'c/c-00000')
 
 

@@ -19,7 +19,6 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from tampering import tamper
 from waiting import wait_for
 
@@ -32,11 +31,8 @@ from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR, STEER
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.messages.convert import death_notice
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.leave import leave_graph
-from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.nodes.simulator import Simulator
-from taxinet_ros.nodes.steering_controller import SteeringController
 
 pytestmark = pytest.mark.ros
 
@@ -230,18 +226,6 @@ def test_ros21_given_nobody_who_asks_or_an_answer_that_fails_then_the_run_is_non
     assert (told.level, told.message) == (ERROR, 'ValueError: no idea')
 
 
-def test_ros21_given_a_remap_that_parts_a_node_then_it_warns_from_whom(tmp_path):
-    with own_domain() as domain, NodeExecutor(domain) as spinning, gathering(domain) as gatherer:
-        rule = ['--ros-args', '-r', 'taxi_command:=/elsewhere']
-        spinning.add(SteeringController(context=spinning.context, cli_args=rule))
-        spinning.add(Simulator(context=spinning.context))
-        words = 'no run; taxi_command is remapped to /elsewhere, but simulator subscribes to /taxi'
-        told = Future()
-        with once(
-            lambda: gatherer.told(STEERING_CONTROLLER, WARN, words),
-            lambda: told.set_result(None),
-        ):
-            spin_until(spinning.executor, told)
 
 
 def test_ros21_given_too_little_space_then_the_recorder_warns(tmp_path: Path, monkeypatch):

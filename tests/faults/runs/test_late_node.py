@@ -20,9 +20,9 @@ from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.simulator import Simulator
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-LATE_S = 10.0
+LATE_S = 5.0
 
 
 def stopped(children, name: str) -> int:
@@ -32,7 +32,7 @@ def stopped(children, name: str) -> int:
     return pid
 
 
-def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_whole(tmp_path):
+def test_given_a_node_that_starts_late_then_the_run_waits_and_is_whole(tmp_path):
     options = GraphOptions(
         perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': PATIENT_S},
     )

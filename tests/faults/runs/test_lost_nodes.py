@@ -19,9 +19,9 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.bag.info import show_info
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR
+from taxinet_ros.nodes.interface import PERCEPTION, RECORDER, SIMULATOR
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FUTEX, *OTHER_WAITS = {
     'x86_64': ('202', '219', '45'), 'aarch64': ('98', '128', '207'),
@@ -31,7 +31,6 @@ FUTEX, *OTHER_WAITS = {
 FUTEX_COMMAND, FUTEX_WAITS = 0x7F, (0, 9)
 """Mask without a futex operation's flags, and the operations that wait: the others wake."""
 
-NODES = (SIMULATOR, *PARTICIPANTS)
 KIND = {
     signal.SIGKILL: ('died', ('killed by SIGKILL',)),
     # Where another node was silent first, on a busy machine, the recorder is missed at the end.
@@ -39,7 +38,7 @@ KIND = {
 }
 
 
-@pytest.mark.parametrize('who', NODES)
+@pytest.mark.parametrize('who', [SIMULATOR, PERCEPTION, RECORDER])
 @pytest.mark.parametrize('number', KIND, ids=lambda number: number.name)
 def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag_stays(
     number, who, tmp_path, capfd

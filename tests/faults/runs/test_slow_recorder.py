@@ -15,7 +15,7 @@ from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 FORMULAS = tuple(f'within_{k}=always(abs(cte) <= {k})' for k in range(5, 17))
 LOOK_S = 0.3

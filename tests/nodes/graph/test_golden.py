@@ -41,8 +41,7 @@ def test_given_a_golden_scene_when_run_again_then_the_bag_is_the_same(name, agai
         GOLDEN / name, out / name, perception=runs[name].perception,
         to_the_bit=same_stack(GOLDEN),
     )
-    # What was recorded anew on 2026-11-23 has transforms, which follow from odometry.
-    assert sum(topic.counts[0] for topic in found.topics) == (975 if name == NAMES[3] else 1097)
+    assert sum(topic.counts[0] for topic in found.topics) == 1097
     assert found.equal, [str(topic) for topic in found.topics if not topic.equal]
 
 

@@ -15,12 +15,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import yaml
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.launch_plan import (
     ARGUMENTS,
-    CLOCK_REMAP,
     Ending,
     NodePlan,
     check_names,
@@ -103,7 +101,7 @@ def test_r11_given_nodes_of_somebody_s_own_then_they_are_awaited_or_started():
     outside = planned(perception='external', controller='external')
     assert set(outside) == {'simulator', 'mtl_monitor', 'recorder', 'scenario_sampler'}
     started = planned(
-        perception_cmd='env my_node --fast', controller='cmd:env mine', namespace='a/b'
+        perception='cmd:env my_node --fast', controller='cmd:env mine', namespace='a/b'
     )
     rules = ['-r', '__ns:=/a/b', '-r', '/clock:=clock']
     assert list(started['perception'].command) == [
@@ -140,9 +138,7 @@ def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_pa
         ({'lockstep': 'no'}, 'lockstep:=no: expected true or false'),
         ({'resume': 'perhaps'}, 'resume:=perhaps: expected true or false'),
         ({'perception': 'gone.py:look'}, 'gone.py: No such file'),
-        ({'perception': 'truth', 'perception_cmd': 'mine'}, 'give only one'),
-        ({'scenario': 'nominal', 'program': 'crossing'}, 'give only one'),
-        ({'controller_cmd': 'no-such-program-anywhere'}, 'no such program'),
+        ({'controller': 'cmd:no-such-program-anywhere'}, 'no such program'),
         ({'controller': 'cmd:'}, 'names no program'),
         ({'perception': 'external', 'namespace': '3x', 'controller': 'cmd:env x'}, 'namespace:=3x'),
     ],
@@ -165,25 +161,10 @@ def test_given_a_domain_or_a_parameter_file_that_is_none_then_one_line_names_it(
         namespace(words(namespace='3x'))
 
 
-def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignored():
+def test_given_a_misspelled_argument_then_it_is_refused_and_not_ignored():
     check_names(['perception:=truth', 'launch-prefix:=nice'])
     with pytest.raises(UsageError, match=r'perceptoin:=truth.*did you mean perception\?'):
         check_names(['runs:=3', 'perceptoin:=truth'])
-    with pytest.raises(UsageError, match=r'weights:=a\.onnx: renamed; use perception:=a\.onnx'):
-        check_names(['weights:=a.onnx'])
-
-
-@pytest.mark.parametrize(('one', 'other'), [
-    ('perception:=taxinet', 'perception_cmd:=mine'),
-    ('controller_cmd:=mine', 'controller:=steering'),
-    ('scenario:=s_falsif', 'program:=crossing'),
-])
-def test_r13_given_two_words_for_one_thing_then_a_default_that_was_typed_counts_too(one, other):
-    with pytest.raises(UsageError, match='give only one') as raised:
-        check_names([one, other])
-    assert one in str(raised.value)
-    assert other in str(raised.value)
-    check_names([one, other.partition(':=')[0] + ':='])
 
 
 @pytest.mark.parametrize(('code', 'left_with'), [(0, None), (1, 1), (4, 4), (130, 130), (-9, 4)])
@@ -210,54 +191,6 @@ def test_given_a_node_that_refuses_then_nothing_idles_and_one_that_dies_is_the_c
     assert ending.exit_code == (2 if ends else None)
 
 
-@pytest.mark.ros
-def test_r13_given_two_graphs_with_namespaces_on_one_domain_then_each_has_its_own_verdicts(
-    tmp_path,
-):
-    """As the launch file starts them, without launch."""
-    graphs = {
-        'left': words(perception='truth', scenario='nominal', out=str(tmp_path / 'left')),
-        'right/hand': words(perception='original', seed='1', out=str(tmp_path / 'right')),
-    }
-    ends = {}
-    with own_domain() as domain:
-        started: list[tuple[str, subprocess.Popen[bytes]]] = []
-        try:
-            for name, given in graphs.items():
-                given.update(namespace=name, runs='2', images='none')
-                started += [
-                    (f'{name} {node.name}', start(node, given, domain)) for node in plan(given)
-                ]
-            for name in graphs:
-                ends[name] = dict(started)[f'{name} scenario_sampler'].wait()
-        finally:
-            for _, process in started:
-                process.terminate()
-            codes = [process.wait() for _, process in started]
-    assert ends == {'left': 0, 'right/hand': 1}
-    assert sum(codes) == 1
-    # What taxinet run says of the same scenes, each on a domain of its own.
-    assert list(pd.read_csv(tmp_path / 'left' / 'runs.csv')['outcome']) == ['PASS', 'PASS']
-    assert 'FAIL' in list(pd.read_csv(tmp_path / 'right' / 'runs.csv')['outcome'])
-
-
-def start(node: NodePlan, given: dict[str, str], domain: int) -> subprocess.Popen[bytes]:
-    """Start a node as launch_ros does."""
-    options = ['-r', f'__node:={node.name}', '-r', f'__ns:={namespace(given)}']
-    options += ['-r', ':='.join(CLOCK_REMAP)]
-    parameters = {**node.parameters}
-    if node.name == 'scenario_sampler':
-        parameters['set'] = ['duration=1']
-    if parameters:
-        file = Path(given['out']).with_suffix(f'.{node.name}.yaml')
-        file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
-        options += ['--params-file', str(file)]
-    return subprocess.Popen(
-        [str(NODES / node.executable), '--ros-args', *options],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-    )
-
-
 def launched(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """What ``ros2 launch`` does, on a domain that nobody else uses."""
     (folder / 'short.yaml').write_text(SHORT)
@@ -282,7 +215,7 @@ def launched(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         (('perception:=original', 'controller:=own.py:straight', 'seed:=1', 'namespace:=n/m'), 1),
         (
             (
-                f'perception_cmd:={sys.executable} {REPOSITORY}/examples/own_perception.py',
+                f'perception:=cmd:{sys.executable} {REPOSITORY}/examples/own_perception.py',
                 'scenario:=nominal', 'namespace:=n',
             ), 0,
         ),

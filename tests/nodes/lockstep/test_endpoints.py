@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from taxinet_ros.core import topics
 from taxinet_ros.nodes.interface import LOCKSTEP, Topic
-from taxinet_ros.nodes.lockstep.endpoints import HeardSpeakers, heard_by
+from taxinet_ros.nodes.lockstep.endpoints import heard_by, hears
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.leave import leave_graph
 
@@ -66,11 +66,10 @@ def test_given_real_nodes_then_both_ends_know_when_they_have_found_each_other():
         while speaks.get_subscription_count() < 1:
             executor.spin_once(timeout_sec=0.1)
         assert not heard_by(one, speaks, {'other'}), 'the echo is not taken for it'
-        hears = HeardSpeakers(other, TALK, print, raw=False, on_match=lambda: None)
-        while not (heard_by(one, speaks, {'other'}) and hears.settled(NODES)):
+        listens = other.create_subscription(String, 't', print, LOCKSTEP)
+        while not (heard_by(one, speaks, {'other'}) and hears(other, listens, TALK, NODES)):
             executor.spin_once(timeout_sec=0.1)
         assert speaks.get_subscription_count() == 2
-        hears.close()
         executor.shutdown()
         for node in (one, other, echo):
             leave_graph(node)

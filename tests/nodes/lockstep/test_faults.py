@@ -83,14 +83,14 @@ def test_given_a_result_that_is_lost_on_its_way_then_the_sampler_asks_again(tmp_
 def test_given_an_acceptance_that_is_lost_on_its_way_then_the_sampler_asks_for_the_result(
     tmp_path, monkeypatch
 ):
-    original, lost = sampler._RunClient.execute, []
+    original, lost = sampler.ActionClient.execute, []
 
     async def execute(self, taken):
         if 'goal' in taken and not lost:
             lost.append(taken.pop('goal'))
         await original(self, taken)
 
-    monkeypatch.setattr(sampler._RunClient, 'execute', execute)
+    monkeypatch.setattr(sampler.ActionClient, 'execute', execute)
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     with composed_graph(options) as graph:
         (result,) = run(graph, request(duration=1.0))

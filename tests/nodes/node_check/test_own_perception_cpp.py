@@ -19,6 +19,8 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.nodes.node_check.clauses import Status, judge
 from taxinet_ros.nodes.node_check.driver import CheckOptions, check_node, command_starter
 
+pytestmark = pytest.mark.nightly
+
 PACKAGE = Path(__file__).parents[3] / 'examples' / 'own_perception_cpp'
 CXX = os.environ.get('CXX', 'c++')
 SCENE = Scenario(distance_m=1000.0, time_of_day_s=10 * 3600.0)
@@ -64,7 +66,6 @@ def test_given_frames_without_paint_then_none_is_valid(estimate):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
 @pytest.mark.skipif(not RCLCPP, reason='rclcpp is not installed: the wheels lack it')
 def test_given_rclcpp_then_the_package_builds_and_its_node_keeps_the_contract(tmp_path):
     cmake = shutil.which('cmake', path=f'{sys.prefix}/bin{os.pathsep}{os.environ["PATH"]}')

@@ -17,7 +17,7 @@ import own_controller
 import own_perception
 import rclpy
 from rclpy.qos import ReliabilityPolicy
-from taxinet_msgs.msg import NodeStatus, Scenario, TaxiCommand
+from taxinet_msgs.msg import NodeStatus, Scenario
 
 ROLE, FAULTS = sys.argv[1], set(sys.argv[2].split(','))
 EXAMPLE = {'perception': own_perception.OwnPerception, 'controller': own_controller.OwnController}
@@ -36,29 +36,21 @@ class Answers:
     """Stands before the publisher of the answers, and spoils them."""
 
     def __init__(self, publisher):
-        self.publisher, self.count, self.run_id = publisher, 0, ''
+        self.publisher, self.count = publisher, 0
 
     def __getattr__(self, name):
         return getattr(self.publisher, name)
 
     def publish(self, answer):
         self.count += 1
-        if 'dies' in FAULTS and self.count == 3:
-            raise SystemExit('lost its mind')
         if 'silent' in FAULTS:
             return
-        if {'slow', 'very_slow'} & FAULTS:
-            time.sleep(0.4 if 'very_slow' in FAULTS else 0.11)
+        if 'slow' in FAULTS:
+            time.sleep(0.11)
         if ROLE == 'controller':
             self.spoil_command(answer)
-        elif 'nan' in FAULTS:
-            answer.valid, answer.heading_error = True, math.nan
-        if 'run_id' in FAULTS:
-            answer.run_id = 'another'
         if 'seq' in FAULTS:
             answer.seq += 1
-        if 'stamp' in FAULTS:
-            answer.header.stamp.nanosec += 1
         for _ in range(2 if 'twice' in FAULTS else 1):
             self.publisher.publish(answer)
 
@@ -71,8 +63,6 @@ class Answers:
             command.speed += self.count / 100
         if 'random' in FAULTS:
             command.speed += random.random()
-        if 'other_run' in FAULTS:
-            command.run_id = self.run_id
 
 
 class Wrong(EXAMPLE[ROLE]):
@@ -84,8 +74,6 @@ class Wrong(EXAMPLE[ROLE]):
         self.begun = 0
         if 'topics' in FAULTS:
             self.create_publisher(Scenario, 'scenario', own_controller.LATCHED)
-        if 'once' in FAULTS:
-            self.create_timer(0.02, lambda: self.answers.publisher.publish(TaxiCommand()))
 
     def create_publisher(self, kind, topic, qos):
         if topic == 'taxi_command' and 'types' in FAULTS:
@@ -97,22 +85,17 @@ class Wrong(EXAMPLE[ROLE]):
     def create_subscription(self, kind, topic, callback, qos):
         if topic == 'scenario' and 'qos' in FAULTS:
             qos = own_controller.EACH_STEP
-        if topic == LISTENS and 'deadline' in FAULTS:
-            qos = rclpy.qos.QoSProfile(depth=16, deadline=rclpy.duration.Duration(seconds=1))
         return super().create_subscription(kind, topic, callback, qos)
 
     def begin(self, scenario):
         self.begun += 1
-        if 'dies_at_4' in FAULTS and self.begun == 4:
+        if 'dies_at_2' in FAULTS and self.begun == 2:
             os._exit(7)
-        self.answers.run_id = scenario.run_id
         if 'remembers' not in FAULTS:
             self.answers.count = 0
         if 'waits' in FAULTS:
             self.status.publish(ready(scenario.run_id))
-        elif 'uninvited' in FAULTS:
-            self.scenario = scenario
-        elif 'ready' not in FAULTS and not ('ready_again' in FAULTS and self.begun > 1):
+        elif not ('ready_again' in FAULTS and self.begun > 1):
             super().begin(scenario)
 
     def see(self, image):
@@ -132,9 +115,6 @@ def main():
     others = []
     if 'two' in FAULTS:
         others.append(rclpy.create_node('x'))  # called as the first, by the command line
-    if 'namesake' in FAULTS:
-        others.append(rclpy.create_node('recorder', use_global_arguments=False))
-        others[-1].create_publisher(NodeStatus, 'lockstep/progress', own_controller.EACH_STEP)
     if 'deaf' in FAULTS:
         rclpy.signals.uninstall_signal_handlers()
         signal.signal(signal.SIGINT, signal.SIG_IGN)

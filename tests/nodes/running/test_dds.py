@@ -1,4 +1,4 @@
-"""Who can be on a ROS domain, as the machine's UDP ports tell it.
+"""Whether somebody is on a ROS domain, as the machine's UDP ports tell it.
 
 What Fast DDS is told for every node of ours: to ask early for what was lost on its way.
 """
@@ -9,10 +9,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import Mock
 from xml.etree import ElementTree
 
-import psutil
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -20,37 +18,26 @@ from rclpy.node import Node
 
 import taxinet_ros.nodes
 from taxinet_ros.nodes.running import domain
-from taxinet_ros.nodes.running import domain as dds_ports
-from taxinet_ros.nodes.running.domain import anybody_here, own_domain, refuse_neighbours
+from taxinet_ros.nodes.running.domain import in_use, own_domain, refuse_neighbours
 from taxinet_ros.nodes.running.leave import leave_graph
 
 
 def test_given_a_domain_then_its_ports_tell_whether_a_node_is_there():
     with own_domain() as number:
-        assert anybody_here(number) is False
+        assert not in_use(number)
         context = Context()
         rclpy.init(context=context, domain_id=number)
         node = Node('somebody', context=context)
         try:
-            assert anybody_here(number)
+            assert in_use(number)
         finally:
             leave_graph(node)
             rclpy.try_shutdown(context=context)
 
 
-def test_given_another_middleware_or_system_then_nothing_is_sure(monkeypatch):
-    with own_domain() as number:
-        with monkeypatch.context() as patch:
-            patch.setattr(dds_ports, 'get_rmw_implementation_identifier', lambda: 'rmw_zenoh_cpp')
-            assert anybody_here(number) is None
-        monkeypatch.setattr(psutil, 'net_connections', Mock(side_effect=psutil.AccessDenied))
-        assert anybody_here(number) is None
-
-
 def test_given_nobody_there_then_only_who_may_be_on_other_machines_is_looked_for(monkeypatch):
     looked: list[float] = []
-    monkeypatch.setattr(domain, 'clock_keepers', lambda *_, **__: looked.append(1.0) or [])
-    monkeypatch.setattr(domain, '_LOOK_FAR_S', 0.1)
+    monkeypatch.setattr(domain, '_clocks_on', lambda *_: looked.append(1.0) or [])
     with own_domain() as number:
         refuse_neighbours(number)
         assert not looked

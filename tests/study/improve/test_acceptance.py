@@ -13,6 +13,8 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.study.improve.acceptance import _bound, _score, decide
 
+pytestmark = pytest.mark.nightly
+
 ALPHA = 0.05
 
 

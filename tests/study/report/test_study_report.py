@@ -15,14 +15,13 @@ from study_examples import FAILING, PROBABILITIES, RUNS, made_up_study
 
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.pages import PAGES_NAME
 from taxinet_ros.study.report.claim import Verdict
 from taxinet_ros.study.report.paper import judge_claims
 from taxinet_ros.study.report.report import gather_findings, study_values, write_study_report
 from taxinet_ros.study.report.results import read_results
 from taxinet_ros.study.report.sections import StudyFindings, study_sections
 from taxinet_ros.study.stages.config import read_study
-from taxinet_ros.study.stages.plan import FALSIFY, campaign_of
+from taxinet_ros.study.stages.plan import campaign_of
 
 __all__ = ['browser']
 
@@ -197,11 +196,6 @@ def test_given_the_page_when_opened_then_it_is_whole_and_quiet(browser, study):
             assert cells[:2] == ['original', str(RUNS - 1)]
             wide = 'document.documentElement.scrollWidth - document.documentElement.clientWidth'
             assert page.tab.evaluate(wide) == 0
-
-
-def test_given_a_report_then_it_is_among_the_pages_of_the_search_it_is_about(study):
-    listed = json.loads((study / FALSIFY / PAGES_NAME).read_text())['pages']
-    assert {'path': '../report/case_study.html', 'title': 'The case study'} in listed
 
 
 def test_given_a_study_without_any_campaign_then_there_is_nothing_to_report(tmp_path):

@@ -81,11 +81,12 @@ def test_t14_study_given_the_searches_then_there_is_one_for_each_rule_and_seed()
     for sampler in ('ce', 'ce-verifai'):
         for seed in (2, 3, 4, 5, 6):
             words = searches[f'learn-{sampler}-{seed}']
-            assert words.startswith(f'falsify s_falsif_ce --sampler {sampler} --seed {seed} ')
+            rule = ' --sampler-option rule=verifai' if sampler == PAPER_RULE else ''
+            assert words.startswith(f'falsify s_falsif_ce --sampler ce{rule} --seed {seed} ')
             assert f'--perception {weights_of("generic")} ' in words
             assert ' --runs 1200 ' in words
     assert LEARNED_PROGRAM == 'learn-ce-verifai-2/learned.scenic'
-    assert SAMPLERS[PAPER_RULE].options['alpha'].default == 0.9  # VerifAI's own
+    assert SAMPLERS['ce'].rules['verifai'].options['alpha'].default == 0.9  # VerifAI's own
 
 
 def test_the_third_arm_trains_on_what_the_papers_rule_learned_where_there_is_a_search_by_it():

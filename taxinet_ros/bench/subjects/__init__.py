@@ -1,1 +1,0 @@
-"""Subjects of the benchmark: the closed loop, the graph, components, campaigns."""

@@ -1,0 +1,460 @@
+"""A running X-Plane: paused, placed, read back, settled and released, by its own clock.
+
+Nothing is believed because it was sent: every value that decides a result is read back. Waiting is
+counted in frames and seconds of the simulator; the clock of the wall only limits it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import itertools
+import math
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from taxinet_ros.core.datarefs import split_name
+from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import AircraftState
+from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
+from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect
+from taxinet_ros.extras.xplane.setup import XPlaneSetup
+from taxinet_ros.extras.xplane.sky import (
+    REGENERATE,
+    Setting,
+    major,
+    time_settings,
+    weather_settings,
+)
+from taxinet_ros.extras.xplane.wire import Value, address_of, failed
+
+POSITION = 'sim/flightmodel/position/'
+FRAME_MARKS = ('sim/time/total_running_time_sec', 'sim/time/framerate_period')
+"""A frame changes one of them at least, paused or not: the time that X-Plane has been up, and how
+long its last frame took."""
+FLIGHT_TIME = 'sim/time/total_flight_time_sec'
+"""Time of the simulation; it stands still while paused."""
+PAUSED, SPEED = 'sim/time/paused', 'sim/time/sim_speed'
+HELD = 'sim/operation/override/override_planepath[0]'
+NAME = 'sim/aircraft/view/acf_ui_name'
+VERSION = 'sim/version/xplane_internal_version'
+LATITUDE, LONGITUDE = f'{POSITION}latitude', f'{POSITION}longitude'
+HEIGHT = f'{POSITION}y_agl'
+TRUE_HEADING = f'{POSITION}true_psi'
+
+NEAR_M, NEAR_DEG = 0.02, 0.05
+"""Greatest differences of a pose that is read back."""
+_MOST_TRIES = 8
+MOST_AWAY_M = 30_000.0
+_SETTLE_FRAMES = 2
+_RELEASES = 3
+_MERIDIAN_M = 111_132.0
+"""Length of a degree of latitude at 45° [m]; poses are corrected until they are read back."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pose:
+    """Where the user's aircraft is.
+
+    Attributes:
+        position: as X-Plane counts it.
+        height_m: of its reference point above X-Plane's ground [m].
+    """
+
+    position: Position
+    height_m: float
+
+    def state(self, scenario: Scenario, speed_mps: float, rate_degps: float) -> AircraftState:
+        """The state in ``map``.
+
+        Args:
+            scenario: at whose place it is.
+            speed_mps: ground speed.
+            rate_degps: rate of the heading, clockwise positive.
+        """
+        there, frame = self.position, runway_frame(scenario.runway)
+        found = frame.to_map(GeodeticPose(
+            latitude_rad=math.radians(there.latitude_deg),
+            longitude_rad=math.radians(there.longitude_deg),
+            altitude_m=frame.elevation_m + self.height_m,
+            heading_rad=math.radians(there.heading_deg),
+        ))
+        return AircraftState(
+            x_m=found.x_m, y_m=found.y_m, z_m=self.height_m,
+            roll_rad=math.radians(there.roll_deg), pitch_rad=-math.radians(there.pitch_deg),
+            yaw_rad=found.yaw_rad, speed_mps=speed_mps, yaw_rate_radps=-math.radians(rate_degps),
+        )
+
+
+def pose_of(scenario: Scenario, state: AircraftState) -> Pose:
+    """A state in ``map`` as X-Plane counts it; heights are above its own ground."""
+    there = runway_frame(scenario.runway).to_geodetic(
+        MapPose(x_m=state.x_m, y_m=state.y_m, z_m=state.z_m, yaw_rad=state.yaw_rad)
+    )
+    return Pose(
+        height_m=state.z_m,
+        position=Position(
+            latitude_deg=math.degrees(there.latitude_rad),
+            longitude_deg=math.degrees(there.longitude_rad), altitude_m=there.altitude_m,
+            pitch_deg=-math.degrees(state.pitch_rad), roll_deg=math.degrees(state.roll_rad),
+            heading_deg=math.degrees(there.heading_rad),
+        ),
+    )
+
+
+class XPlane:
+    """A running X-Plane; all methods raise InfraError where it does not do its part.
+
+    Attributes:
+        link: open interface.
+        version: of X-Plane, as ``12.4.0``.
+    """
+
+    def __init__(self, setup: XPlaneSetup) -> None:
+        """Wait for our turn, and connect.
+
+        Raises:
+            InfraError: nothing answers.
+            UsageError: unknown host.
+        """
+        self.setup, self._up_s = setup, 0.0
+        self._watched: Iterator[Callable[[], None]] = iter(())
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(_alone(setup))
+            self.link = setup.open()
+            opened.callback(self.link.close)
+            self.version = self.link.version or f'{self.number(VERSION):.0f}'
+            major(self.version)
+            self._opened = opened.pop_all()
+
+    def close(self, *overrides: str) -> None:
+        """Let the aircraft go, resume the simulation, and disconnect.
+
+        Args:
+            overrides: further overrides to be ended.
+        """
+        with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been told
+            for _ in range(_RELEASES):  # over UDP nothing is confirmed
+                for name in (*overrides, HELD):
+                    self.link.write(name, 0.0)
+                self.link.write(SPEED, 1.0)
+                if not any(self.numbers(HELD, PAUSED)):
+                    break
+
+    def number(self, name: str) -> float:
+        """Read a number."""
+        return self.numbers(name)[0]
+
+    def numbers(self, *names: str) -> list[float]:
+        """Read numbers."""
+        return [_number(name, value) for name, value in zip(
+            names, self.link.read(*names), strict=True
+        )]
+
+    # Time
+
+    def frames(self, count: int) -> None:
+        """Wait until it has drawn frames."""
+        limit = _Limit(self.setup.timeout_s)
+        last = self._marks()
+        while count > 0:
+            now = self._marks()
+            if now != last:
+                last, count, limit = now, count - 1, _Limit(self.setup.timeout_s)
+            limit.check('it draws no frames: minimised, loading, or hanging?')
+
+    def _marks(self) -> list[float]:
+        """What a frame changes; the time that X-Plane has been up only grows."""
+        marks = self.numbers(*FRAME_MARKS)
+        if marks[0] < self._up_s:
+            raise failed(
+                InfraKind.DIED, f'X-Plane has been up for {marks[0]:.1f} s, before it was '
+                f'{self._up_s:.1f} s: it was restarted during the run'
+            )
+        self._up_s = marks[0]
+        return marks
+
+    def pause(self, paused: bool) -> None:
+        """Pause or resume, and wait until it has."""
+        self.link.write(SPEED, 0.0 if paused else 1.0)
+        limit = _Limit(self.setup.timeout_s)
+        while bool(self.number(PAUSED)) != paused:
+            limit.check('it cannot be paused' if paused else 'it stays paused')
+
+    def run_until(self, flight_time_s: float, since_s: float = -math.inf) -> float:
+        """Let the simulation run to a time of its own, and pause it.
+
+        Args:
+            flight_time_s: the time [s].
+            since_s: time that it has reached already [s].
+
+        Returns:
+            The time at which it stands, some frames later [s].
+        """
+        limit, last = _Limit(self.setup.timeout_s), self.time_s(since_s)
+        self.link.write(SPEED, 1.0)
+        while (now := self.time_s(last)) < flight_time_s:
+            if now != last:
+                last, limit = now, _Limit(self.setup.timeout_s)
+            limit.check('its time stands still: is it paused, or a menu open in it?')
+        self.pause(True)
+        return self.time_s(now)
+
+    def time_s(self, least_s: float = -math.inf) -> float:
+        """Time of the simulation [s], which has reached another already."""
+        now = self.number(FLIGHT_TIME)
+        if now < least_s:
+            raise failed(
+                InfraKind.SIM, f'its time went back from {least_s:.2f} to {now:.2f} s: was the '
+                'flight begun anew, or a replay shown?'
+            )
+        return now
+
+    def check_still(self, time_s: float) -> None:
+        """Check that its time has stood still since a moment, as it does while it is paused."""
+        if (now := self.time_s(time_s)) > time_s:
+            raise failed(
+                InfraKind.SIM, f'its time went on by {now - time_s:.2f} s though it was paused: '
+                'did somebody resume it?'
+            )
+
+    # Start of a run
+
+    def begin(self, scenario: Scenario, start: Pose, *, moves: bool) -> None:
+        """Pause, hold the aircraft, place it, set time and weather, settle, and pause again.
+
+        Args:
+            scenario: with place, time and weather.
+            start: of the aircraft.
+            moves: whether X-Plane will move the aircraft.
+
+        Raises:
+            InfraError: a step is not confirmed, or another aircraft is loaded.
+            UsageError: a dataref of the user cannot be written.
+        """
+        self.check_aircraft()
+        for name in scenario.dataref_values:
+            if trouble := self.link.trouble(name):
+                raise UsageError(f'datarefs: {trouble}')
+        self.pause(True)
+        away_m = _away_m(self.pose().position, start.position)
+        if not away_m <= MOST_AWAY_M:
+            raise failed(
+                InfraKind.NOT_READY, f'X-Plane is {away_m / 1000:.0f} km from the runway; start it '
+                'there'
+            )
+        self.link.write(HELD, 1.0)
+        self.place(start)
+        time = time_settings(scenario, self.setup.settle_s)
+        ours = [*time, *weather_settings(scenario, self.version, moves=moves)]
+        theirs = [Setting(name=name, value=one) for name, one in scenario.dataref_values.items()]
+        for one in (*ours, *theirs):
+            self.link.write(one.name, one.value)
+        if major(self.version) >= 12:
+            self.link.command(REGENERATE)
+        if self.setup.settle_s:
+            self.run_until(self.time_s() + self.setup.settle_s)
+        self.frames(_SETTLE_FRAMES)
+        replaced = {split_name(one.name)[0] for one in theirs}
+        kept = [*(one for one in ours if split_name(one.name)[0] not in replaced), *theirs]
+        for one in kept:
+            self.check(one)
+        self.place(start)
+        if moves:  # time goes on, and with it what is theirs may change
+            kept = [one for one in ours[len(time):] if one in kept]
+        self._watched = itertools.cycle([
+            *(functools.partial(self.check, one) for one in kept), self.check_aircraft,
+        ])
+
+    def check_next(self) -> None:
+        """Check that one of the things set for the run, each time the next, is still as it was.
+
+        All at once would take as many questions as a picture does.
+        """
+        next(self._watched)()
+
+    def check_aircraft(self) -> None:
+        """Check that the required aircraft is loaded."""
+        if not self.setup.aircraft:
+            return
+        (name,) = self.link.read(NAME)
+        if self.setup.aircraft not in str(name):
+            raise failed(
+                InfraKind.SIM, f'the aircraft is {name!r:.80}, expected {self.setup.aircraft!r}; '
+                'load it'
+            )
+
+    def check(self, wanted: Setting) -> None:
+        """Check that a setting is read back as it was set."""
+        (now,) = self.link.read(wanted.name)
+        asked = wanted.value if isinstance(wanted.value, tuple) else (wanted.value,)
+        told = now if isinstance(now, tuple) else (_number(wanted.name, now),)
+        if len(asked) > len(told) or any(
+            abs(one - other) > wanted.within + 1e-5 * abs(one)
+            for one, other in zip(asked, told, strict=False)
+        ):
+            raise failed(
+                InfraKind.SIM, f'{wanted.name} is {_short(told)} after it was set to '
+                f'{_short(asked)}'
+            )
+
+    # Where the aircraft is
+
+    def pose(self) -> Pose:
+        """Where the aircraft is."""
+        if isinstance(self.link, XPlaneConnect):
+            return Pose(position=self.link.position(), height_m=self.number(HEIGHT))
+        latitude, longitude, height, heading, pitch, roll = self.numbers(
+            LATITUDE, LONGITUDE, HEIGHT, TRUE_HEADING, f'{POSITION}theta', f'{POSITION}phi'
+        )
+        return Pose(height_m=height, position=Position(
+            latitude_deg=latitude, longitude_deg=longitude, altitude_m=math.nan, pitch_deg=pitch,
+            roll_deg=roll, heading_deg=heading,
+        ))
+
+    def place(self, wanted: Pose) -> None:
+        """Place the held aircraft, and correct until it is where it should be.
+
+        X-Plane's local coordinates, heights and headings follow from a frame of its own, so what
+        is read back differs at first.
+        """
+        for tried in range(_MOST_TRIES):
+            now = self.pose()
+            away = _difference(wanted, now)
+            if away.near:
+                return
+            if tried == _MOST_TRIES - 1:
+                break
+            self._move(wanted, now, away)
+            self.frames(_SETTLE_FRAMES)
+        raise failed(
+            InfraKind.SIM, f'the aircraft stays {math.hypot(away.east_m, away.north_m):.2f} m, '
+            f'{away.up_m:+.2f} m in height and {away.turn_deg:.2f} deg from where it was placed; '
+            'does another program move it?'
+        )
+
+    def _move(self, wanted: Pose, now: Pose, away: _Away) -> None:
+        there = wanted.position
+        if isinstance(self.link, XPlaneConnect):
+            self.link.place(Position(
+                latitude_deg=there.latitude_deg, longitude_deg=there.longitude_deg,
+                altitude_m=now.position.altitude_m + away.up_m, pitch_deg=there.pitch_deg,
+                roll_deg=there.roll_deg, heading_deg=there.heading_deg,
+            ))
+            return
+        x_m, y_m, z_m, heading_deg = self.numbers(
+            *(f'{POSITION}{name}' for name in ('local_x', 'local_y', 'local_z', 'psi'))
+        )
+        # Local north differs from the true one by the convergence of the meridians.
+        bend_deg = _turn(now.position.heading_deg, heading_deg)
+        sin, cos = math.sin(math.radians(bend_deg)), math.cos(math.radians(bend_deg))
+        heading_deg = (there.heading_deg - bend_deg) % 360
+        for name, value in (
+            ('local_x', x_m + away.east_m * cos - away.north_m * sin),
+            ('local_y', y_m + away.up_m),
+            ('local_z', z_m - away.east_m * sin - away.north_m * cos),
+            ('psi', heading_deg), ('theta', there.pitch_deg), ('phi', there.roll_deg),
+            ('q', _quaternion(heading_deg, there.pitch_deg, there.roll_deg)),
+        ):
+            self.link.write(f'{POSITION}{name}', value)
+
+
+@contextlib.contextmanager
+def _alone(setup: XPlaneSetup) -> Iterator[None]:
+    """Context in which no other run of this user uses this X-Plane; waits for it."""
+    name = f'taxinet-xplane-{os.getuid()}-{address_of(setup.host)}-{setup.port}.lock'
+    path = Path(tempfile.gettempdir(), name)
+    try:
+        lock = path.open('a')
+    except OSError as error:
+        raise failed(InfraKind.NOT_READY, f'{path}: {error.strerror}') from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            warn_once(f'x-plane at {setup.host}:{setup.port}: another run uses it; waiting')
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+class _Limit:
+    """Limit of the wall's clock for something that the simulator does."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s, self._until = limit_s, time.monotonic() + limit_s
+
+    def check(self, otherwise: str) -> None:
+        if time.monotonic() > self._until:
+            raise failed(InfraKind.TIMEOUT, f'after {self._limit_s:g} s {otherwise}')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Away:
+    """What is missing to a pose."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+    turn_deg: float
+
+    @property
+    def near(self) -> bool:
+        return (
+            math.hypot(self.east_m, self.north_m) <= NEAR_M and abs(self.up_m) <= NEAR_M
+            and self.turn_deg <= NEAR_DEG
+        )
+
+
+def _difference(wanted: Pose, now: Pose) -> _Away:
+    one, other = wanted.position, now.position
+    parallel_m = _MERIDIAN_M * math.cos(math.radians(one.latitude_deg))
+    return _Away(
+        east_m=_turn(one.longitude_deg, other.longitude_deg) * parallel_m,
+        north_m=(one.latitude_deg - other.latitude_deg) * _MERIDIAN_M,
+        up_m=wanted.height_m - now.height_m,
+        turn_deg=max(
+            abs(_turn(getattr(one, name), getattr(other, name)))
+            for name in ('heading_deg', 'pitch_deg', 'roll_deg')
+        ),
+    )
+
+
+def _away_m(one: Position, other: Position) -> float:
+    away = _difference(Pose(position=one, height_m=0.0), Pose(position=other, height_m=0.0))
+    return math.hypot(away.east_m, away.north_m)
+
+
+def _turn(to_deg: float, from_deg: float) -> float:
+    """Smallest turn from one direction to another [deg]."""
+    return (to_deg - from_deg + 180) % 360 - 180
+
+
+def _quaternion(heading_deg: float, pitch_deg: float, roll_deg: float) -> tuple[float, ...]:
+    """X-Plane's quaternion: turns about down, right and ahead, the scalar first.
+
+    Source: "Moving the Plane", developer.x-plane.com.
+    """
+    cz, cy, cx = (math.cos(math.radians(one) / 2) for one in (heading_deg, pitch_deg, roll_deg))
+    sz, sy, sx = (math.sin(math.radians(one) / 2) for one in (heading_deg, pitch_deg, roll_deg))
+    return (
+        cz * cy * cx + sz * sy * sx,
+        cz * cy * sx - sz * sy * cx,
+        cz * sy * cx + sz * cy * sx,
+        sz * cy * cx - cz * sy * sx,
+    )
+
+
+def _number(name: str, value: Value) -> float:
+    if isinstance(value, float):
+        return value
+    raise failed(InfraKind.PROTOCOL, f'{name} is {value!r:.40}, expected a number')
+
+
+def _short(values: tuple[float, ...]) -> str:
+    return ', '.join(f'{one:g}' for one in values[:4]) + (', …' if len(values) > 4 else '')

@@ -1,0 +1,173 @@
+"""Time and weather of a scenario as datarefs, by version of X-Plane.
+
+X-Plane 11 (``sim/weather/``) has the six kinds of clouds that scenarios have, in their order.
+X-Plane 12 (``sim/weather/region/``) has layers of a type, a coverage, a base and a top, and a
+runway state instead of rain's consequences; its old datarefs no longer act. Coverage follows the
+oktas of the kind: scattered 3 to 4, broken 5 to 7, overcast 8 (WMO code table 2700).
+
+Sources: DataRefs.txt of X-Plane 11 and 12; "Weather Datarefs in X-Plane 12", developer.x-plane.com.
+Bases and tops are ours. Which of it a real X-Plane obeys is not checked (docs/xplane.md).
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from dataclasses import dataclass
+
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS
+from taxinet_ros.errors import InfraKind
+from taxinet_ros.extras.xplane.wire import failed
+
+_KNOT_MPS = 1852 / 3600
+_LAYERS, _WINDS = 3, 13
+_LEVEL_11_M = 2000.0
+_FRICTION_12 = {'dry': 0.0, 'wet': 2.0, 'icy': 11.0}
+"""Runway friction: 0 dry, 1 to 3 wet, 10 to 12 icy."""
+_STATIC = 3.0
+"""Weather that changes neither for better nor for worse."""
+
+REGENERATE = 'sim/operation/regen_weather'
+"""Command after which X-Plane 12 draws its clouds anew; other changes act at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """Clouds of X-Plane 12: type 0 cirrus, 1 stratus, 2 cumulus; coverage 0..1; m above ground."""
+
+    type: float
+    coverage: float
+    base_m: float
+    top_m: float
+
+
+_CLOUDS_12 = {
+    'clear': _Layer(0.0, 0.0, 8000.0, 8500.0),
+    'cirrus': _Layer(0.0, 0.5, 8000.0, 8500.0),
+    'scattered': _Layer(2.0, 0.44, 1500.0, 2700.0),
+    'broken': _Layer(2.0, 0.75, 1500.0, 2700.0),
+    'overcast': _Layer(2.0, 1.0, 1200.0, 2700.0),
+    'stratus': _Layer(1.0, 1.0, 600.0, 2000.0),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setting:
+    """A value to be set and read back.
+
+    Attributes:
+        name: of the dataref.
+        value: its value.
+        within: greatest difference of what is read back.
+    """
+
+    name: str
+    value: float | tuple[float, ...]
+    within: float = 1e-3
+
+
+def major(version: str) -> int:
+    """Major version: 11 of ``11.55`` and of ``115501``.
+
+    Raises:
+        InfraError: it is none.
+    """
+    head = version.partition('.')[0]
+    if not (head.isascii() and head.isdigit() and len(head) > 1):
+        raise failed(InfraKind.PROTOCOL, f'X-Plane {version!r:.20} is of no known version')
+    return int(head[:2])
+
+
+def zulu(scenario: Scenario) -> tuple[float, float]:
+    """Time of the scenario: days since the first of January, seconds after midnight GMT.
+
+    X-Plane has no years: its sun follows the day.
+    """
+    date = datetime.date.fromisoformat(scenario.date)
+    midnight = datetime.datetime.combine(date, datetime.time(), scenario.runway.zone)
+    local = midnight + datetime.timedelta(seconds=scenario.time_of_day_s)
+    utc = local.astimezone(datetime.UTC)
+    seconds = utc.hour * 3600 + utc.minute * 60 + utc.second + utc.microsecond * 1e-6
+    return float(date.timetuple().tm_yday - 1), seconds
+
+
+def time_settings(scenario: Scenario, settle_s: float) -> list[Setting]:
+    """Time of day and date; seconds pass while the weather settles."""
+    days, seconds = zulu(scenario)
+    return [
+        Setting(name='sim/time/use_system_time', value=0.0),
+        Setting(name='sim/time/local_date_days', value=days),
+        # Time of day is a 32-bit float on the wire.
+        Setting(name='sim/time/zulu_time_sec', value=seconds, within=settle_s + 5.0),
+    ]
+
+
+def weather_settings(scenario: Scenario, version: str, *, moves: bool) -> list[Setting]:
+    """Clouds and rain; wind and friction too where X-Plane moves the aircraft.
+
+    Args:
+        scenario: with the weather.
+        version: of X-Plane.
+        moves: whether it moves the aircraft.
+    """
+    if major(version) < 12:
+        return _weather_11(scenario, moves)
+    return _weather_12(scenario, moves)
+
+
+def _weather_11(scenario: Scenario, moves: bool) -> list[Setting]:
+    found = [
+        Setting(name='sim/weather/use_real_weather_bool', value=0.0),
+        Setting(name='sim/weather/cloud_type[0]', value=float(CLOUDS.index(scenario.clouds))),
+        *(Setting(name=f'sim/weather/cloud_type[{layer}]', value=0.0) for layer in (1, 2)),
+        Setting(name='sim/weather/rain_percent', value=scenario.rain_fraction),
+    ]
+    if moves:
+        found += [
+            Setting(name='sim/weather/wind_altitude_msl_m[0]', value=_LEVEL_11_M, within=1.0),
+            Setting(
+                name='sim/weather/wind_speed_kt[0]', value=scenario.wind_speed_mps / _KNOT_MPS,
+                within=0.1,
+            ),
+            Setting(
+                name='sim/weather/wind_direction_degt[0]',
+                value=math.degrees(scenario.wind_direction_rad), within=0.1,
+            ),
+        ]
+    return found
+
+
+def _weather_12(scenario: Scenario, moves: bool) -> list[Setting]:
+    region, layer = 'sim/weather/region/', _CLOUDS_12[scenario.clouds]
+    ground_m = scenario.runway.elevation_m
+    none = (0.0,) * (_LAYERS - 1)
+    above = tuple(ground_m + layer.top_m + 1000.0 * (1 + at) for at in range(_LAYERS - 1))
+    found = [
+        Setting(name=region + 'change_mode', value=_STATIC),
+        Setting(name=region + 'variability_pct', value=0.0),
+        Setting(name=region + 'cloud_type', value=(layer.type, *none)),
+        Setting(name=region + 'cloud_coverage_percent', value=(layer.coverage, *none)),
+        Setting(
+            name=region + 'cloud_base_msl_m', value=(ground_m + layer.base_m, *above), within=1.0
+        ),
+        Setting(
+            name=region + 'cloud_tops_msl_m',
+            value=(ground_m + layer.top_m, *(base_m + 500.0 for base_m in above)), within=1.0,
+        ),
+        Setting(name=region + 'rain_percent', value=scenario.rain_fraction),
+        Setting(name=region + 'runway_friction', value=_FRICTION_12[scenario.surface]),
+        Setting(name=region + 'update_immediately', value=1.0),
+    ]
+    if moves:
+        found += [
+            Setting(
+                name=region + 'wind_speed_msc', value=(scenario.wind_speed_mps,) * _WINDS,
+                within=0.05,
+            ),
+            Setting(
+                name=region + 'wind_direction_degt',
+                value=(math.degrees(scenario.wind_direction_rad),) * _WINDS, within=0.1,
+            ),
+        ]
+    return found
