@@ -161,6 +161,10 @@ class Programs:
 
     def _first_scenes(self, scenario: Any) -> list[Any]:
         """The first scenes, or what is wrong with them, to be compared."""
+        # Drawing changes what requirements are bound to, hence the order of choices.
+        self._choices = None
+        with contextlib.suppress(Exception):  # of the program; it is reported when they are asked
+            self._choices = self._find_choices(scenario)
         found: list[Any] = []
         for index in range(_COMPARED):
             self._reseed(index)
