@@ -27,7 +27,6 @@ REQUIREMENTS = [
     'greenlet',
     'Jinja2',
     'jsbsim',
-    'lz4',
     'MarkupSafe',
     'matplotlib',
     'mcap',

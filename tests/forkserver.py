@@ -261,10 +261,10 @@ def _serve(control: socket.socket) -> dict[str, Any]:
         words, files, _, _ = socket.recv_fds(control, _MOST_BYTES, 253)
         if not words:
             os._exit(0)
-        between = os.fork()
+        between = _fork()
         if between == 0:
             between = os.getpid()
-            child = os.fork()
+            child = _fork()
             if child == 0:
                 control.close()
                 return {**pickle.loads(words), 'files': files, 'between': between}
@@ -274,6 +274,13 @@ def _serve(control: socket.socket) -> dict[str, Any]:
             os.close(file)
         os.waitpid(between, 0)
         control.send(b'adopted')
+
+
+def _fork() -> int:
+    """Fork, though pyarrow's allocator has a thread: that begins anew in the child."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', DeprecationWarning)  # Python 3.12 and newer count threads
+        return os.fork()
 
 
 def _become(request: dict[str, Any], home: _Home) -> socket.socket | None:
@@ -332,7 +339,7 @@ def _left_behind(files: Sequence[int], home: _Home) -> socket.socket | None:
     """Have this process served by a fork of it; returns as :func:`_become` does."""
     global _server
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    if os.fork():
+    if _fork():
         theirs.close()
         _server = _Server(home.environment, ours)
         install()

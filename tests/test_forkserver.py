@@ -12,6 +12,10 @@ from pathlib import Path
 import pytest
 from forkserver import FORKED
 
+pytestmark = pytest.mark.skipif(
+    os.environ.get('TAXINET_FORKSERVER') == 'no', reason='each process is started anew'
+)
+
 PROBE = """
 import json, os, resource, signal, sys, threading
 def found(number):

@@ -350,7 +350,7 @@ class BagPlayer(Node):
             )
 
     def _without_transforms(self) -> dict[str, str]:
-        """Odometry topics without ``tf``, as in older bags: namespace by topic name."""
+        """Odometry topics without ``tf``, as of ``taxinet bag split``: namespace by topic name."""
         recorded = {topic.name for topic in self._info.topics}
         places = {
             topic.name: topic.name.removesuffix(ODOMETRY) for topic in self._info.topics

@@ -145,7 +145,7 @@ class McapFile:
                     return
             except BagForeign:
                 raise
-            except (BagError, *_MALFORMED) as error:
+            except (BagError, OSError, *_MALFORMED) as error:  # a disk may fail amid a file, too
                 raise self._damage(error, offset) from error
             yield from found
             offset += len(head) + len(body)
@@ -153,7 +153,7 @@ class McapFile:
 
     def _damage(self, error: Exception, offset: int) -> BagError:
         kind = BagTruncated if isinstance(error, BagTruncated) else BagCorrupt
-        what = str(error) if isinstance(error, BagError | CRCValidationError) else (
+        what = str(error) if isinstance(error, BagError | CRCValidationError | OSError) else (
             f'not a valid record: {type(error).__name__} {error}'.rstrip()
         )
         text = f'{self.path}: at byte {offset}: {what}; {self.messages} intact messages before'
@@ -304,7 +304,7 @@ def _parsed(opcode: int, body: bytes) -> McapRecord | None:
         return None
     stream = ReadDataStream(BytesIO(body))
     record: McapRecord = kind.read(stream)
-    if stream.count != len(body):  # the library accepts data that end early
+    if stream.count != len(body):  # a length within the record is damaged
         raise BagCorrupt(f'{kind.__name__} record of {len(body)} bytes uses only {stream.count}')
     return record
 

@@ -178,10 +178,7 @@ def same_fact(name: str, one: Any, other: Any) -> bool:
         return by_value(one) == by_value(other)
     if name == 'sampler_options' and isinstance(one, dict) and isinstance(other, dict):
         with contextlib.suppress(ValueError, TypeError):
-            # The error at which an estimate stops decides how many runs there are, not which.
-            one, other = (
-                {key: float(each[key]) for key in each if key != 'error'} for each in (one, other)
-            )
+            one, other = ({key: float(each[key]) for key in each} for each in (one, other))
     return bool(one == other)
 
 

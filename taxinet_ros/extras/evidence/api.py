@@ -76,7 +76,7 @@ def verify_evidence(
 
     Args:
         folder: folder of the evidence.
-        campaigns: campaigns and other inputs that have moved.
+        campaigns: folders of campaigns and other inputs that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
         perception: files of networks that have moved.

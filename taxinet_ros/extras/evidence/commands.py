@@ -81,7 +81,8 @@ def verify_evidence(
     ],
     campaign: Annotated[
         list[Path] | None,
-        typer.Option(metavar='PATH', help='campaign, or other input, that has moved; repeatable'),
+        typer.Option(metavar='PATH', help='folder of a campaign, or of another input, that has '
+                     'moved; repeatable'),
     ] = None,
     sample: Annotated[
         int, typer.Option(metavar='N', min=0, help='runs to drive again and compare to the bit')

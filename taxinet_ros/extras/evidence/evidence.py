@@ -242,13 +242,7 @@ def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any
         'campaigns': [
             _campaign(sources, name, one) for system in systems for name, one in system.campaigns
         ],
-        'odd': None if odd is None or options.odd is None else {
-            'name': odd.name, 'source': odd.source, 'sha256': file_sha256(find_odd(options.odd)),
-            # A shipped one is found by its name.
-            'path': (
-                sources.path(Path(options.odd)) if Path(options.odd).is_file() else options.odd
-            ),
-        },
+        'odd': None if odd is None or options.odd is None else _odd(sources, odd, options.odd),
         'localisations': [
             {
                 'id': f'localisation-{number}', 'path': sources.path(one.folder),
@@ -256,6 +250,16 @@ def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any
                 'figures': dict(one.figures),
             } for number, one in enumerate(sources.causes, 1)
         ],
+    }
+
+
+def _odd(sources: _Sources, odd: Odd, word: str) -> dict[str, Any]:
+    file, sha256 = Path(word), file_sha256(find_odd(word))
+    shipped = not file.is_file()  # and found by its name
+    return {
+        'id': 'odd', 'name': odd.name, 'source': odd.source, 'sha256': sha256, 'given': file.name,
+        'path': '' if shipped else sources.path(file.parent),
+        'files': {} if shipped else {file.name: sha256},
     }
 
 

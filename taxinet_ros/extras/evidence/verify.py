@@ -87,7 +87,7 @@ class VerifyOptions:
 
     Attributes:
         folder: its folder.
-        moved: folders or files of inputs that have moved: campaigns, localisations, ODD.
+        moved: folders of inputs that have moved: campaigns, localisations, ODD.
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
@@ -193,7 +193,10 @@ def _again(
     localisations = tuple(
         places.folder('localisation', one) for one in content['localisations']
     )
-    odd = places.odd(content['odd'])
+    odd = content['odd']
+    word = odd and odd['given']
+    if odd and odd['files']:
+        word = str(places.folder('ODD', odd) / word)
     unused = [path for path in options.moved if path not in places.recorded]
     places.troubles += [
         f'--campaign {path}: is none of the inputs, or has changed since the evidence was written'
@@ -208,7 +211,7 @@ def _again(
     done = itertools.count(1)
     return collect(
         EvidenceOptions(
-            campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=odd,
+            campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=word,
             localisations=localisations, networks=options.networks,
         ),
         options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
@@ -250,20 +253,6 @@ class _Places:
         for name, sha256 in files.items():
             self._check(place / name, sha256)
         return place
-
-    def odd(self, one: Mapping[str, Any] | None) -> str | None:
-        """Name or file of the ODD."""
-        if one is None:
-            return None
-        place = self._options.folder / one['path']
-        for path in self._options.moved:
-            if _sha256(path) == one['sha256']:
-                place = path
-        if '/' not in one['path'] and not one['path'].endswith('.yaml'):
-            return str(one['path'])  # a shipped one; its hash is compared with the other values
-        self.recorded[place] = one['path']
-        self._check(place, one['sha256'])
-        return str(place)
 
     def _check(self, path: Path, sha256: str) -> None:
         now = _sha256(path)

@@ -236,10 +236,17 @@ class Stage:
         self._changed()
 
     def _asked_by(self, run: Run, said: StepMessage) -> Question | None:
-        """The question an answer refers to; one that matches none can only mean the newest."""
-        now = [one for one in run.questions if (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)]
-        found = now[-1:] or run.questions[-1:]
-        return found[0] if found else None
+        """The question an answer refers to: a slow answer may arrive in the next run."""
+        def meant(one: Question) -> bool:
+            return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
+
+        earlier = [
+            one for past in self._record.runs if past is not run and past.run_id == said.run_id
+            for one in past.questions if meant(one) and not one.answers
+        ]
+        # An answer that matches no question can only refer to the newest one.
+        found = earlier or [one for one in run.questions if meant(one)] or run.questions
+        return found[-1] if found else None
 
     def _changed(self) -> None:
         if not self._change.done():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -137,6 +140,30 @@ def test_given_a_file_that_ends_in_zeros_when_read_then_all_before_them_comes(
     assert f'at byte {end}: record of kind 0' in str(error)
     assert found == samples(STEPS)[:len(found)]
     assert len(found) > 10
+
+
+def test_given_a_disk_that_fails_amid_a_file_when_read_then_all_before_it_comes(
+    whole: bytes, damaged: Callable[[bytes], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, _ = chunks_of(whole)[1]
+    path = damaged(whole)
+
+    class Disk(io.BytesIO):
+        def read(self, size: int | None = -1) -> bytes:
+            if self.tell() >= start:
+                raise OSError(errno.EIO, 'Input/output error')
+            return super().read(size)
+
+        def fileno(self) -> int:
+            return descriptor
+
+    descriptor = os.open(path, os.O_RDONLY)
+    monkeypatch.setattr(Path, 'open', lambda path, mode: Disk(whole))
+    found, error = read_all(path)
+    os.close(descriptor)
+    assert isinstance(error, BagCorrupt)
+    assert f'at byte {start}: [Errno 5] Input/output error; {len(found)} intact' in str(error)
+    assert 6 <= len(found) < len(samples(STEPS))
 
 
 def test_given_chunks_without_checksum_then_it_is_said(

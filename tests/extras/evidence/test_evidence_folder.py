@@ -224,6 +224,21 @@ def test_given_a_moved_campaign_then_it_is_asked_for_and_found_by_its_hashes(tmp
         verified(out, moved=(tmp_path / 'nowhere',))
 
 
+def test_given_an_odd_that_moved_then_it_is_asked_for_and_found_too(tmp_path):
+    odd = tmp_path / 'odds' / 'two.yaml'
+    odd.parent.mkdir()
+    odd.write_text(
+        'name: two\nsource: planted\nparameters:\n'
+        '  cross_track: {range: [0, 8], cells: 2, source: x}\n', encoding='utf-8')
+    out = made(tmp_path, odd=odd)
+    assert verified(out).holds
+    moved = odd.parent.rename(tmp_path / 'moved')
+    assert any('ODD two is not there; if it has moved' in line for line in verified(out).damaged)
+    assert verified(out, moved=(moved,)).holds
+    (moved / 'two.yaml').write_text('name: three\n', encoding='utf-8')
+    assert not verified(out, moved=(moved,)).holds
+
+
 def test_given_everything_moved_together_then_all_is_found(tmp_path):
     (tmp_path / 'here').mkdir()
     made(tmp_path / 'here')

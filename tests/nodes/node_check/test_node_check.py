@@ -44,6 +44,7 @@ ODD = 'slow,random,away'
 BEST_EFFORT = QoSProfile(depth=16, reliability=ReliabilityPolicy.BEST_EFFORT)
 FAULTS = {
     'starts': ('controller', {'starts'}, PATIENT_S),
+    'very_slow': ('perception', set(), PATIENT_S),
     'dies_at_2': ('perception', {'lives'}, PATIENT_S),
     'name': ('controller', {'name'}, 1.0),
     'two': ('controller', {'name'}, 1.0),

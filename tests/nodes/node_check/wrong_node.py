@@ -45,8 +45,8 @@ class Answers:
         self.count += 1
         if 'silent' in FAULTS:
             return
-        if 'slow' in FAULTS:
-            time.sleep(0.11)
+        if {'slow', 'very_slow'} & FAULTS:
+            time.sleep(0.5 if 'very_slow' in FAULTS else 0.11)
         if ROLE == 'controller':
             self.spoil_command(answer)
         if 'seq' in FAULTS:
