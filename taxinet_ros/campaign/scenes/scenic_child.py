@@ -129,7 +129,6 @@ class Programs:
             lambda attempt: self._reseed(0, attempt),  # a program may draw while it is compiled
             self._first_scenes,
         )
-        self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
         self._constructs.check(scenario)
         if scenario.externalSampler is not None:
             raise ProgramError(
@@ -155,12 +154,18 @@ class Programs:
         self._words.begin()
         self._loading = True
         try:
-            return self._compile(program)
+            scenario = self._compile(program)
         finally:
             self._loading = False
+        self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
+        return scenario
 
     def _first_scenes(self, scenario: Any) -> list[Any]:
         """The first scenes, or what is wrong with them, to be compared."""
+        # Drawing changes what requirements are bound to, hence the order of choices.
+        self._choices = None
+        with contextlib.suppress(Exception):  # of the program; it is reported when they are asked
+            self._choices = self._find_choices(scenario)
         found: list[Any] = []
         for index in range(_COMPARED):
             self._reseed(index)
