@@ -306,13 +306,13 @@ def _loop(
     options: CampaignOptions, controller_sha256: str, world_sha256: str
 ) -> Iterator[Graph]:
     """The loop without ROS, used as a graph; it is this process that runs."""
-    audits: list[str] = []
-    if options.audit_percent:
+    def audit() -> list[str]:
         from taxinet_ros.nodes.graph.worker import audit_command
 
-        audits = audit_command(options, controller_sha256, world_sha256)
+        return audit_command(options, controller_sha256, world_sha256)
+
     loop = Loop(campaign_loop(options, controller_sha256, world_sha256))
-    with Auditor(audits, options.out, options.audit_percent) as auditor:
+    with Auditor(audit, options.out, options.audit_percent) as auditor:
         yield _LoopGraph(loop, auditor)
 
 
