@@ -106,6 +106,8 @@ class _Server:
                 'Scenic', module_command(
                     'taxinet_ros.campaign.scenes.scenic_child', f'--control-fd={theirs.fileno()}'
                 ), stdout=2, descriptors=(theirs.fileno(),),
+                # Linux takes the end of the thread for that of the parent.
+                killed_with_parent=threading.current_thread() is threading.main_thread(),
             )
         self.owner = os.getpid()
 
