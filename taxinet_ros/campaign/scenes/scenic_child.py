@@ -43,7 +43,6 @@ import queue
 import random
 import re
 import resource
-import select
 import signal
 import socket
 import sys
@@ -57,7 +56,7 @@ import numpy as np
 
 from taxinet_ros.campaign.scenes.programs import MODEL, shipped_folder
 from taxinet_ros.campaign.scenes.values import ProgramError, scene_values
-from taxinet_ros.processes.child import limit_cpu, limit_memory
+from taxinet_ros.processes.child import die_with_parent, limit_cpu, limit_memory
 
 _NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 _PAIR = rf'\(\s*({_NUMBER})\s*,\s*({_NUMBER})\s*\)'
@@ -354,15 +353,9 @@ def _allow(seconds: float) -> None:
 
 
 def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
-    """Forward each request line; exit when the parent dies, even during an endless loop."""
-    parent, rest = os.getppid(), b''
-    while os.getppid() == parent:
-        # The timeout covers a dead parent whose pipe end is still open in a forked sibling.
-        if not select.select([request_fd], [], [], 1.0)[0]:
-            continue
-        part = os.read(request_fd, 65536)
-        if not part:
-            break
+    """Forward each request line; exit when the parent hangs up, even during an endless loop."""
+    rest = b''
+    while part := os.read(request_fd, _MOST_BYTES):
         *lines, rest = (rest + part).split(b'\n')
         for line in lines:
             requests.put(line)
@@ -412,6 +405,7 @@ def _run_child(
         folder: working directory; '' if there is none.
     """
     request_fd, response_fd, errors = descriptors
+    die_with_parent(signal.SIGKILL)  # the server, which ends with the parent
     os.setsid()  # a group that can be killed with all that the program has started
     os.dup2(errors, 1)
     os.dup2(errors, 2)

@@ -111,6 +111,10 @@ class _Server:
             )
         self.owner = os.getpid()
 
+    def close(self) -> None:
+        """Close this process's end of the socket."""
+        self._control.close()
+
     def send(self, message: dict[str, Any], *descriptors: int) -> None:
         socket.send_fds(self._control, [json.dumps(message).encode()], descriptors)
 
@@ -129,6 +133,8 @@ _servers: list[_Server] = []
 def _server() -> _Server:
     """The server of this process, started if there is none."""
     with _lock:
-        if not (_servers and _servers[-1].owner == os.getpid() and not _servers[-1].process.dead):
-            _servers[:] = [_Server()]
-        return _servers[-1]
+        if _servers and (_servers[0].owner != os.getpid() or _servers[0].process.dead):
+            _servers.pop().close()
+        if not _servers:
+            _servers.append(_Server())
+        return _servers[0]
