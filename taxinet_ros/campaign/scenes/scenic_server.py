@@ -6,6 +6,7 @@ imported here, so that a command can start the server before anything else.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
 import os
@@ -128,6 +129,14 @@ class _Server:
 
 
 _servers: list[_Server] = []
+
+
+@atexit.register
+def _end_server() -> None:
+    if _servers and _servers[0].owner == os.getpid():
+        server = _servers.pop()
+        server.close()
+        server.process.end(())
 
 
 def _server() -> _Server:
