@@ -168,7 +168,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        # `ros2 run` looks in lib/<package>/, where pip puts no console script: hence wrappers.
+        # `ros2 run` looks in lib/<package>/, where pip puts no console script.
         (f'lib/{NAME}', [str(path) for path in files_below('scripts')]),
         *shared('config'),
         *shared('launch'),
@@ -179,9 +179,11 @@ setup(
     install_requires=REQUIREMENTS,
     extras_require=EXTRAS,
     entry_points={
-        f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
-        for kind, targets in SHIPPED.items()
+        'console_scripts': ['taxinet = taxinet_ros.cli.start:main'],
+        **{
+            f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
+            for kind, targets in SHIPPED.items()
+        },
     },
-    scripts=['scripts/taxinet'],
     zip_safe=False,
 )

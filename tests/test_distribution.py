@@ -33,7 +33,7 @@ for command, options in {
     'sdist': {'dist_dir': out},
 }.items():
     done.get_option_dict(command).update({name: ('test', value) for name, value in options.items()})
-for command in ('build_py', 'build_scripts', 'bdist_wheel', 'sdist'):
+for command in ('build_py', 'bdist_wheel', 'sdist'):
     done.run_command(command)
 """
 """Builds both but compiles nothing: that the module is compiled, the build by colcon tells."""
@@ -78,6 +78,7 @@ def test_given_the_source_distribution_then_it_has_all_that_builds_installs_and_
 def test_given_the_wheel_then_it_has_every_file_that_is_used_and_nothing_else(built):
     with zipfile.ZipFile(next(built.glob('*.whl'))) as wheel:
         packed = set(wheel.namelist())
+        points = wheel.read(next(name for name in packed if name.endswith('/entry_points.txt')))
     data = f'taxinet_ros-{taxinet_ros.__version__}.data'
     code = {
         name for name in files('taxinet_ros/**/*') if not name.endswith(('.cpp', '.hpp'))
@@ -88,7 +89,6 @@ def test_given_the_wheel_then_it_has_every_file_that_is_used_and_nothing_else(bu
     others = {
         *(f'{data}/data/lib/taxinet_ros/{Path(name).name}' for name in files('scripts/*')),
         f'{data}/data/share/ament_index/resource_index/packages/taxinet_ros',
-        f'{data}/scripts/taxinet',
     }
     for name in (
         'taxinet_ros/core/perception/weights/taxinet.safetensors', 'taxinet_ros/py.typed',
@@ -102,6 +102,7 @@ def test_given_the_wheel_then_it_has_every_file_that_is_used_and_nothing_else(bu
     assert sorted(packed - wanted - about) == [], 'nor tests, caches or results'
     assert {Path(name).name for name in about} == {
         'METADATA', 'WHEEL', 'RECORD', 'LICENSE', 'entry_points.txt', 'top_level.txt'}
+    assert b'[console_scripts]\ntaxinet = taxinet_ros.cli.start:main\n' in points
 
 
 def test_given_the_installation_then_the_messages_can_be_built_from_it_alone(monkeypatch, tmp_path):

@@ -52,15 +52,16 @@ def is_audited(seed: int, index: int, percent: float) -> bool:
 class Auditor:
     """Repeats runs on a graph of its own, started for the first of them; a context manager."""
 
-    def __init__(self, command: Sequence[str], out: Path, percent: float) -> None:
+    def __init__(self, command: Callable[[], Sequence[str]], out: Path, percent: float) -> None:
         """Create it; nothing is started or written before the first audit.
 
         Args:
-            command: command of a graph worker that writes its bags to :data:`AUDIT_FOLDER`.
+            command: makes the command of a graph worker that writes its bags to
+                :data:`AUDIT_FOLDER`; called at the first audit.
             out: folder of the campaign.
             percent: share of the runs to audit [%].
         """
-        self._command = tuple(command)
+        self._command = command
         self._out, self._percent = out, percent
         self._opened = contextlib.ExitStack()
         self._pool: WorkerPool | None = None
@@ -117,7 +118,7 @@ class Auditor:
             folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileExistsError):  # from here the bags get the program's text
                 (folder / FACTS_NAME).symlink_to(Path('..', '..', FACTS_NAME))
-            pool = WorkerPool(self._command, 1, folder, silence_s=_SILENCE_S)
+            pool = WorkerPool(self._command(), 1, folder, silence_s=_SILENCE_S)
             self._pool = self._opened.enter_context(pool)
         return self._pool
 

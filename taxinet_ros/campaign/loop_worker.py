@@ -83,7 +83,8 @@ def _work(arguments: argparse.Namespace) -> None:
             say(seq=seq)
 
     percent = arguments.audit_percent if out is not None else 0.0
-    with Auditor(json.loads(arguments.audit_command), out or Path(), percent) as auditor:
+    command = json.loads(arguments.audit_command)
+    with Auditor(lambda: command, out or Path(), percent) as auditor:
         for line in sys.stdin.buffer:
             message = json.loads(line)
             if 'run' not in message:

@@ -17,7 +17,6 @@ import typer
 from typer.core import TyperCommand
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import is_sealed
 
 RECORD_NAMES = frozenset({
     'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
@@ -141,6 +140,8 @@ def _holds_records(folder: Path) -> bool:
 
 def _record(path: Path) -> str:
     """What kind of record a file is by its content; '' if it is none."""
+    from taxinet_ros.files.sealed_json import is_sealed
+
     with path.open('rb') as file:
         head = file.read(_LOOK)
     for start, what in _STARTS:

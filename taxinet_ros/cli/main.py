@@ -7,19 +7,15 @@ Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import errno
 import functools
 import logging
 import os
-import resource
-import shutil
-import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,27 +25,21 @@ from typer.exceptions import TyperException
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.commands import Commands
 from taxinet_ros.cli.completion import ASKED_BY, answer_shell
-from taxinet_ros.cli.streams import (
-    OutputUnreadError,
-    flush_output,
-    refuse_special_files,
-    standard_streams,
-)
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
     ToldInterrupt,
+    heeded_signals,
     interrupted_exit_code,
-    lost_interrupts_resent,
     raise_interrupt,
+    say_interrupted,
     signals_handled,
 )
+from taxinet_ros.processes.streams import drop_output, fill_standard_streams
 from taxinet_ros.version import __version__
 
 _COMPLETING = {'--install-completion', '--show-completion'}
-_FILES_OF_A_NODE = 12
-"""File descriptors a node opens at start, roughly: sockets, pipes, shared memory."""
-_NOBODY_READS = 'output: closed by its reader'
+_UNREAD = 'output: closed by its reader'
 _ROS = frozenset({
     'rclpy', 'taxinet_msgs', 'tf2_msgs', 'std_msgs', 'sensor_msgs', 'geometry_msgs', 'nav_msgs',
     'diagnostic_msgs', 'action_msgs', 'rosgraph_msgs', 'visualization_msgs', 'builtin_interfaces',
@@ -63,41 +53,29 @@ _PATH_ERRORS = (
 """Operating system errors that mean the path is unusable."""
 
 
-class _Interrupted(BaseException):
-    """Carries an interrupt past typer, which would turn it into an exit code silently."""
-
-
-@contextlib.contextmanager
-def _past_typer() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:
-        raise _Interrupted from interrupt
-
-
-class _Commands(Commands):
-    def make_context(self, *words: Any, **named: Any) -> Any:
-        with _past_typer():
-            return super().make_context(*words, **named)
-
-    def invoke(self, *words: Any, **named: Any) -> Any:
-        with _past_typer():
-            return super().invoke(*words, **named)
-
-
 class _App(typer.Typer):
-    """Builds its commands once: that takes a tenth of a second, and typer does it at each call."""
+    """Builds its commands once, and leaves exceptions to :func:`main`."""
 
     @functools.cached_property
-    def _built(self) -> Callable[..., object]:
+    def built(self) -> Any:
+        """The parser of all commands."""
         return typer.main.get_command(self)
 
-    def __call__(self, *words: Any, **named: Any) -> Any:
-        return self._built(*words, **named)
+    def __call__(self, words: Sequence[str], **_: Any) -> object:
+        """Run the command that the words name.
+
+        Returns:
+            Its exit code, or None.
+        """
+        try:
+            with self.built.make_context('taxinet', list(words)) as context:
+                return self.built.invoke(context)
+        except typer.Exit as end:
+            return end.exit_code
 
 
 app = _App(
-    cls=_Commands,
+    cls=Commands,
     context_settings={'help_option_names': ['-h', '--help']},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -118,51 +96,40 @@ def _main(
 
 
 def main() -> None:
-    """Entry point of ``taxinet``."""
-    code: int | None = None
-    with (
-        contextlib.suppress(KeyboardInterrupt),
-        lost_interrupts_resent(),
-        signals_handled(raise_interrupt, (signal.SIGTERM, signal.SIGHUP)),
-        standard_streams() as closed,
-    ):
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            signal.signal(signal.SIGINT, raise_interrupt)
-        code = _delivered(_exit_code(lambda: _command(closed)))
-    sys.exit(interrupted_exit_code(_interrupted() if code is None else code))
+    """Run the command that the arguments name, and exit with its code."""
+    with signals_handled(raise_interrupt, heeded_signals()):
+        code = _delivered(_exit_code(lambda: _command(sys.argv[1:])))
+    sys.exit(interrupted_exit_code(code))
 
 
-def _interrupted() -> int:
-    """Report an interrupt on stderr; return its exit code."""
-    with contextlib.suppress(OSError):
-        os.write(2, b'taxinet: interrupted\n')
-    return ExitCode.INTERRUPTED
-
-
-def _command(output_closed: bool) -> object:
-    if output_closed:
+def _command(words: Sequence[str]) -> object:
+    closed = sys.stdout is None
+    fill_standard_streams()
+    if closed:
         raise UsageError('standard output is closed; redirect it, e.g. to /dev/null')
-    for word in sys.argv[1:]:
+    for word in words:
         _check_word(word)
     with contextlib.suppress(OSError):  # few commands need the working directory to exist
         _check_word(os.getcwd())
-    _have_ros_log_somewhere()
-    _have_matplotlib_somewhere()
-    refuse_special_files()
-    if ASKED_BY in os.environ or {*sys.argv[1:2]} & _COMPLETING:  # these end the process
-        return answer_shell(lambda: app(standalone_mode=False, prog_name='taxinet'), os.environ)
-    return app(standalone_mode=False, prog_name='taxinet')
+    _have_folders_somewhere()
+    if ASKED_BY in os.environ or {*words[:1]} & _COMPLETING:  # these end the process
+        return answer_shell(
+            lambda: app.built(standalone_mode=False, prog_name='taxinet'), os.environ
+        )
+    return app(words)
 
 
 def _delivered(code: int) -> int:
     """``code``, if the output could be delivered; else the exit code of that failure."""
     try:
-        flush_output()
-    except OutputUnreadError:
-        return code if code == ExitCode.UNREAD else _complain(_NOBODY_READS, ExitCode.UNREAD)
+        sys.stdout.flush()
     except OSError as error:
-        if code != ExitCode.INFRA:
-            return _complain(f'output: {disk_words(error)}', ExitCode.INFRA)
+        drop_output(1)
+        if code in (ExitCode.UNREAD, ExitCode.INFRA):
+            return code
+        if isinstance(error, BrokenPipeError):
+            return _complain(_UNREAD, ExitCode.UNREAD)
+        return _complain(f'output: {disk_words(error)}', ExitCode.INFRA)
     return code
 
 
@@ -175,40 +142,16 @@ def _check_word(word: str) -> None:
         raise UsageError(f'{shown}: is not UTF-8; give a name that is') from None
 
 
-def _have_ros_log_somewhere() -> None:
-    """Set a log folder for rclpy if there is no writable home directory."""
-    if any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME')):
-        return
+def _have_folders_somewhere() -> None:
+    """Give rclpy and matplotlib folders to write in if there is no writable home directory."""
+    logging.getLogger('matplotlib').setLevel(logging.ERROR)  # it tells of fonts before our lines
     home = os.environ.get('HOME')
-    if not (home and os.access(home, os.W_OK | os.X_OK)):
-        os.environ['ROS_LOG_DIR'] = os.path.join(
-            tempfile.gettempdir(), f'taxinet_ros_log_{os.getuid()}'
-        )
-
-
-def _have_matplotlib_somewhere() -> None:
-    """Set a folder for matplotlib, removed at exit, if it has none; its children share it."""
-    # Otherwise it prints lines about folders and fonts before ours.
-    logging.getLogger('matplotlib').setLevel(logging.ERROR)
-    own = os.environ.get('MPLCONFIGDIR')
-    home = os.path.expanduser('~')
-    usual = [
-        os.path.join(os.environ.get(f'XDG_{name.upper()}_HOME') or f'{home}/.{name}', 'matplotlib')
-        for name in ('config', 'cache')
-    ]
-    if all(map(_takes_folders, [own] if own else usual)):
+    if home and os.access(home, os.W_OK | os.X_OK):
         return
-    with contextlib.suppress(OSError):
-        folder = tempfile.mkdtemp(prefix='taxinet_matplotlib_')
-        os.environ['MPLCONFIGDIR'] = folder
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-
-
-def _takes_folders(path: str) -> bool:
-    """Whether this folder is writable, or can be made."""
-    while not os.path.lexists(path) and os.path.dirname(path) != path:
-        path = os.path.dirname(path)
-    return os.path.isdir(path or '.') and os.access(path or '.', os.W_OK | os.X_OK)
+    folder = os.path.join(tempfile.gettempdir(), f'taxinet_ros_{os.getuid()}')
+    if not os.environ.get('ROS_HOME'):
+        os.environ.setdefault('ROS_LOG_DIR', folder)
+    os.environ.setdefault('MPLCONFIGDIR', folder)
 
 
 def _exit_code(command: Callable[[], object]) -> int:
@@ -221,13 +164,14 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{text.rstrip(".")}; see {where} --help', ExitCode.USAGE)
     except UsageError as error:
         return _complain(str(error), ExitCode.USAGE)
-    except (_Interrupted, KeyboardInterrupt, typer.Abort) as end:
-        told = isinstance(end.__cause__, ToldInterrupt)
-        return ExitCode.INTERRUPTED if told else _interrupted()
+    except KeyboardInterrupt as interrupt:
+        if not isinstance(interrupt, ToldInterrupt):
+            say_interrupted()
+        return ExitCode.INTERRUPTED
     except (InfraError, RecordError, BagError) as error:
         return _complain(str(error), ExitCode.INFRA)
-    except OutputUnreadError:
-        return _complain(_NOBODY_READS, ExitCode.UNREAD)
+    except BrokenPipeError:
+        return _complain(_UNREAD, ExitCode.UNREAD)
     except OSError as error:
         code = ExitCode.USAGE if error.errno in _PATH_ERRORS else ExitCode.INFRA
         return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
@@ -249,35 +193,18 @@ def _unforeseen(error: BaseException) -> tuple[str, int]:
             'colcon build with msg_defs); --engine loop needs neither, taxinet doctor says what is '
             'here'
         ), ExitCode.USAGE
+    if isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError):
+        return _UNREAD, ExitCode.UNREAD  # so rich ends a program
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
-    if scarce := _scarce_files():
-        what = scarce
-    elif isinstance(error, Exception):
-        what = 'this is a defect of taxinet'
-    else:  # SystemExit, for example from user code
-        what = 'it ended the command'
+    what = 'this is a defect of taxinet' if isinstance(error, Exception) else 'it ended the command'
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(set TAXINET_TRACEBACK=1 for the traceback)'
     ), ExitCode.INFRA
 
 
-def _scarce_files() -> str:
-    """A message if the process is close to its limit of open files; else ''.
-
-    ROS gives no reason when it runs out of file descriptors for its sockets.
-    """
-    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    try:
-        in_use = len(os.listdir('/proc/self/fd'))
-    except OSError as error:
-        in_use = allowed if error.errno in (errno.EMFILE, errno.ENFILE) else 0
-    if in_use + _FILES_OF_A_NODE <= allowed:
-        return ''
-    return f'too many open files: ulimit -n is {allowed}, and {in_use} are open; raise it'
-
-
 def _complain(line: str, code: int) -> int:
-    print(f'taxinet: error: {" ".join(line.split())}', file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody can be told
+        print(f'taxinet: error: {" ".join(line.split())}', file=sys.stderr)
     return code

@@ -29,7 +29,6 @@ from typing import Any, Final, TypeGuard, TypeVar
 from taxinet_ros.arguments import can_be_called
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
-from taxinet_ros.processes.interrupts import RECEIVED_STOPS, refuse_exits
 from taxinet_ros.registry import Extension
 
 EXTERNAL: Final = 'external'
@@ -317,7 +316,6 @@ class RunCode:
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
     """Two numbers from a tuple, list or array; None if invalid, text or booleans."""
-    heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
         if any(isinstance(one, str | bytes) for one in (answer, first, second)):
@@ -325,8 +323,9 @@ def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
         if any(type(one).__name__ in ('bool', 'bool_') for one in (first, second)):
             return None
         return float(first), float(second)
-    except BaseException as error:  # the result may have a user-defined __iter__ or __float__
-        _let_pass(error, heard)
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # the result may have a user-defined __iter__ or __float__
         return None
 
 
@@ -396,51 +395,24 @@ def _same_place() -> Iterator[None]:
 def contained(
     failed: Callable[[BaseException], Exception], passing: tuple[type[Exception], ...] = ()
 ) -> Iterator[None]:
-    """Context in which user code runs: whatever it raises or calls, the process goes on.
+    """Context in which user code runs: whatever it raises, the process goes on.
+
+    What it prints goes to stderr, except on a terminal.
 
     Args:
         failed: converts any exception, including ``SystemExit``, to the one to raise.
-        passing: exceptions that are raised as they are.
-
-    Raises:
-        KeyboardInterrupt: a signal asked this process to end.
+        passing: exceptions that are raised as they are, beside KeyboardInterrupt.
     """
-    with _held():
-        heard = len(RECEIVED_STOPS)
+    aside = sys.stdout if sys.stdout and sys.stdout.isatty() else sys.stderr
+    with contextlib.redirect_stdout(aside):
         try:
             yield
+        except KeyboardInterrupt:
+            raise
         except passing:
             raise
         except BaseException as error:
-            _let_pass(error, heard)
             raise failed(error) from error
-
-
-@contextlib.contextmanager
-def _held() -> Iterator[None]:
-    """Keep user code from mixing with our output and from ending this process silently.
-
-    Its stdout goes to stderr, except on a terminal.
-    """
-    refuse_exits()
-    streams = sys.stdout, sys.stderr
-    with contextlib.suppress(AttributeError, ValueError):  # missing or closed
-        sys.stdout = sys.stdout if sys.stdout.isatty() else sys.stderr
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = streams
-
-
-def _let_pass(error: BaseException, heard: int) -> None:
-    """Re-raise a real Ctrl-C, but not one raised by user code (no signal was received).
-
-    Args:
-        error: exception raised by user code.
-        heard: number of signals before it ran.
-    """
-    if isinstance(error, KeyboardInterrupt) and len(RECEIVED_STOPS) > heard:
-        raise error
 
 
 def _said(error: BaseException) -> str:
@@ -451,11 +423,11 @@ def _said(error: BaseException) -> str:
 
 def _text(value: object, how: Callable[[object], str]) -> str:
     """Text of a user object, even if its conversion fails."""
-    heard = len(RECEIVED_STOPS)
     try:
         return how(value)
+    except KeyboardInterrupt:
+        raise
     except BaseException as error:
-        _let_pass(error, heard)
         return f'<{type(value).__name__} whose {how.__name__}() fails: {type(error).__name__}>'
 
 

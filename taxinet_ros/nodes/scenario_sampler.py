@@ -243,7 +243,7 @@ def _work(node: StandaloneSampler, executor: Any) -> int:
 def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """Run scenes drawn by the program, as ``taxinet run``."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
-    with interrupts(node.interrupt, node.abort), campaign:
+    with interrupts(node.interrupt), campaign:
         checked = [line.plain for line in requirement_lines(campaign.check)]
         _say(node, [campaign_heading(node.campaign), *campaign.notes, *checked])
 
@@ -275,7 +275,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
         return True
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
-    with interrupts(interrupt, node.abort), search:
+    with interrupts(interrupt), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
         warning = [search.book.warning] if search.book.warning else []
         _say(

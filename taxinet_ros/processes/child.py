@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 import taxinet_ros
+from taxinet_ros.processes.streams import fill_standard_descriptors
 
 Ladder = Sequence[tuple[signal.Signals, float]]
 """Signals that ask a process to end, each with the grace period after it [s]."""
@@ -68,7 +69,7 @@ class ChildProcess:
         environment: Mapping[str, str] | None = None, folder: Path | None = None,
         stdin: int = subprocess.DEVNULL, stdout: int | IO[Any] | None = None,
         stderr: int | IO[Any] | None = None, descriptors: Sequence[int] = (),
-        new_session: bool = True, killed_with_parent: bool = False, signals_held: bool = False,
+        new_session: bool = True, killed_with_parent: bool = False,
     ) -> None:
         """Start the process.
 
@@ -86,8 +87,6 @@ class ChildProcess:
                 terminal, but does not receive its Ctrl-C.
             killed_with_parent: whether Linux sends SIGKILL when this thread ends; a hanging or
                 stopped process would not handle other signals.
-            signals_held: whether SIGINT, SIGTERM and SIGHUP are blocked until the program unblocks
-                them: while Python starts, it would only print a traceback.
 
         Raises:
             OSError: the program does not exist, or the log cannot be written.
@@ -100,12 +99,12 @@ class ChildProcess:
         self._streams = {'stdin': stdin, 'stdout': stdout, 'stderr': stderr}
         self._descriptors = tuple(descriptors)
         self._new_session = new_session
-        self._before = (killed_with_parent, signals_held)
+        self._killed_with_parent = killed_with_parent
         self.start()
 
     def start(self) -> None:
         """Start or restart the process."""
-        before = functools.partial(_before_program, os.getpid(), *self._before)
+        before = functools.partial(_die_with, os.getpid()) if self._killed_with_parent else None
         with contextlib.ExitStack() as files:
             streams: dict[str, Any] = self._streams
             if self.log is not None:
@@ -115,7 +114,7 @@ class ChildProcess:
                 self._command, **streams, env=self._environment, cwd=self._folder,
                 pass_fds=self._descriptors, start_new_session=self._new_session,
                 process_group=None if self._new_session else 0,
-                preexec_fn=before if any(self._before) else None,
+                preexec_fn=before,
             )
 
     def __enter__(self) -> Self:
@@ -235,13 +234,6 @@ def open_pipe() -> tuple[int, int]:
     return os.pipe()
 
 
-def fill_standard_descriptors() -> None:
-    """Ensure that 0, 1 and 2 are open, so that no file or pipe becomes a standard stream."""
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(descriptor, True)
-    os.close(descriptor)
-
-
 def limit_memory(most_bytes: int) -> None:
     """Limit the address space of this process; allocations beyond it fail."""
     _lower(resource.RLIMIT_AS, most_bytes)
@@ -272,11 +264,8 @@ def adopt_orphans() -> None:
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
-def _before_program(parent: int, killed_with_parent: bool, signals_held: bool) -> None:
-    """Set up a child between fork and exec."""
-    if signals_held:
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
-    if killed_with_parent:
-        die_with_parent(signal.SIGKILL)
-        if os.getppid() != parent:  # The parent died before the call.
-            os.kill(os.getpid(), signal.SIGKILL)
+def _die_with(parent: int) -> None:
+    """Have a child killed with its parent; called between fork and exec."""
+    die_with_parent(signal.SIGKILL)
+    if os.getppid() != parent:  # The parent died before the call.
+        os.kill(os.getpid(), signal.SIGKILL)

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
 from typing import Any, TextIO
 
 import pytest
 from waiting import PATIENT_S
 
-from taxinet_ros.campaign.scenes.programs import shipped_folder
-
-ROOT = Path(__file__).parents[2]
+from taxinet_ros.campaign.scenes.scenic_server import fork_child
 
 
 class Client:
@@ -24,8 +18,9 @@ class Client:
 
     def __init__(self, requests: TextIO, answers: TextIO) -> None:
         self._requests, self._answers = requests, answers
-        first = {'ticket': ''}
-        assert json.loads(answers.readline()) == first, 'the first line says that Scenic is there'
+        first = json.loads(answers.readline())
+        assert {*first} == {'ticket', 'pid'}, 'the first line says that Scenic is there'
+        self.pid: int = first['pid']
 
     def ask(self, **request: Any) -> dict[str, Any]:
         print(json.dumps({**request, 'ticket': 'one'}), file=self._requests, flush=True)
@@ -42,18 +37,12 @@ def scenic_child() -> Callable[..., AbstractContextManager[Client]]:
 
 @contextmanager
 def start(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
-    request_read, request_write = os.pipe()
-    answer_read, answer_write = os.pipe()
-    arguments = {'request-fd': request_read, 'response-fd': answer_write, 'seed': 1,
-                 'memory-bytes': 4 << 30, 'timeout-s': timeout_s, 'shipped': shipped_folder()}
-    child = subprocess.Popen(
-        [sys.executable, '-m', 'taxinet_ros.campaign.scenes.scenic_child',
-         *(f'--{name}={value}' for name, value in arguments.items())],
-        pass_fds=(request_read, answer_write), stdout=subprocess.DEVNULL, cwd=ROOT,
+    child, answer_read, request_write = fork_child(
+        seed=1, memory_bytes=4 << 30, timeout_s=timeout_s
     )
-    os.close(request_read)
-    os.close(answer_write)
-    with child, open(request_write, 'w') as requests, open(answer_read) as answers:
-        yield Client(requests, answers)
+    with open(request_write, 'w') as requests, open(answer_read) as answers:
+        client = Client(requests, answers)
+        child.pid = client.pid
+        yield client
         requests.close()
         assert child.wait() == 0, 'the child has to end when its parent hangs up'

@@ -63,7 +63,7 @@ def test_given_any_key_with_a_closed_set_of_values_then_a_scenario_takes_each_th
 def asked(monkeypatch, capfd, **environment):
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    code = answer_shell(lambda: app(standalone_mode=False, prog_name='taxinet'), os.environ)
+    code = answer_shell(lambda: app.built(standalone_mode=False, prog_name='taxinet'), os.environ)
     assert code in (0, None)
     return capfd.readouterr().out.splitlines()
 

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from taxinet_ros.campaign.scenes.programs import MODEL, SUFFIX, shipped_folder
 from taxinet_ros.campaign.scenes.values import Place, ProgramError
 
 Compiled = TypeVar('Compiled')
@@ -30,8 +31,12 @@ _LIBRARIES = tuple({
 })
 _SEEDS = 10
 """Compilations of a program that draws while it is compiled."""
-_DATE = re.compile(r'\b(?:datetime|date)\.(?:now|utcnow|today)\(')
+_DATE = re.compile(
+    r'\b(?:(?:datetime|date)\.(?:now|utcnow|today)|time\.(?:time(?:_ns)?|localtime|gmtime|strftime|'
+    r'ctime))\('
+)
 """What may be the same in two compilations, and another tomorrow."""
+_REACHES = re.compile(rf'import|^\s*model\s+(?!{MODEL}\s*$)', re.MULTILINE)
 _CHANCE = re.compile(
     r'\b(?:random|uniform|gauss|normal\w*|choices?|shuffle|rand\w*|default_rng|Random|token_\w+|'
     r'time\w*|monotonic|perf_counter|urandom|uuid[14])\('
@@ -45,7 +50,8 @@ def compile_twice(
     """Compile a program; refuse one that is another each time.
 
     Args:
-        program: its file.
+        program: its file. One that imports nothing but our world model is only compiled once, as
+            it reaches no chance and no clock.
         compile_program: compiles it.
         reseed: seeds the generators that a program may draw from; the scenario that is returned
             is compiled after ``reseed(0)``.
@@ -56,8 +62,11 @@ def compile_twice(
     """
     if place := _line(program, _DATE):
         raise ProgramError(
-            'the date is another one each day, so no run could be repeated; write a number', place
+            'the time is another one each day, so no run could be repeated; write a number', place
         )
+    if not _imports(program):
+        reseed(0)
+        return compile_program()
     drawn: list[Any] = []
 
     def compiled_after(seed: int) -> tuple[Compiled, bool]:
@@ -82,6 +91,14 @@ def compile_twice(
     for seed in range(2, _SEEDS if moved else 2):
         compiled_after(seed)
     return compiled_after(0)[0]
+
+
+def _imports(program: Path) -> bool:
+    """Whether a program may reach code other than Scenic's and that of our world model."""
+    own_model = program.parent / f'{MODEL}{SUFFIX}'
+    if own_model.exists() and not own_model.samefile(shipped_folder() / own_model.name):
+        return True
+    return bool(_REACHES.search(program.read_text(encoding='utf-8', errors='replace')))
 
 
 def _generators() -> tuple[Any, ...]:

@@ -1,13 +1,14 @@
 """Child process in which Scenic compiles programs and draws scenes.
 
-It is started as ``python -m taxinet_ros.campaign.scenes.scenic_child``. A Scenic program is code.
-It may loop forever, call exit() or exhaust the memory, and Scenic keeps global state; so it runs in
-a separate process with limits, which may die without harm to the test bench. The limits protect
-against accidents, not against malice.
+``python -m taxinet_ros.campaign.scenes.scenic_child`` is a server, which imports Scenic and forks a
+child for each program (:mod:`.scenic_server`). A Scenic program is code. It may loop forever, call
+exit() or exhaust the memory, and Scenic keeps global state; so it runs in a separate process with
+limits, which may die without harm to the test bench. The limits protect against accidents, not
+against malice.
 
 Requests and answers are JSON lines over two pipes other than stdin and stdout, so a program may
-print anything (it appears on stderr). The first output line reports that Scenic is imported. Then
-each request has a ticket and gets one answer with the same ticket:
+print anything (it appears on stderr). The first output line has the child's pid. Then each request
+has a ticket and gets one answer with the same ticket:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{"loaded": [...], "named": [...]}``, the files
@@ -40,8 +41,8 @@ import queue
 import random
 import re
 import resource
-import select
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,9 +52,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.campaign.scenes.programs import MODEL, shipped_folder
 from taxinet_ros.campaign.scenes.values import ProgramError, scene_values
-from taxinet_ros.processes.child import limit_cpu, limit_memory
+from taxinet_ros.processes.child import die_with_parent, limit_cpu, limit_memory
 
 _OLD = re.compile(r'^\s*ego\s*=\s*(?!new\b)[A-Z]\w*\s*(?:$|#|[a-z])', re.MULTILINE)
 """An object made without ``new``, as in Scenic 1 and 2."""
@@ -84,6 +85,7 @@ MAX_ITERATIONS = 2000
 _COMPARED, _COMPARED_DRAWS = 3, 100
 """Scenes that a program has to draw again when it is compiled again, and draws for each."""
 
+_MOST_BYTES = 65536
 MAX_CHARACTERS = 1000
 """Maximum length of an error message; a program may raise one with any text."""
 
@@ -93,7 +95,11 @@ class OutOfTime(BaseException):
 
 
 class Programs:
-    """The compiled program of this process; draws its scenes."""
+    """The compiled program of this process; draws its scenes.
+
+    Attributes:
+        seed: seed of the scenes.
+    """
 
     def __init__(self, seed: int, shipped: str) -> None:
         """``shipped``: folder in which programs from elsewhere find the world model."""
@@ -112,7 +118,7 @@ class Programs:
         self._compile = scenic.scenarioFromFile
         self._compile_twice = chance.compile_twice
         self._find_choices = choices.Choices
-        self._seed = seed
+        self.seed = seed
         self._scenario: Any = None
         self._sampler: dict[str, Any] = {}
         self._choices: Any = None
@@ -217,7 +223,7 @@ class Programs:
     def _reseed(self, index: int, attempt: int = 0) -> None:
         # Scenic draws from Python's and NumPy's generators. Reseeding both for every scene makes it
         # independent of earlier scenes, hence of the number of workers.
-        key = [self._seed, index, attempt] if attempt else [self._seed, index]
+        key = [self.seed, index, attempt] if attempt else [self.seed, index]
         words = np.random.SeedSequence(key).generate_state(8)
         random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
         np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
@@ -310,15 +316,9 @@ def _allow(seconds: float) -> None:
 
 
 def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
-    """Forward each request line; exit when the parent dies, even during an endless loop."""
-    parent, rest = os.getppid(), b''
-    while os.getppid() == parent:
-        # The timeout covers a dead parent whose pipe end is still open in a forked sibling.
-        if not select.select([request_fd], [], [], 1.0)[0]:
-            continue
-        part = os.read(request_fd, 65536)
-        if not part:
-            break
+    """Forward each request line; exit when the parent hangs up, even during an endless loop."""
+    rest = b''
+    while part := os.read(request_fd, _MOST_BYTES):
         *lines, rest = (rest + part).split(b'\n')
         for line in lines:
             requests.put(line)
@@ -332,7 +332,7 @@ def _answer(response_fd: int, answer: Mapping[str, Any]) -> None:
 
 
 def _serve(
-    programs: Programs, requests: queue.SimpleQueue[bytes], args: argparse.Namespace
+    programs: Programs, requests: queue.SimpleQueue[bytes], response_fd: int, timeout_s: float
 ) -> None:
     operations: dict[str, Callable[..., dict[str, Any]]] = {
         'compile': programs.compile, 'asked': programs.asked, 'space': programs.space,
@@ -344,39 +344,84 @@ def _serve(
         program = request.get('program', program)
         operation, ticket = operations[request.pop('op')], request.pop('ticket')
         try:
-            _allow(args.timeout_s)
+            _allow(timeout_s)
             answer = operation(**request)
             signal.setitimer(signal.ITIMER_REAL, 0)
         except BaseException as error:  # whatever user code raises, exit() included
             signal.setitimer(signal.ITIMER_REAL, 0)
-            answer = {'error': describe(error, program, args.timeout_s)}
-        _answer(args.response_fd, {**answer, 'ticket': ticket})
+            answer = {'error': describe(error, program, timeout_s)}
+        _answer(response_fd, {**answer, 'ticket': ticket})
+
+
+def _run_child(
+    programs: Programs | str, descriptors: Sequence[int], *, seed: int, memory_bytes: int,
+    timeout_s: float, folder: str,
+) -> None:
+    """Serve the requests of one program in a forked process, until the parent hangs up or dies.
+
+    Args:
+        programs: what compiles it, or why Scenic cannot be imported.
+        descriptors: to read requests from, to write answers to, and for what the program prints.
+        seed: seed of the scenes.
+        memory_bytes: limit of the address space.
+        timeout_s: limit of each request [s].
+        folder: working directory; '' if there is none.
+    """
+    request_fd, response_fd, errors = descriptors
+    die_with_parent(signal.SIGKILL)  # the server, which ends with the parent
+    os.setsid()  # a group that can be killed with all that the program has started
+    os.dup2(errors, 1)
+    os.dup2(errors, 2)
+    os.close(errors)
+    with contextlib.suppress(OSError):
+        os.chdir(folder)
+    if isinstance(programs, str):
+        _answer(response_fd, {
+            'error': {'file': '', 'line': 0, 'message': programs}, 'ticket': '',
+        })
+        return
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_follow_parent, args=(request_fd, requests), daemon=True).start()
+    signal.signal(signal.SIGALRM, _alarm)
+    limit_memory(memory_bytes)
+    programs.seed = seed
+    _answer(response_fd, {'ticket': '', 'pid': os.getpid()})
+    _serve(programs, requests, response_fd, timeout_s)
 
 
 def main() -> None:
-    """Serve requests until the parent closes its end or dies."""
+    """Fork a child for each request until the parent closes its end or dies."""
     parser = argparse.ArgumentParser()
-    for name, kind in (('request-fd', int), ('response-fd', int), ('seed', int),
-                       ('memory-bytes', int), ('timeout-s', float), ('shipped', str)):
-        parser.add_argument(f'--{name}', type=kind, required=True)
-    args = parser.parse_args()
-    for fd in (args.request_fd, args.response_fd):
-        os.set_inheritable(fd, False)
-    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(
-        target=_follow_parent, args=(args.request_fd, requests), daemon=True
-    ).start()
-    signal.signal(signal.SIGALRM, _alarm)
-    limit_memory(args.memory_bytes)
+    parser.add_argument('--control-fd', type=int, required=True)
+    control = socket.socket(fileno=parser.parse_args().control_fd)
+    control.set_inheritable(False)
+    programs: Programs | str
     try:
-        programs = Programs(args.seed, args.shipped)
+        programs = Programs(0, str(shipped_folder()))
     except ImportError as error:
-        message = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
-        error_at_start = {'file': '', 'line': 0, 'message': message}
-        _answer(args.response_fd, {'error': error_at_start, 'ticket': ''})
-        return
-    _answer(args.response_fd, {'ticket': ''})
-    _serve(programs, requests, args)
+        programs = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
+    while True:
+        data, descriptors, *_ = socket.recv_fds(control, _MOST_BYTES, 3)
+        if not data:
+            return
+        request = json.loads(data)
+        if 'wait' in request:
+            control.send(json.dumps({'status': _status(request['wait'])}).encode())
+        elif not os.fork():
+            control.close()
+            try:
+                _run_child(programs, descriptors, **request)
+            finally:
+                os._exit(0)
+        for descriptor in descriptors:
+            os.close(descriptor)
+
+
+def _status(pid: int) -> int | None:
+    """Exit code of a child, negative for a signal; None while it runs."""
+    found, status = os.waitpid(pid, os.WNOHANG)
+    return os.waitstatus_to_exitcode(status) if found else None
+
 
 if __name__ == '__main__':
     main()

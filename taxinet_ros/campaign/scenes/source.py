@@ -39,6 +39,7 @@ from taxinet_ros.campaign.scenes.programs import (
     stored_text,
 )
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
+from taxinet_ros.campaign.scenes.scenic_server import ScenicChild, fork_child
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
@@ -57,13 +58,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.processes.child import (
-    ChildProcess,
-    exit_words,
-    module_command,
-    open_pipe,
-    signal_name,
-)
+from taxinet_ros.processes.child import exit_words, signal_name
 
 MEMORY_BYTES = 4 << 30
 """Address space limit of the child; Scenic itself uses about a tenth of it."""
@@ -155,7 +150,7 @@ class SceneSource:
         self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
         self._meanwhile = meanwhile
-        self._child: ChildProcess | None = None
+        self._child: ScenicChild | None = None
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
         self._space: SearchSpace | None = None
@@ -173,10 +168,13 @@ class SceneSource:
             UsageError: ``file:line: message`` on an error in the program.
             InfraError: another process killed the child; any later request may raise it too.
         """
-        self._start()
+        self._child, *fds = fork_child(
+            seed=self._seed, memory_bytes=MEMORY_BYTES, timeout_s=self._timeout_s,
+        )
+        self._fds = (fds[0], fds[1])
         try:
             self._meanwhile()
-            self._receive('', START_TIMEOUT_S)
+            self._child.pid = self._receive('', START_TIMEOUT_S)['pid']
             compiled = self._ask({'op': 'compile', 'program': str(self.program)})
             self._read_asked(**self._ask({'op': 'asked'}))
             self._read_files(**compiled)
@@ -335,26 +333,6 @@ class SceneSource:
                 raise
             except (Rejected, UsageError):
                 continue  # an unrelated problem
-
-    def _start(self) -> None:
-        request_read, request_write = open_pipe()
-        response_read, response_write = open_pipe()
-        arguments = {
-            'request-fd': request_read, 'response-fd': response_write, 'seed': self._seed,
-            'memory-bytes': MEMORY_BYTES, 'timeout-s': self._timeout_s, 'shipped': shipped_folder(),
-        }
-        command = module_command(
-            'taxinet_ros.campaign.scenes.scenic_child',
-            *(f'--{name}={value}' for name, value in arguments.items()),
-        )
-        try:
-            self._child = ChildProcess(
-                'Scenic', command, stdout=2, descriptors=(request_read, response_write),
-            )
-        finally:
-            os.close(request_read)
-            os.close(response_write)
-            self._fds = (response_read, request_write)
 
     def _stop(self) -> None:
         for fd in self._fds:

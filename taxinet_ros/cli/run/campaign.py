@@ -164,7 +164,7 @@ def _run_here(
     campaign: Campaign, graphs: _Graphs, at_hand: _Interruption, foxglove: int | None
 ) -> None:
     """Make the runs of an open campaign one by one."""
-    with interrupts(at_hand.interrupt, at_hand.abort):
+    with interrupts(at_hand.interrupt):
         while campaign.unfinished and not at_hand.interrupted:
             with graphs.next() as graph, _view(foxglove, graph):
                 at_hand.take(graph)
@@ -306,13 +306,13 @@ def _loop(
     options: CampaignOptions, controller_sha256: str, world_sha256: str
 ) -> Iterator[Graph]:
     """The loop without ROS, used as a graph; it is this process that runs."""
-    audits: list[str] = []
-    if options.audit_percent:
+    def audit() -> list[str]:
         from taxinet_ros.nodes.graph.worker import audit_command
 
-        audits = audit_command(options, controller_sha256, world_sha256)
+        return audit_command(options, controller_sha256, world_sha256)
+
     loop = Loop(campaign_loop(options, controller_sha256, world_sha256))
-    with Auditor(audits, options.out, options.audit_percent) as auditor:
+    with Auditor(audit, options.out, options.audit_percent) as auditor:
         yield _LoopGraph(loop, auditor)
 
 
@@ -333,9 +333,6 @@ class _LoopGraph:
     def interrupt(self) -> None:
         self._loop.interrupted = True
 
-    def abort(self) -> bool:
-        return False  # Nothing waits here: the interrupt is raised at once.
-
 
 class _Interruption:
     """The graph whose run is ended in order on an interrupt."""
@@ -349,12 +346,8 @@ class _Interruption:
         if self.graph is not None:
             self.graph.interrupt()
 
-    def abort(self) -> bool:
-        """Abort the current run, if any."""
-        return self.graph is not None and self.graph.abort()
-
     def take(self, graph: Graph) -> None:
-        """Set the graph; abort at once if an interrupt came before."""
+        """Set the graph; end its run if an interrupt came before."""
         self.graph = graph
         if self.interrupted:
             graph.interrupt()

@@ -120,6 +120,8 @@ def run(
     Every run writes its own bag and a row of the campaign's table. With --from, the run of a bag is
     rerun and compared instead: exit code 0 bit-identical, 1 different.
     """
+    if bag is None:
+        _start_scenic()
     from taxinet_ros.campaign.options import LOOP, make_options
     from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
     from taxinet_ros.core.world import world_word
@@ -153,6 +155,13 @@ def run(
             quiet=quiet, as_json=as_json,
         ), exit_zero,
     )
+
+
+def _start_scenic() -> None:
+    """Have Scenic imported in its own process while this one goes on."""
+    from taxinet_ros.campaign.scenes.scenic_server import start_early
+
+    start_early()
 
 
 def _run_from(context: typer.Context, bag: Path) -> int:
@@ -220,6 +229,7 @@ def falsify(
     from the program itself to estimate failure rates; `--sampler ce` also learns where failures are
     likely. Can be resumed after Ctrl-C or power loss.
     """
+    _start_scenic()
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.search_options import make_search_options
@@ -295,6 +305,7 @@ def estimate(
     program's own distribution. Its headline is the first requirement, or the only one. Prints a
     95 % interval, and draws P(robustness <= r). Exit codes: 0 estimated, 3 a wide interval.
     """
+    _start_scenic()
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.search_options import make_estimate_options

@@ -155,8 +155,6 @@ def _span(seconds: float) -> str:
 
 
 _INFRA = 4
-_GONE_S = 3.0
-"""Time limit for the graph to shut down after a second interrupt."""
 
 
 def make_up_options(
@@ -236,11 +234,7 @@ def run_up(options: UpOptions) -> int:
             raise KeyboardInterrupt
         started[-1].stop()
 
-    def abort() -> bool:
-        return bool(started) and started[-1].abort()
-
-    # Every node dies with this process, so nothing is lost if DDS shuts down slowly.
-    with interrupts(stop, abort, gone_s=_GONE_S):
+    with interrupts(stop):
         try:
             run_standing_graph(options, view, started.append)
             view.say('ended')

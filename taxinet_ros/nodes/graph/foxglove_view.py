@@ -51,7 +51,7 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
         server = ChildProcess(
             'foxglove', command, stdout=subprocess.PIPE, stderr=errors,
             environment={**package_environment(), 'ROS_DOMAIN_ID': str(domain)},
-            killed_with_parent=True, signals_held=True,
+            killed_with_parent=True,
         )
         try:
             assert server.process.stdout is not None

@@ -47,7 +47,7 @@ class NodeProcess(ChildProcess):
         require_discovery()
         self._ours = ours
         super().__init__(
-            name, command, log=log, killed_with_parent=ours, signals_held=ours,
+            name, command, log=log, killed_with_parent=ours,
             environment={
                 **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
                 # Else rclpy sends an int in a float field as another number (own_nodes.md).

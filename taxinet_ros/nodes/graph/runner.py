@@ -155,9 +155,6 @@ class Graph(Protocol):
     def interrupt(self) -> None:
         """End the current run as INTERRUPTED and return from :meth:`run`."""
 
-    def abort(self) -> bool:
-        """Make :meth:`run` raise KeyboardInterrupt now; False if it is not active."""
-
 
 @contextlib.contextmanager
 def composed_graph(
@@ -239,10 +236,6 @@ class SampledGraph:
         self._interrupted = True
         if self._sampler is not None:
             self._sampler.interrupt()
-
-    def abort(self) -> bool:
-        """See :class:`Graph`."""
-        return self._sampler is not None and self._sampler.abort()
 
     def _watch(self, sampler: ScenarioSampler) -> None:
         for child in self.children:

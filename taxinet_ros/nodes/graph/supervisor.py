@@ -381,32 +381,23 @@ class Supervisor(Node):
         self.ready = False
         self.ended = Future()
         self._end_by_s: float | None = None
-        self._stopped = self._aborted = False
+        self._stopped = False
         now_s = time.monotonic()
         for watched in self.nodes:
             watched.begin(now_s)
         self.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    # Signal handlers call the next two. Raised in a callback, rclpy would print a KeyboardInterrupt
-    # with a traceback, and the code that they interrupt may hold locks of rclpy.
+    # Signal handlers call this. The code that they interrupt may hold locks of rclpy.
 
     def stop(self) -> None:
         """Soon end the current run in order, if any; then ``ended`` is done."""
         self._stopped = True
-
-    def abort(self) -> bool:
-        """Have ``ended`` raise KeyboardInterrupt soon. False if it is done already."""
-        self._aborted = True
-        return not self.ended.done()
 
     def close(self) -> None:
         """Release the node."""
 
     def _tick(self) -> None:
         if self.ended.done():
-            return
-        if self._aborted:
-            self.ended.set_exception(KeyboardInterrupt())
             return
         if self._stopped and self._end_by_s is None:
             self._end_by_s = time.monotonic() + (_END_OF_RUN_S if self.runs.interrupt() else 0.0)

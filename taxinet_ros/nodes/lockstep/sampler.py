@@ -75,7 +75,7 @@ class ScenarioSampler(Node):
         self._dead: set[End] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
-        self._active = self._aborted = self._cancelled = False
+        self._cancelled = False
         self.interrupted = self.one_simulator = False
         self._request: RunRequest | None = None
         self.seq = 0
@@ -97,23 +97,17 @@ class ScenarioSampler(Node):
         """
         self._executor = executor
         self._finished = Future(executor=executor)
-        self._active, self._aborted = True, False
         self._requests, self._on_result = iter(requests), on_result
         executor.create_task(self._guarded(self._begin_next))
         return self._finished
 
-    # Signal handlers call the next two. The code that they interrupt may hold locks of rclpy, so
-    # they only leave word for :meth:`_watch`.
+    # Signal handlers call this. The code that they interrupt may hold locks of rclpy, so it only
+    # leaves word for :meth:`_watch`.
 
     def interrupt(self) -> None:
         """Cancel the current run soon, take its result, and request no more."""
         self.interrupted = True
         self._silent_looks = 0
-
-    def abort(self) -> bool:
-        """End the campaign soon with KeyboardInterrupt. False if none is active."""
-        self._aborted = True
-        return self._active
 
     def report_death(self, node: str, detail: str) -> None:
         """Report a dead node process: its run ends at once with the reason."""
@@ -154,7 +148,6 @@ class ScenarioSampler(Node):
             try:
                 action(*what, *came)
             except BaseException as error:
-                self._active = False
                 finished.set_exception(error)
 
         return guarded
@@ -184,7 +177,6 @@ class ScenarioSampler(Node):
 
     def _finish(self) -> None:
         assert self._finished is not None
-        self._active = False
         if not self._finished.done():
             self._finished.set_result(None)
 
@@ -249,10 +241,6 @@ class ScenarioSampler(Node):
         self.seq = message.feedback.seq
 
     def _watch(self) -> None:
-        if self._aborted and self._active:
-            assert self._finished is not None
-            self._active = False
-            self._finished.set_exception(KeyboardInterrupt())
         answer = self._answer
         if answer is None or answer.done():
             return

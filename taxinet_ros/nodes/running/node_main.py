@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from threading import Event, Timer
+from threading import Event
 from typing import Any
 
 import rclpy
@@ -27,7 +27,6 @@ from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
 from taxinet_ros.processes.interrupts import (
     exit_handler,
-    exit_now,
     handle_signals,
     interrupted_exit_code,
     interrupts,
@@ -113,8 +112,6 @@ GRACE_S = 5.0
 
 Longer on a machine so busy that the node itself has to wait.
 """
-AT_ONCE_S = 1.0
-"""Maximum time [s] to leave the graph after a second signal."""
 _LOOK_S = 0.05
 
 
@@ -124,9 +121,8 @@ def run_node(
     """Run one node until Ctrl-C, SIGTERM, a closed terminal or the end of its work, then exit.
 
     After the first signal, a node that serves a run continues until its method ``may_leave`` (if
-    any, polled) returns True, at most for :data:`GRACE_S`. After the second one it leaves at once,
-    but announces it, so that all others know. Exit code: 0 after one signal, 130, 143 or 129 after
-    two.
+    any, polled) returns True, at most for :data:`GRACE_S`. The second one ends it at once. Exit
+    code: 0 after one signal, 130, 143 or 129 after two.
 
     Args:
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
@@ -182,25 +178,17 @@ def run_node(
 
 def _serve(node: Any, executor: Any) -> int:
     """Spin until the node has ended, or may leave after a shutdown request."""
-    ended, asked, asked_again = getattr(node, 'ended', Future()), Event(), Event()
-
-    def at_once() -> bool:
-        asked_again.set()
-        hung = Timer(AT_ONCE_S, lambda: exit_now(interrupted_exit_code(ExitCode.INTERRUPTED)))
-        hung.daemon = True
-        hung.start()
-        return True
-
-    with interrupts(asked.set, at_once):
+    ended, asked = getattr(node, 'ended', Future()), Event()
+    with interrupts(asked.set):
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
         # Counts checks instead of seconds, so that a busy machine gets more time.
         for _ in range(round(GRACE_S / _LOOK_S)):
-            if ended.done() or asked_again.is_set() or may_leave():
+            if ended.done() or may_leave():
                 break
             spin_for(executor, ended, _LOOK_S)
-    return ExitCode.INTERRUPTED if asked_again.is_set() else ExitCode.OK
+    return ExitCode.OK
 
 
 def _leave(node: Any, executor: Any) -> None:

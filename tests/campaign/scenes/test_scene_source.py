@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import select
@@ -100,6 +101,35 @@ def test_f7_given_a_program_that_writes_answers_itself_then_one_line_says_so(
     with pytest.raises(UsageError) as caught, SceneSource(path, seed=1) as source:
         source.scene(0)
     assert str(caught.value) == 'mine.scenic: the program has meddled with the Scenic process'
+
+
+def test_given_two_programs_then_one_server_has_imported_scenic_and_nothing_of_the_first_stays(
+    tmp_path: Path,
+) -> None:
+    with SceneSource(write(tmp_path, f'import math\nmath.pi = 3.0\n{PLANE}'), seed=1) as first:
+        assert first._child is not None
+        server = first._child._server
+        text = 'import math\nmodel runway_world\nego = new Plane at (math.pi, 400)\n'
+        with SceneSource(write(tmp_path, text), seed=1) as other:
+            assert other._child is not None
+            assert other._child._server is server
+            assert other._child.pid != first._child.pid
+            assert other.scene(0).cross_track_m == -math.pi
+            first.scene(0)
+    assert not server.process.dead
+
+
+def test_given_a_server_that_somebody_kills_then_the_next_program_has_another() -> None:
+    with SceneSource('nominal', seed=1) as source:
+        assert source._child is not None
+        server = source._child._server.process
+        before = source.scene(0)
+        server.kill()
+        server.wait()
+        with pytest.raises(InfraError, match='killed by SIGKILL'):
+            [source.scene(index) for index in range(1, 1000)]
+    with SceneSource('nominal', seed=1) as source:
+        assert source.scene(0) == before
 
 
 def test_f10_given_a_child_that_somebody_kills_then_the_bench_is_broken_and_not_the_program() -> (

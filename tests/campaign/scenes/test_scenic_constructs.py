@@ -257,7 +257,7 @@ def test_s5_chance_and_clocks_outside_scenic_are_refused(case: str, ask: Ask) ->
 
 def test_s5_the_date_is_refused(ask: Ask) -> None:
     error = ask(spot('date.today().day', 'from datetime import date'))['error']
-    assert (error['line'], error['message'][:28]) == (3, 'the date is another one each')
+    assert (error['line'], error['message'][:28]) == (3, 'the time is another one each')
 
 
 @pytest.mark.parametrize('module', ['random', 'numpy.random'])

@@ -13,7 +13,9 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-COMMAND = [sys.executable, '-c', 'from taxinet_ros.cli.start import main; main()']
+COMMAND = [sys.executable, '-P', '-c', 'from taxinet_ros.cli.start import main; main()']
+RUN = ('run', 'nominal', '--runs', '3', '--perception', 'truth', '--images', 'none',
+       '--set', 'duration=600')
 
 
 @contextlib.contextmanager
