@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
+from taxinet_ros.files.sealed_json import write_sealed
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 
@@ -53,5 +53,5 @@ def planted_runs(table: pd.DataFrame, folder: Path, spec: str | None = None) -> 
     if {'rho', 'rho_phi'} <= set(table.columns):
         table = table.assign(rho=table['rho_phi'])
     table.to_parquet(path, index=False)
-    (folder / 'campaign.json').write_text(json.dumps({'runs': len(table)}))
+    write_sealed(folder / 'campaign.json', {'runs': len(table)})
     return read_runs(path, spec)

@@ -24,6 +24,7 @@ from taxinet_ros.analysis.runs.campaign import (
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import write_sealed
 
 
 def table(runs=60, **columns):
@@ -130,7 +131,7 @@ def test_given_undecided_runs_then_there_are_bounds_and_no_rate(tmp_path):
 def test_given_an_interrupted_campaign_then_runs_after_a_gap_do_not_count(tmp_path):
     frame = table(60)
     frame = frame[~frame['index'].isin([50, 52])].reset_index(drop=True)
-    (tmp_path / 'campaign.json').write_text('{"runs": 60}')
+    write_sealed(tmp_path / 'campaign.json', {'runs': 60})
     frame.to_parquet(tmp_path / 'runs.parquet')
     runs = read_runs(tmp_path)
     assert (runs.weighting, runs.anytime, runs.uncounted) == (Weighting.DRAWN, True, 8)
@@ -167,7 +168,7 @@ def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_an
     frame = table(60)
     failures = int((frame['outcome'] == 'FAIL').sum())
     for planned, anytime in ((60, False), (40, True), (80, True)):
-        (tmp_path / 'campaign.json').write_text(f'{{"first_runs": {planned}, "runs": 60}}')
+        write_sealed(tmp_path / 'campaign.json', {'first_runs': planned, 'runs': 60})
         frame.to_parquet(tmp_path / 'runs.parquet')
         runs = read_runs(tmp_path)
         assert runs.anytime is anytime

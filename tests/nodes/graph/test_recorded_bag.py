@@ -1,6 +1,5 @@
 """The bag of a real graph: everything is in it, and it withstands a kill and a full disk."""
 
-import json
 import os
 import signal
 import subprocess
@@ -32,6 +31,7 @@ from taxinet_ros.bag.run.topics import (
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -84,9 +84,8 @@ def test_given_the_table_of_the_graph_then_the_names_for_readers_without_ros_are
 def test_given_a_disk_that_fills_up_then_that_run_is_a_broken_bag_and_the_next_is_sound(
     tmp_path, monkeypatch
 ):
-    (tmp_path / 'campaign.json').write_text(json.dumps({
-        'program': 'mine.scenic', 'program_text': PROGRAM,
-    }))
+    facts = {'program': 'mine.scenic', 'program_text': PROGRAM}
+    write_sealed(tmp_path / 'campaign.json', facts)
     calls = {'n': 0}
 
     def disk(descriptor: int) -> os.statvfs_result:
