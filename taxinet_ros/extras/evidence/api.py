@@ -29,12 +29,12 @@ _Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 @says_parameters
 @takes(
     campaigns=_PATHS, out=PATH, requirement=NONE | TEXT, claim=NONE | FINITE, spec=NONE | WORD,
-    odd=NONE | PATH, localize=_PATHS, perception=_PATHS,
+    odd=NONE | PATH, localize=_PATHS, monitor_table=_PATHS, perception=_PATHS,
 )
 def evidence(
     campaigns: _Paths, out: str | os.PathLike[str], *, requirement: str | None = None,
     claim: float | None = None, spec: str | None = None, odd: str | os.PathLike[str] | None = None,
-    localize: _Paths = (), perception: _Paths = (),
+    localize: _Paths = (), monitor_table: _Paths = (), perception: _Paths = (),
 ) -> dict[str, Any]:
     """Write evidence toward a requirement, as ``taxinet evidence``.
 
@@ -46,6 +46,7 @@ def evidence(
         spec: formula of claim and ODD; None for the headline.
         odd: name or file of an operational design domain.
         localize: folders of ``taxinet localize``.
+        monitor_table: folders of ``taxinet assure judge``.
         perception: files of networks that have moved.
 
     Returns:
@@ -59,7 +60,7 @@ def evidence(
         EvidenceOptions(
             campaigns=_paths(campaigns), requirement=requirement, claim=claim, spec=spec,
             odd=None if odd is None else os.fspath(odd), localisations=_paths(localize),
-            networks=tuple(map(str, _paths(perception))),
+            monitors=_paths(monitor_table), networks=tuple(map(str, _paths(perception))),
         ),
         Path(out),
     )

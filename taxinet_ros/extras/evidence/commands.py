@@ -46,6 +46,11 @@ def write_evidence(
         typer.Option('--localize', metavar='DIR', help='results of taxinet localize on one of the '
                      'campaigns; repeatable'),
     ] = None,
+    monitor_table: Annotated[
+        list[Path] | None,
+        typer.Option(metavar='DIR', help='results of taxinet assure judge with the network of one '
+                     'of the campaigns; repeatable'),
+    ] = None,
     perception: Annotated[
         list[str] | None,
         typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
@@ -68,7 +73,8 @@ def write_evidence(
         EvidenceOptions(
             campaigns=tuple(campaigns), requirement=requirement, spec=spec, odd=odd,
             claim=None if claim is None else parse_claim(claim),
-            localisations=tuple(localized or ()), networks=tuple(perception or ()),
+            localisations=tuple(localized or ()), monitors=tuple(monitor_table or ()),
+            networks=tuple(perception or ()),
         ),
         out, as_json=as_json,
     ))

@@ -43,12 +43,13 @@ from taxinet_ros.extras.evidence.argument import (
 from taxinet_ros.extras.evidence.figures import Verdict
 from taxinet_ros.extras.evidence.inputs import (
     CampaignInput,
-    LocalisationInput,
     OnBag,
     Requirement,
+    ResultsInput,
     digest_of,
     read_campaigns,
     read_localisation,
+    read_monitor,
     read_network,
     read_requirement,
     text_sha256,
@@ -74,6 +75,7 @@ class EvidenceOptions:
         spec: formula that the claim and the ODD are about; None for the headline of each system.
         odd: name or file of an operational design domain; None for none.
         localisations: folders of ``taxinet localize``.
+        monitors: folders of ``taxinet assure judge``.
         networks: files of networks that have moved.
 
     Raises:
@@ -86,6 +88,7 @@ class EvidenceOptions:
     spec: str | None = None
     odd: str | None = None
     localisations: tuple[Path, ...] = ()
+    monitors: tuple[Path, ...] = ()
     networks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -135,7 +138,8 @@ class _Sources:
     requirement: Requirement | None
     campaigns: tuple[CampaignInput, ...]
     odd: Odd | None
-    causes: tuple[LocalisationInput, ...]
+    causes: tuple[ResultsInput, ...]
+    monitors: tuple[ResultsInput, ...]
     folder: Path
     recorded: Mapping[Path, str]
 
@@ -173,10 +177,13 @@ def collect(
     sources = _Sources(
         options=options, requirement=requirement, campaigns=campaigns, odd=odd,
         causes=tuple(read_localisation(path, campaigns) for path in options.localisations),
+        monitors=tuple(read_monitor(path, campaigns) for path in options.monitors),
         folder=folder, recorded=recorded or {},
     )
-    if len({one.campaign for one in sources.causes}) != len(sources.causes):
+    if len({one.campaigns for one in sources.causes}) != len(sources.causes):
         raise UsageError('--localize: two are about the same campaign; name one of them')
+    if len({digest_of(one.figures) for one in sources.monitors}) != len(sources.monitors):
+        raise UsageError('--monitor-table: two are the same judgement; name one of them')
     systems = _systems(sources)
     content = _content(sources, systems)
     limits = known_limits(
@@ -200,6 +207,14 @@ def _systems(sources: _Sources) -> tuple[SystemFacts, ...]:
     for number, one in enumerate(sources.campaigns, 1):
         groups.setdefault(digest_of(one.system), []).append((f'campaign-{number}', one))
     claim, found = sources.options.claim, []
+
+    def about(
+        inputs: Sequence[CampaignInput], results: Sequence[ResultsInput]
+    ) -> tuple[ResultsInput, ...]:
+        return tuple(
+            one for one in results if any(sources.campaigns[at] in inputs for at in one.campaigns)
+        )
+
     for number, members in enumerate(groups.values(), 1):
         inputs = [one for _, one in members]
         facts, spec = inputs[0].facts, _spec(sources.options.spec, inputs[0])
@@ -209,9 +224,7 @@ def _systems(sources: _Sources) -> tuple[SystemFacts, ...]:
             coverage=None if sources.odd is None else figures.domain_of(
                 inputs, sources.odd, spec, None if claim is None else 1 - claim,
             ),
-            causes=tuple(
-                one for one in sources.causes if sources.campaigns[one.campaign] in inputs
-            ),
+            causes=about(inputs, sources.causes), monitors=about(inputs, sources.monitors),
         ))
     return tuple(found)
 
@@ -231,6 +244,16 @@ def _spec(wanted: str | None, one: CampaignInput) -> str:
 def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any]:
     requirement, odd, options = sources.requirement, sources.odd, sources.options
     ids = {one.folder: name for system in systems for name, one in system.campaigns}
+
+    def results(kind: str, found: Sequence[ResultsInput]) -> list[dict[str, Any]]:
+        return [
+            {
+                'id': f'{kind}-{number}', 'path': sources.path(one.folder),
+                'files': dict(one.files), 'figures': dict(one.figures),
+                'campaigns': [ids[sources.campaigns[at].folder] for at in one.campaigns],
+            } for number, one in enumerate(found, 1)
+        ]
+
     return {
         'schema': SCHEMA, 'about': WORDS,
         'requirement': None if requirement is None else {
@@ -243,13 +266,8 @@ def _content(sources: _Sources, systems: Sequence[SystemFacts]) -> dict[str, Any
             _campaign(sources, name, one) for system in systems for name, one in system.campaigns
         ],
         'odd': None if odd is None or options.odd is None else _odd(sources, odd, options.odd),
-        'localisations': [
-            {
-                'id': f'localisation-{number}', 'path': sources.path(one.folder),
-                'files': dict(one.files), 'campaign': ids[sources.campaigns[one.campaign].folder],
-                'figures': dict(one.figures),
-            } for number, one in enumerate(sources.causes, 1)
-        ],
+        'localisations': results('localisation', sources.causes),
+        'monitors': results('monitor', sources.monitors),
     }
 
 
@@ -353,7 +371,7 @@ def _items(content: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield _item(f'{name}/versions', 'tool versions', 'unknown')
         yield _item(f'{name}/bags', 'recordings', f'{len(one["bags"]["each"]):,} bags',
                     one['bags']['sha256'], 'the runs were made without bags, or these are gone')
-    for one in (*content['campaigns'], *content['localisations']):
+    for one in (*content['campaigns'], *content['localisations'], *content['monitors']):
         for file, sha256 in one['files'].items():
             yield _item(f'{one["id"]}/{file}', 'record', f'{one.get("name", one["path"])}/{file}',
                         sha256)
@@ -434,7 +452,7 @@ def _system_goal(sources: _Sources, system: SystemFacts, values: Mapping[str, An
         f'scenes of {scenes_words(program["name"], program["overrides"])}',
         [
             _rate_goal(sources.options.claim, system), _domain_goal(system),
-            _cause_goal(sources, system), _data_goal(system),
+            _cause_goal(sources, system), _monitor_goal(sources, system), _data_goal(system),
             shown('Every figure rests on recorded runs that are bound by hash',
                   _records_verdict(system), *_ledgers(system)),
         ],
@@ -494,6 +512,22 @@ def _cause_goal(sources: _Sources, system: SystemFacts) -> Goal:
             for one in system.causes
         ),
     )
+
+
+def _monitor_goal(sources: _Sources, system: SystemFacts) -> Goal:
+    text = 'What a run-time monitor of this network notices, and misses, is measured'
+    if not system.monitors:
+        return open_goal(text, 'no monitor was judged')
+    words = '; '.join(
+        f'of {one["failed"]:,} failed runs {one["in_time"]:,} with an alarm in time, of '
+        f'{one["runs"] - one["failed"]:,} satisfied ones {one["false_alarms"]:,} with an alarm'
+        for one in (each.figures for each in system.monitors)
+    )
+    return shown(text, (Verdict.SUPPORTED, words), *(
+        Reference(f'Monitor {one.figures["monitor"]} in {one.figures["runs"]:,} scenes',
+                  f'monitor-{sources.monitors.index(one) + 1}/{next(iter(one.files))}')
+        for one in system.monitors
+    ))
 
 
 def _data_goal(system: SystemFacts) -> Goal:

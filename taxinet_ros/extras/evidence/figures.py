@@ -31,7 +31,7 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.evidence.inputs import CampaignInput, LocalisationInput
+from taxinet_ros.extras.evidence.inputs import CampaignInput, ResultsInput
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Of the robustness."""
@@ -270,7 +270,7 @@ def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:
     ), words
 
 
-def cause_verdict(one: LocalisationInput) -> tuple[Verdict, str]:
+def cause_verdict(one: ResultsInput) -> tuple[Verdict, str]:
     """Whether every failed run examined is attributed to a part, and a sentence on it."""
     blame, examined = one.figures['blame'], one.figures['looked_into']
     network, controller = blame[Blame.PERCEPTION], blame[Blame.CONTROLLER]

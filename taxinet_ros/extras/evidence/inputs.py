@@ -1,4 +1,4 @@
-"""What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations.
+"""What evidence rests on, read and bound by SHA-256: campaigns, networks, localisations, monitors.
 
 An input whose checksums do not hold, or that cannot be bound to the campaign it is named with, is
 refused by name. What an input does not say (such as the training data of somebody else's network)
@@ -24,6 +24,7 @@ from taxinet_ros.campaign.rates import Planned
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, planned_runs, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
+from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.weights import (
     SUFFIX,
@@ -36,6 +37,11 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.journal import journal_end, parse_journal
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
+MONITOR_NAME = 'assurance.json'
+"""Summary of ``taxinet assure judge``, with the digests of its runs."""
+_JUDGED_OPTIONS = (
+    'program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed', 'fingerprints',
+)
 TRUTH = 'truth'
 """The perception without a network."""
 OnBag = Callable[[Path], None]
@@ -193,12 +199,7 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
         )
     if not recorded.rows:
         raise UsageError(f'{folder}: has no run')
-    if wrong := examine(folder, on_bag).findings:
-        more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
-        raise UsageError(
-            f'{wrong[0].where}: {wrong[0].what}{more}; no evidence is written of damaged results: '
-            f'taxinet doctor {folder}'
-        )
+    _refuse_damaged(folder, on_bag)
     return CampaignInput(
         folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
         files={
@@ -210,6 +211,16 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
             if (bag := recorded.bag(row)) is not None
         },
     )
+
+
+def _refuse_damaged(folder: Path, on_bag: OnBag = lambda bag: None) -> None:
+    """Refuse results of which a checksum does not hold."""
+    if wrong := examine(folder, on_bag).findings:
+        more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
+        raise UsageError(
+            f'{wrong[0].where}: {wrong[0].what}{more}; no evidence is written of damaged results: '
+            f'taxinet doctor {folder}'
+        )
 
 
 def _network_of(recorded: RecordedCampaign) -> str | None:
@@ -337,23 +348,23 @@ def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalisationInput:
-    """Results of ``taxinet localize`` on one of the campaigns.
+class ResultsInput:
+    """Results of another command on campaigns: ``taxinet localize`` or ``taxinet assure judge``.
 
     Attributes:
         folder: their folder.
-        files: SHA-256 of the summary, which has the digest of the trials.
-        campaign: index of the campaign.
+        files: SHA-256 of files, first the summary, which has the digests of the rest.
+        campaigns: indices of the campaigns.
         figures: the findings.
     """
 
     folder: Path
     files: Mapping[str, str]
-    campaign: int
+    campaigns: tuple[int, ...]
     figures: Mapping[str, Any]
 
 
-def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> LocalisationInput:
+def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
     """Read the summary of a localisation, and find its campaign by its trials.
 
     Raises:
@@ -387,7 +398,46 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Local
             'and runs have to agree)'
         )
         raise UsageError(f'{folder}: {why}')
-    return LocalisationInput(
-        folder=folder, campaign=found[0], files={summary.name: file_sha256(summary)},
+    return ResultsInput(
+        folder=folder, campaigns=(found[0],), files={summary.name: file_sha256(summary)},
         figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
+    )
+
+
+def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
+    """Read the judgement of a monitor, and find the campaigns that it is about.
+
+    Those are of the same network, without a monitor or with the same one and a judged fallback.
+
+    Raises:
+        UsageError: it is none, is damaged, or is about none of the campaigns.
+    """
+    path = folder / MONITOR_NAME
+    if not path.is_file():
+        raise UsageError(f'{folder}: no results of taxinet assure judge: {path.name} is not there')
+    _refuse_damaged(folder)
+    sealed = read_sealed(path)
+    try:
+        options = {name: sealed.values['options'][name] for name in _JUDGED_OPTIONS}
+        figures, digests = {**options, **sealed.values['judged']}, dict(options['fingerprints'])
+        network = str(digests.pop('perception'))
+    except (LookupError, TypeError, ValueError) as error:
+        raise UsageError(f'{path}: is of another form ({error!r}); judge again') from error
+    about = tuple(
+        number for number, one in enumerate(campaigns)
+        if network and network == one.facts['perception_sha256'] and (
+            parts_of(str(one.facts.get('controller', ''))) is None
+            or one.facts.get('controller_sha256') in digests.values()
+        )
+    )
+    if not about:
+        raise UsageError(
+            f'{folder}: is about network {options["perception"]} (sha256 {network[:12]}…) under '
+            f'monitor {options["monitor"]} with {", ".join(options["fallbacks"])}; no campaign '
+            'named here ran that network without a monitor, or with this monitor and fallback'
+        )
+    return ResultsInput(
+        folder=folder, campaigns=about, figures=figures,
+        files={name: file_sha256(folder / name)
+               for name in (path.name, *sealed.files, *sealed.journals)},
     )

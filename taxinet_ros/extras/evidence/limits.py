@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.odd.coverage import OddCoverage
@@ -24,8 +25,8 @@ from taxinet_ros.extras.evidence.figures import formula_rates
 from taxinet_ros.extras.evidence.inputs import (
     TRUTH,
     CampaignInput,
-    LocalisationInput,
     NetworkInput,
+    ResultsInput,
 )
 from taxinet_ros.registry import KMWH
 
@@ -83,6 +84,7 @@ class SystemFacts:
         network: its perception.
         coverage: of the ODD, if there is one.
         causes: localisations of its failed runs.
+        monitors: judgements of run-time monitors with its network.
     """
 
     name: str
@@ -90,7 +92,8 @@ class SystemFacts:
     campaigns: tuple[tuple[str, CampaignInput], ...]
     network: NetworkInput
     coverage: OddCoverage | None = None
-    causes: tuple[LocalisationInput, ...] = ()
+    causes: tuple[ResultsInput, ...] = ()
+    monitors: tuple[ResultsInput, ...] = ()
 
     @property
     def inputs(self) -> tuple[CampaignInput, ...]:
@@ -123,7 +126,9 @@ def known_limits(
          'apart.'),
     ))
     for system in systems:
-        for part in (_of_rates, _of_world, _of_network, _of_domain, _of_causes):
+        for part in (
+            _of_rates, _of_world, _of_network, _of_domain, _of_causes, _of_monitors
+        ):
             found += part(system)
         for name, one in system.campaigns:
             found += _of_campaign(name, one)
@@ -249,6 +254,23 @@ def _of_causes(system: SystemFacts) -> list[Limit]:
          'known (--localize).'),
         (0 < examined < failed, 'localised-in-part', f'{examined:,} of {failed:,} failed runs were '
          'driven again with perfect estimates; of the others the cause is not known.'),
+    ))
+
+
+def _of_monitors(system: SystemFacts) -> list[Limit]:
+    own = Path(system.facts['program']).stem
+    named = [(one, Path(one.figures['program']).stem) for one in system.monitors]
+    return _given(system.name, (
+        (system.network.sha256 and not system.monitors, 'no-monitor', 'No run-time monitor was '
+         'judged with this network (--monitor-table).'),
+        *(
+            (True, f'monitor-program-{number}', 'The judgement of monitor '
+             f'{one.figures["monitor"]} names its program by the word {program} only, not by a '
+             f'hash{"" if program == own else f", which is not that of these campaigns ({own})"}. '
+             f'Its {one.figures["runs"]:,} scenes were drawn with seed {one.figures["seed"]} and '
+             f'driven with controller {one.figures["controller"]}.')
+            for number, (one, program) in enumerate(named, 1)
+        ),
     ))
 
 

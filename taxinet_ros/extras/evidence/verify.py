@@ -87,7 +87,7 @@ class VerifyOptions:
 
     Attributes:
         folder: its folder.
-        moved: folders of inputs that have moved: campaigns, localisations, ODD.
+        moved: folders of inputs that have moved: campaigns, localisations, judgements, ODD.
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
@@ -193,6 +193,7 @@ def _again(
     localisations = tuple(
         places.folder('localisation', one) for one in content['localisations']
     )
+    monitors = tuple(places.folder('judgement', one) for one in content['monitors'])
     odd = content['odd']
     word = odd and odd['given']
     if odd and odd['files']:
@@ -212,7 +213,7 @@ def _again(
     return collect(
         EvidenceOptions(
             campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=word,
-            localisations=localisations, networks=options.networks,
+            localisations=localisations, monitors=monitors, networks=options.networks,
         ),
         options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
         on_bag=lambda bag: on_progress('bags', min(next(done), bags), bags),

@@ -1,10 +1,14 @@
-"""Campaigns with known outcomes, without bags, whose checksums hold."""
+"""Campaigns and a judged monitor with known outcomes, without bags, whose checksums hold."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.campaign.record.facts import write_facts
@@ -14,6 +18,7 @@ from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, load_card
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.extras.assurance import judge as judging
 
 PROGRAM = '# --- planted.scenic ---\nmodel runway_world\n# --- runway_world.scenic ---\nego = 1\n'
 SHA = {
@@ -83,4 +88,38 @@ def planted(
             ledger.intent(len(rows), f'planted-s{seed}-{len(rows):05d}')
     write_facts(folder, told)
     write_tables(rows, folder, list(specs))
+    return folder
+
+
+def trial(
+    scene: int, fallback: str = 'without', *, satisfied: bool = True, alarm_s: float = math.nan
+) -> judging.Trial:
+    """A run of a monitor's judgement."""
+    return judging.Trial(
+        scene=scene, fallback=fallback, satisfied=satisfied, rho_m=1.0 if satisfied else -1.5,
+        left_runway=False, duration_s=30.0, due_s=math.nan if satisfied else 12.0, reached=True,
+        off_s=math.nan, alarm_s=alarm_s, reason='' if math.isnan(alarm_s) else 'unseen',
+    )
+
+
+def judged_monitor(folder: Path, perception: str = 'original', monitor: str = 'original') -> Path:
+    """What the command itself writes of three scenes whose runs are made up."""
+    runs = [
+        (trial(0), trial(0, 'stop')), (trial(1, satisfied=False, alarm_s=11.0), trial(1, 'stop')),
+        (trial(2, satisfied=False, alarm_s=13.0),
+         trial(2, 'stop', satisfied=False, alarm_s=13.0)),
+    ]
+    driven = [
+        judging.Driven(trials=one, alarms_s=np.full(len(judging.FACTORS), one[0].alarm_s))
+        for one in runs
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judging, 'draw_scenes', lambda *_, **__: [
+            tx.Scenario(cross_track_m=float(number)) for number in range(len(runs))
+        ])
+        patch.setattr(judging, '_runs', lambda *_: iter(driven))
+        judging.judge(judging.JudgeOptions(
+            program='s_falsif', perception=perception, controller='steering', monitor=monitor,
+            fallbacks=('stop',), runs=len(runs), seed=4, workers=1, out=folder,
+        ), lambda *_: None)
     return folder

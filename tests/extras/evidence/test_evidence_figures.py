@@ -6,8 +6,9 @@ import hashlib
 import shutil
 
 import pytest
-from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, planted
+from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, judged_monitor, planted
 
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.evidence.argument import goals
@@ -209,6 +210,93 @@ def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
     assert 'no-odd' not in limits(content)
     goal = next(one for one in the_goals(content) if 'ODD two' in one['text'])
     assert goal['verdict'] == 'undetermined'  # what happens in a gap is not known
+
+
+# Monitors ----------------------------------------------------------------------------------------
+
+
+def monitor_goal(content):
+    return next(one for one in the_goals(content) if 'run-time monitor' in one['text'])
+
+
+def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tmp_path):
+    folder = judged_monitor(tmp_path / 'monitor')
+    campaign = planted(tmp_path / 'a', [PASS])
+    content = collected(campaign, monitors=(folder,))
+    (monitor,) = content['monitors']
+    figures = monitor['figures']
+    assert (figures['failed'], figures['in_time'], figures['late'], figures['missed']) == (
+        2, 1, 1, 0)
+    assert figures['with_fallback']['stop']['mended'] == 1
+    assert monitor['campaigns'] == ['campaign-1']
+    names = ['alarms.csv', 'assurance.json', 'scenes.jsonl', 'trials.csv']
+    for name in names:
+        item = content['items'][f'monitor-1/{name}']
+        assert item['sha256'] == hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    goal = monitor_goal(content)
+    assert (goal['verdict'], goal['undeveloped']) == ('supported', False)
+    assert goal['why'] == (
+        'of 2 failed runs 1 with an alarm in time, of 1 satisfied ones 0 with an alarm')
+    assert [one['item'] for one in goal['solutions']] == ['monitor-1/assurance.json']
+    limit = next(one['words'] for one in content['limits'] if one['id'] == 'monitor-program-1')
+    assert 's_falsif only, not by a hash, which is not that of these campaigns (planted)' in limit
+    assert 'no-monitor' not in limits(content)
+    without = collected(campaign)
+    assert monitor_goal(without)['why'] == 'no monitor was judged'
+    assert 'no-monitor' in limits(without)
+    with pytest.raises(UsageError, match='two are the same judgement'):
+        collected(campaign, monitors=(folder, folder))
+
+
+@pytest.mark.parametrize(('name', 'old', 'new', 'words'), [
+    ('trials.csv', b'0,without,True', b'0,without,False', 'is not the file recorded in assurance'),
+    ('alarms.csv', b'11.0', b'11.1', 'is not the file recorded in assurance'),
+    ('assurance.json', b'"in_time": 1', b'"in_time": 2', 'its checksum differs'),
+    ('scenes.jsonl', b'"scene":1', b'"scene":3', 'its checksum differs'),
+    ('trials.csv', None, None, 'is missing, but listed in assurance.json'),
+    ('assurance.json', None, None, 'no results of taxinet assure judge: assurance.json is not'),
+])
+def test_given_a_judgement_that_was_touched_then_it_is_refused_by_name(
+    tmp_path, name, old, new, words
+):
+    folder = judged_monitor(tmp_path / 'monitor')
+    if old is None:
+        (folder / name).unlink()
+    else:
+        damage(folder / name, old, new)
+    with pytest.raises(UsageError, match=words) as caught:
+        collected(planted(tmp_path / 'a', [PASS]), monitors=(folder,))
+    assert str(folder) in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_judgement_of_another_network_or_monitor_then_it_is_refused(tmp_path):
+    folder = judged_monitor(tmp_path / 'monitor')
+    with pytest.raises(UsageError, match=r'monitor: is about network original .* no campaign'):
+        collected(planted(tmp_path / 'a', [PASS], perception='taxinet'), monitors=(folder,))
+    for number, (word, fits) in enumerate((
+        ('steering+original+stop', True), ('steering+taxinet+stop', False),
+        ('steering+original+slow', False),
+    )):
+        campaign = planted(
+            tmp_path / f'with-{number}', [PASS], controller=word,
+            controller_sha256=check_controller(word),
+        )
+        if fits:
+            assert collected(campaign, monitors=(folder,))['monitors']
+        else:
+            with pytest.raises(UsageError, match='monitor original with stop; no campaign'):
+                collected(campaign, monitors=(folder,))
+
+
+def test_given_campaigns_of_two_networks_then_the_monitor_is_that_of_one(tmp_path):
+    content = collected(
+        planted(tmp_path / 'a', [PASS], seed=1), planted(
+            tmp_path / 'b', [PASS], seed=2, perception='taxinet'),
+        monitors=(judged_monitor(tmp_path / 'monitor', 'taxinet'),),
+    )
+    assert content['monitors'][0]['campaigns'] == ['campaign-2']
+    assert [one['about'] for one in content['limits'] if one['id'] == 'no-monitor'] == ['system-1']
 
 
 # Refused -----------------------------------------------------------------------------------------

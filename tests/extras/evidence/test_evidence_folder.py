@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from planted_evidence import FAIL, PASS, planted
+from planted_evidence import FAIL, PASS, judged_monitor, planted
 
 import taxinet_ros as tx
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
@@ -237,6 +237,26 @@ def test_given_an_odd_that_moved_then_it_is_asked_for_and_found_too(tmp_path):
     assert verified(out, moved=(moved,)).holds
     (moved / 'two.yaml').write_text('name: three\n', encoding='utf-8')
     assert not verified(out, moved=(moved,)).holds
+
+
+def test_given_a_judged_monitor_then_the_page_shows_it_and_verify_finds_a_change(tmp_path):
+    judged = judged_monitor(tmp_path / 'judged')
+    out = made(tmp_path, monitor_table=judged)
+    page = ' '.join(_Text((out / 'evidence.html').read_text(encoding='utf-8')).words)
+    assert 'Run-time monitor, in the same scenes without a fallback and with each' in page
+    assert '33.3 % (0.84-90.58 %)' in page
+    assert verified(out).holds
+    moved = judged.rename(tmp_path / 'moved')
+    assert any('judgement monitor-1 is not there' in line for line in verified(out).damaged)
+    assert verified(out, moved=(moved,)).holds
+    moved.rename(judged)
+    path = judged / 'alarms.csv'
+    path.write_bytes(path.read_bytes().replace(b'11.0', b'11.1', 1))
+    found = verified(out)
+    assert found.code == ExitCode.USAGE
+    assert any('alarms.csv: has changed since the evidence' in line for line in found.damaged)
+    path.unlink()
+    assert any('alarms.csv: is missing' in line for line in verified(out).damaged)
 
 
 def test_given_everything_moved_together_then_all_is_found(tmp_path):
