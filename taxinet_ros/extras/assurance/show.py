@@ -181,14 +181,19 @@ def trade_picture(judged: Judged) -> Picture:
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
         axes.plot(false, missed, color=theme.passed, marker='o', markersize=4, linewidth=1.4)
+        factors: dict[tuple[float, int], list[float]] = {}
         for one, x, y in zip(shown, false, missed, strict=True):
-            own = one.factor == 1
+            factors.setdefault((float(x), int(y)), []).append(one.factor)
+        for place, there in factors.items():
+            own = 1 in there
             axes.annotate(
-                f'{one.factor:.2g}', (x, y), xytext=(4, 4), textcoords='offset points',
-                fontsize=10 if own else 8, color=theme.failed if own else theme.ink,
+                ', '.join(f'{factor:.2g}' for factor in there), place, xytext=(4, 4),
+                textcoords='offset points', fontsize=10 if own else 8,
+                color=theme.failed if own else theme.ink,
             )
             if own:
-                axes.plot([x], [y], color=theme.failed, marker='o', markersize=7)
+                axes.plot(*place, color=theme.failed, marker='o', markersize=7)
+        axes.margins(0.1)
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
         axes.set_xlabel('satisfied runs with a false alarm [%]')
