@@ -48,6 +48,8 @@ _ALONE = (
     'taxinet_ros.core.perception.onnx.trial',
 )
 """Modules that start no further processes."""
+_COUNTS = 'taxinet_ros.nodes.graph.command_wrapper'
+"""It counts the processes that are left, of which a server would be one."""
 _LEFT_OUT = ('rclpy', 'torch', 'onnxruntime', 'distributed', 'mitsuba', 'jsbsim')
 """Libraries that begin threads when they are imported, or that few processes need."""
 _MESSAGES = (
@@ -198,9 +200,10 @@ def _work_of(words: list[str], programs: list[str]) -> _Work | None:
     if programs != [sys.executable] or len(rest) < 2:
         return None
     kind, what, *own = rest
-    ours = what.startswith('taxinet_ros.') if kind == '-m' else kind == '-c' and (
-        what == TAXINET or what.startswith((_SPAWNED, FORKED))
-    )
+    if kind == '-m':
+        ours = what.startswith('taxinet_ros.') and what != _COUNTS
+    else:
+        ours = kind == '-c' and (what == TAXINET or what.startswith((_SPAWNED, FORKED)))
     return _Work(kind, what, own, safe=bool(flags)) if ours else None
 
 

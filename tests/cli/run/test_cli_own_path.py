@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from taxinet_process import taxinet
+from taxinet_process import taxinet, taxinet_apart
 
 from taxinet_ros.bag.run.recording import open_recording
 
@@ -31,5 +31,5 @@ def test_given_nodes_of_ones_own_then_they_drive_a_run_that_ends_with_a_verdict(
 
 
 def test_given_a_controller_of_ones_own_when_checked_then_it_keeps_the_contract(tmp_path):
-    done = taxinet('check-node', CONTROLLER, cwd=tmp_path)
+    done = taxinet_apart('check-node', CONTROLLER, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
