@@ -39,6 +39,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
+_PYTHON = sys.executable  # which a test may replace
 TAXINET = 'from taxinet_ros.cli.main import main; main()'
 _SPAWNED = 'from multiprocessing.spawn import spawn_main;'
 FORKED = '# forked\n'
@@ -197,7 +198,7 @@ def _fork_or_start(*arguments: Any) -> int:
 def _work_of(words: list[str], programs: list[str]) -> _Work | None:
     """What a command line asks of Python; None: something else, or of another program."""
     flags, rest = words[1:2] == ['-P'], words[2:] if words[1:2] == ['-P'] else words[1:]
-    if programs != [sys.executable] or len(rest) < 2:
+    if programs != [_PYTHON] or len(rest) < 2:
         return None
     kind, what, *own = rest
     if kind == '-m':

@@ -30,6 +30,7 @@ from taxinet_ros.campaign.search_options import (
 )
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.journal import journal_line
 
 
 @pytest.fixture(autouse=True)
@@ -389,7 +390,9 @@ def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused
 def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match=r'there is nothing to resume; leave --resume out'):
         toy.finish(toy.options(tmp_path, resume=True))
-    (tmp_path / 'ledger.jsonl').write_text('{"event":"campaign","campaign":{"seed":3}}\n')
+    (tmp_path / 'ledger.jsonl').write_bytes(
+        journal_line({'event': 'campaign', 'campaign': {'seed': 3}})
+    )
     with pytest.raises(UsageError, match='not written by taxinet falsify'):
         toy.finish(toy.options(tmp_path, resume=True))
 

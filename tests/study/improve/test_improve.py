@@ -13,6 +13,7 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import sealed_text, write_sealed
 from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, Improvement, RoundLedger
 from taxinet_ros.study.improve.options import (
     FALSIFY,
@@ -58,7 +59,7 @@ class Bench:
             region = [{'feature': 'rain_percent', 'low': 25.0, 'high': None}]
             found = {'causes': [{'words': 'rain', 'region': region}],
                      'clusters': [{'words': 'wet, early'}]}
-            (folder / 'analysis.json').write_text(json.dumps(found))
+            write_sealed(folder / 'analysis.json', found)
         else:
             data = to_bytes(random_weights(len(self.done)))
             save_model(folder / 'candidate.safetensors', data, card_of(data))
@@ -207,7 +208,7 @@ def test_given_options_when_written_then_they_are_read_back(begun):
 
 
 @pytest.mark.parametrize(('text', 'reason'), [
-    ('', 'Expecting value'), ('[]', 'it is no object'), ('{"rounds": 1}', 'has not the keys'),
+    ('', 'damaged'), ('[]', 'damaged'), (sealed_text({'rounds': 1}), 'has not the keys'),
 ])
 def test_given_a_damaged_file_when_resumed_then_one_line_names_it(begun, text, reason):
     _, out = begun

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from taxinet_ros.campaign.scenes.search_space import Choice, Piece
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config, write_study
 from taxinet_ros.study.stages.log import StageLog
 from taxinet_ros.study.stages.plan import LOCALIZE, PAPER_RULE, campaign_of, search_of
@@ -98,10 +98,10 @@ def _learned(folder: Path, less: float, seed: int) -> None:
 def _localized(folder: Path) -> None:
     folder.mkdir()
     share = {'substitution': 'truth', 'passed': 19, 'judged': 20, 'low': 0.75, 'high': 0.99}
-    (folder / 'localize.json').write_text(json.dumps({
+    write_sealed(folder / 'localize.json', {
         'failed': 200, 'judged': RUNS, 'looked_into': 20, 'counted': 20,
         'substitutions': [share], 'sentences': ['19 of 20 pass on the true state.'],
-    }))
+    })
 
 
 def _experiment(folder: Path) -> None:
@@ -110,9 +110,9 @@ def _experiment(folder: Path) -> None:
         with Ledger(folder / arm / 'ledger.jsonl') as ledger:
             for index in range(12):
                 ledger.result(_row(index, arm))
-    (folder / 'experiment.json').write_text(json.dumps({
+    write_sealed(folder / 'experiment.json', {
         'comparisons': [{'pairs': 12}], 'sentences': ['Rho is greater.'],
-    }))
+    })
     hours = np.arange(6, 18, 0.2)
     pd.DataFrame({
         'time_of_day_h': hours, 'rho_shadows': 0.5,

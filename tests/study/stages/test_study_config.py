@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.study.stages.config import (
     read_config,
     read_study,
@@ -130,7 +131,7 @@ def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     small = scaled(SHIPPED, 0.02)
     write_study(tmp_path, small)
     assert read_study(tmp_path, '--resume') == small
-    (tmp_path / 'study.json').write_text('{"images": 3}')
+    write_sealed(tmp_path / 'study.json', {'images': 3})
     with pytest.raises(UsageError, match=r'study.json: cannot be read .*; name another --out'):
         read_study(tmp_path, '--resume')
     with pytest.raises(UsageError, match=r'--report-only: .*there is no case study'):

@@ -12,6 +12,7 @@ from training_samples import coloured_frame, foreign_folder
 
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.training.data.image_folder import load_folders, open_folder
 
 
@@ -141,7 +142,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
         lambda f: (f / 'dataset.json').write_text('[]'), 'dataset.json', 'taxinet doctor',
     ),
     'table changed': (
-        lambda f: (f / 'dataset.json').write_text('{"labels_sha256": "0"}'), 'labels.csv',
+        lambda f: write_sealed(f / 'dataset.json', {'labels_sha256': '0'}), 'labels.csv',
         'is not the table',
     ),
 }  # fmt: skip
