@@ -190,7 +190,7 @@ def _fork_or_start(*arguments: Any) -> int:
     files = [0 if stdin < 0 else stdin, 1 if stdout < 0 else stdout, 2 if stderr < 0 else stderr]
     return _server.start({
         'work': tuple(work), 'targets': targets, 'environment': environment, 'before': first,
-        'folder': os.getcwd() if folder is None else os.fsdecode(folder),
+        'folder': os.path.abspath('.' if folder is None else os.fsdecode(folder)),
         'new_session': bool(new_session), 'group': group,
     }, [*files, *targets[3:]])
 

@@ -274,7 +274,7 @@ def _verdict_of(bag: Path) -> str:
 def _check_sealed(place: Path, found: Examination) -> None:
     """Check sealed JSON files, and the files and journals they have checksums of."""
     for path in _files(place, '*.json', found):
-        if b'"seal"' not in path.read_bytes():
+        if not any(word in path.read_bytes() for word in (b'"seal"', b'"checksum"')):
             continue
         found.count('indices', path=path)
         try:

@@ -1,7 +1,8 @@
 """Entry points of ``taxinet`` and of the nodes.
 
 Before and after the work, a signal ends the process at once and in one line. Little is imported
-here, so that this holds from the beginning.
+here, so that this holds soon after Python itself has started; in its first 70 ms an interrupt ends
+it with Python's own traceback.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ _LINE = re.compile(rb'\{"sum":"([0-9a-f]{32})",(.+\})', re.DOTALL)
 
 
 class JournalEnd(NamedTuple):
-    """End of a journal: number of lines, and checksum of the last."""
+    """End of a journal: number of lines, and a digest of the checksums of all of them."""
 
     lines: int
     checksum: str
@@ -67,7 +67,12 @@ class JournalContent:
     @property
     def end(self) -> JournalEnd:
         """End of the journal."""
-        return JournalEnd(len(self.lines), self.lines[-1].checksum if self.lines else '')
+        return self.end_after(len(self.lines))
+
+    def end_after(self, lines: int) -> JournalEnd:
+        """End that the journal had after so many lines."""
+        sums = ''.join(line.checksum for line in self.lines[:lines])
+        return JournalEnd(lines, _digest(sums.encode()).decode() if sums else '')
 
     @property
     def troubles(self) -> list[tuple[int, str]]:
@@ -179,8 +184,7 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
         return f'{lost} of its {ended.lines} lines are missing at its end'
-    last = content.lines[ended.lines - 1].checksum if ended.lines else ''
-    if last != ended.checksum:
+    if content.end_after(ended.lines) != ended:
         return f'its first {ended.lines} lines are not those that it had'
     return ''
 
@@ -189,7 +193,7 @@ def damaged_line(path: Path, number: int, why: str) -> UsageError:
     """The error for a damaged or inconsistent line of a journal."""
     return UsageError(
         f'{path}:{number}: damaged line ({why}); check it with taxinet doctor {path.parent}; '
-        'the command that made it goes on with --resume'
+        'the command that made it goes on with --resume; where it has none, delete the line'
     )
 
 
@@ -264,8 +268,10 @@ def _torn_trouble(rest: bytes) -> str:
     """Error in the bytes after the last newline, or ''.
 
     After an interrupted write they are an incomplete object; after a complete one, the newline is
-    damaged.
+    damaged; zeros are what a file system leaves of lines that were there.
     """
+    if b'\0' in rest:
+        return 'its end is zeroed'
     try:
         return 'its end is damaged' if isinstance(load_json(rest[:-1]), dict) else ''
     except ValueError:

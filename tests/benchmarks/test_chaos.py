@@ -22,6 +22,7 @@ from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 
@@ -30,7 +31,7 @@ out = pathlib.Path('c')
 resumed = '--resume' in words
 trouble = {trouble!r}
 out.mkdir(exist_ok=True)
-(out / 'campaign.json').write_text('{{}}')
+write_sealed(out / 'campaign.json', {{}})
 
 def row(index, rho):
     return RunRow(run_id=f'r{{index}}', index=index, program='p', seed=0, perception='truth',

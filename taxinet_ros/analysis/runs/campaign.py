@@ -23,6 +23,7 @@ from taxinet_ros.analysis.runs.features import (
     feature_columns,
     scene_columns,
 )
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.rates import (
     count_kinds,
     count_words,
@@ -30,7 +31,13 @@ from taxinet_ros.campaign.rates import (
     sample_size_was_fixed,
     without_gaps,
 )
-from taxinet_ros.campaign.record.facts import FACTS_NAME, planned_runs, read_facts, recorded_stacks
+from taxinet_ros.campaign.record.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    planned_runs,
+    read_facts,
+    recorded_stacks,
+)
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.campaign.scenes.overrides import scenes_words
@@ -271,13 +278,15 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
     """Read the runs of a campaign's folder or table.
 
     Args:
-        path: folder, or ``.parquet`` file.
+        path: folder, or ``.parquet`` file. A campaign that was killed has no table yet: its runs so
+            far are read from its ledger.
         spec: formula that defines failure; None for the headline.
 
     Raises:
         UsageError: there is no such table or formula, or no run was judged.
     """
-    return runs_of(read_table(path), path, spec)
+    killed = (path / LEDGER_NAME).is_file() and not (path / PARQUET_NAME).exists()
+    return runs_of(open_campaign(path).table() if killed else read_table(path), path, spec)
 
 
 def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:

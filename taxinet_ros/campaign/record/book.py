@@ -417,7 +417,7 @@ def read_same_campaign(
     Raises:
         UsageError: another campaign was started there, or the ledger is damaged.
     """
-    content = read_ledger(out / LEDGER_NAME)
+    content = read_ledger(out / LEDGER_NAME, resumed=True)
     if content.rows and not content.campaign:
         raise UsageError(
             f'--resume: {out / LEDGER_NAME}: has runs, but not what the campaign is; begin it '

@@ -33,7 +33,6 @@ from taxinet_ros.files.journal import (
 )
 from taxinet_ros.files.plain_values import check_kind
 from taxinet_ros.files.reading import read_file
-from taxinet_ros.files.sealed_json import sealed_text
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,17 +124,21 @@ class Ledger(JournalOwner):
         self._journal.sync()
 
 
-def read_ledger(path: Path) -> LedgerContent:
+def read_ledger(path: Path, *, resumed: bool = False) -> LedgerContent:
     """Read a ledger, even while it is being written; a torn last line is ignored.
 
     If ``campaign.json`` exists in its folder, the two must agree.
+
+    Args:
+        path: path of the ledger.
+        resumed: whether lines may have been lost, as whoever asks makes these runs again.
 
     Raises:
         UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or
             inconsistent, or ``campaign.json`` is damaged or another campaign's.
     """
     facts = read_facts(path.parent)  # before the ledger, which may grow meanwhile
-    ended = facts.journals.get(path.name) if facts else None
+    ended = facts.journals.get(path.name) if facts and not resumed else None
     try:
         events = read_journal(path, ended)
     except OSError as error:
@@ -184,8 +187,8 @@ def ledger_content(
 def repair_ledger(folder: Path) -> str:
     """Prepare the damaged record of a campaign for a resume, which makes lost runs again.
 
-    A damaged file is kept as a copy. The ledger keeps its intact lines; ``campaign.json`` is
-    written anew from it when the campaign goes on.
+    A damaged file is kept as a copy. The ledger keeps its intact lines, each result once; others
+    refuse it until the campaign has ended, as ``campaign.json`` keeps the number of its lines.
 
     Returns:
         A line on what was damaged, or ''.
@@ -205,14 +208,27 @@ def repair_ledger(folder: Path) -> str:
         ended = facts.journals.get(path.name) if facts else None
         short = lost_end(content, ended) if ended else ''
         if content.troubles or short:
-            events = [line.event for line in content.lines if line.event is not None]
-            if facts is not None and all(event['event'] != 'campaign' for event in events):
+            events: list[Mapping[str, Any]] = []
+            results: set[str] = set()
+            for line in content.lines:
+                if line.event is None or line.checksum in results:
+                    continue
+                events.append(line.event)
+                if line.event['event'] == 'result':
+                    results.add(line.checksum)
+            if facts is not None and facts.values not in _campaigns(events):
                 events.insert(0, {'event': 'campaign', 'campaign': facts.values})
             why.append(_set_aside(path))
             write_atomically(path, b''.join(map(journal_line, events)))
-            if facts is not None:
-                write_atomically(facts_path, sealed_text(facts.values, facts.files))
-    return f'{folder}: damaged: {", ".join(why)}; runs without a result are made again' * bool(why)
+    return (
+        f'{folder}: damaged: {", ".join(why)}; runs without a result are made again; add '
+        'requirements of taxinet monitor --add that are lost again'
+    ) * bool(why)
+
+
+def _campaigns(events: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Facts of the campaign, oldest first."""
+    return [event['campaign'] for event in events if event['event'] == 'campaign']
 
 
 def _set_aside(path: Path) -> str:
@@ -271,15 +287,16 @@ class _Events:
         """Add a later requirement's values to the rows so far; runs repeated later have none."""
         self.added[event['name']] = event['formula']
         for index, (lower, upper) in event['intervals'].items():
-            row = self.rows[int(index)]
-            self.rows[row.index] = row.also_judged(
-                event['name'], RobustnessInterval(float(lower), float(upper))
-            )
+            row = self.rows.get(int(index))  # None: lost, and made again
+            if row is not None:
+                self.rows[row.index] = row.also_judged(
+                    event['name'], RobustnessInterval(float(lower), float(upper))
+                )
 
 
 def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
     """Check that ``campaign.json`` agrees with the ledger, or with its state before a crash."""
-    told = [event['campaign'] for event in events if event['event'] == 'campaign']
+    told = _campaigns(events)
     if facts in told:
         return
     last, none = told[-1], object()

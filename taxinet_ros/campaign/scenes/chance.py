@@ -15,7 +15,7 @@ import random
 import re
 import sys
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,12 +31,14 @@ _LIBRARIES = tuple({
 })
 _SEEDS = 10
 """Compilations of a program that draws while it is compiled."""
-_DATE = re.compile(
-    r'\b(?:(?:datetime|date)\.(?:now|utcnow|today)|time\.(?:time(?:_ns)?|localtime|gmtime|strftime|'
-    r'ctime))\('
+_CLOCK = re.compile(
+    r'\b(?:now|utcnow|today|time|time_ns|localtime|gmtime|strftime|ctime|perf_counter|monotonic|'
+    r'urandom|getpid|getppid|randbelow|randbits|token_\w+|uuid[14]|SystemRandom)\('
 )
-"""What may be the same in two compilations, and another tomorrow."""
-_REACHES = re.compile(rf'import|^\s*model\s+(?!{MODEL}\s*$)', re.MULTILINE)
+"""What may be the same in two compilations, and another tomorrow or in another process."""
+_REACHES = re.compile(
+    rf'import|\b(?:open|id|hash)\(|^\s*model\s+(?!{MODEL}\s*$)', re.MULTILINE
+)
 _CHANCE = re.compile(
     r'\b(?:random|uniform|gauss|normal\w*|choices?|shuffle|rand\w*|default_rng|Random|token_\w+|'
     r'time\w*|monotonic|perf_counter|urandom|uuid[14])\('
@@ -60,10 +62,6 @@ def compile_twice(
     Raises:
         ProgramError: it differs, and the line that seems to be the reason.
     """
-    if place := _line(program, _DATE):
-        raise ProgramError(
-            'the time is another one each day, so no run could be repeated; write a number', place
-        )
     if not _imports(program):
         reseed(0)
         return compile_program()
@@ -91,6 +89,26 @@ def compile_twice(
     for seed in range(2, _SEEDS if moved else 2):
         compiled_after(seed)
     return compiled_after(0)[0]
+
+
+def check_clocks(program: Path, files: Iterable[str]) -> None:
+    """Refuse what answers equally in two compilations, but otherwise another day or elsewhere.
+
+    Args:
+        program: a program's file.
+        files: what was read while it was compiled.
+
+    Raises:
+        ProgramError: a line of its own code, or of a module below its folder, asks for such.
+    """
+    folder = program.absolute().parent
+    for file in map(Path, files):
+        own = file.suffix in ('.py', SUFFIX) and file.is_relative_to(folder)
+        if own and not str(file).startswith(_LIBRARIES) and (place := _line(file, _CLOCK)):
+            raise ProgramError(
+                'the clock, the process and the system answer otherwise another day or in another '
+                'process, so no run could be repeated; write a number, or Range(LOW, HIGH)', place
+            )
 
 
 def _imports(program: Path) -> bool:

@@ -240,7 +240,8 @@ class Constructs:
     def _check_statements(self, scenario: Any) -> None:
         held = scenario.dynamicScenario
         for attribute, (statement, why) in _HELD.items():
-            if filled := getattr(held, attribute):
+            filled = getattr(held, attribute)
+            if filled or (attribute == '_timeLimit' and filled is not None):
                 line = getattr(filled[0], 'line', 0) if isinstance(filled, list) else 0
                 raise ProgramError(_sentence(statement, why), self._line(statement, line))
         if scenario.simulator is not None:

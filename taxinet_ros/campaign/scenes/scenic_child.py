@@ -116,7 +116,7 @@ class Programs:
         self._constructs = constructs.watch_constructs()
         sys.path.append(shipped)  # after the program's own folder, which Scenic prepends
         self._compile = scenic.scenarioFromFile
-        self._compile_twice = chance.compile_twice
+        self._chance = chance
         self._find_choices = choices.Choices
         self.seed = seed
         self._scenario: Any = None
@@ -130,11 +130,12 @@ class Programs:
         """Compile ``program`` and refuse constructs without effect; no scene is drawn."""
         self._choices = self._scenario = None
         self._loaded.clear()
-        scenario = self._compile_twice(
+        scenario = self._chance.compile_twice(
             Path(program), lambda: self._begin(program),
             lambda attempt: self._reseed(0, attempt),  # a program may draw while it is compiled
             self._first_scenes,
         )
+        self._chance.check_clocks(Path(program), sorted(self._loaded))
         self._constructs.check(scenario)
         if scenario.externalSampler is not None:
             raise ProgramError(

@@ -255,12 +255,21 @@ def test_s5_chance_and_clocks_outside_scenic_are_refused(case: str, ask: Ask) ->
     assert error['line'] == line
 
 
-@pytest.mark.parametrize(('value', 'imported'), [
-    ('date.today().day', 'from datetime import date'), ('time.time() // 3600', 'import time'),
+@pytest.mark.parametrize(('value', 'imported', 'place'), [
+    ('date.today().day', 'from datetime import date', ('program', 3)),
+    ('time() // 3600', 'from time import time', ('program', 3)),
+    ('t.time() // 3600', 'import time as t', ('program', 3)),
+    ('randbelow(2)', 'from secrets import randbelow', ('program', 3)),
+    ('clocked.X', 'import clocked', ('clocked', 2)),
 ])
-def test_s5_the_time_is_refused(value: str, imported: str, ask: Ask) -> None:
+def test_s5_what_answers_otherwise_another_day_or_elsewhere_is_refused(
+    value: str, imported: str, place: tuple[str, int], ask: Ask, tmp_path: Path
+) -> None:
+    (tmp_path / 'clocked.py').write_text('from datetime import date as d\nX = d.today().year % 9\n')
     error = ask(spot(value, imported))['error']
-    assert (error['line'], error['message'][:28]) == (3, 'the time is another one each')
+    assert error['line'] == place[1] or 'compiled twice' in error['message']
+    assert (Path(error['file']).stem == 'clocked') == (place[0] == 'clocked')
+    assert 'no run could be repeated' in error['message']
 
 
 @pytest.mark.parametrize('module', ['random', 'numpy.random'])
