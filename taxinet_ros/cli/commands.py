@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
+from textwrap import shorten
 from typing import Any
 
 import typer
@@ -159,6 +160,8 @@ OWN = {name: listed for section in SECTIONS.values() for name, listed in section
 """Commands of this package by name. No other package can have the name of one."""
 
 _PASSED_ON = {'ignore_unknown_options': True, 'allow_extra_args': True}
+_ONE_LINE = 45
+"""Characters of a description beside a completion: shells take a second line for names."""
 _CONTEXT_SETTINGS = {'node': _PASSED_ON, 'live-monitor': _PASSED_ON}
 
 
@@ -269,7 +272,7 @@ class Commands(TyperGroup):
         from typer._click.shell_completion import CompletionItem
 
         names = [
-            CompletionItem(name, help=line)
+            CompletionItem(name, help=shorten(line, _ONE_LINE, placeholder='…'))
             for lines in _lines().values() for name, line in lines.items()
             if name.startswith(incomplete)
         ]
