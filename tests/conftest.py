@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 
 import forkserver
 import psutil
@@ -54,3 +55,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Have the files with long tests begun first, lest one of them is left for the end."""
     long = {item.path for item in items for _ in item.iter_markers('ros')}
     items.sort(key=lambda item: item.path not in long)
+
+
+@pytest.fixture
+def taxinet(monkeypatch, capfd, tmp_path):
+    """Call the command in an empty folder; exit code, output, complaints."""
+    from taxinet_ros.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, 'argv', ['taxinet', *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capfd.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return call

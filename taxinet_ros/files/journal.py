@@ -1,8 +1,8 @@
 """Append-only JSON Lines file with a checksum in each line, written by one process at a time.
 
 Each line begins with a digest of the rest of it under the key ``sum``. An incomplete last line is
-removed when the file is opened: its write was interrupted and never confirmed. Missing complete
-lines at the end are detected by comparison with a recorded end (:class:`JournalEnd`).
+removed when the file is opened: its write was interrupted and never confirmed. Complete lines that
+are missing or exchanged are detected by comparison with a recorded end (:class:`JournalEnd`).
 """
 
 from __future__ import annotations

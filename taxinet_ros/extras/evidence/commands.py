@@ -15,6 +15,10 @@ evidence_app = command_group(
     'taxinet evidence CAMPAIGN... --out DIR is short for taxinet evidence write CAMPAIGN...',
     DefaultCommand,
 )
+NetworkOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; repeatable"),
+]
 
 
 @evidence_app.command('write')
@@ -51,11 +55,7 @@ def write_evidence(
         typer.Option(metavar='DIR', help='results of taxinet assure judge with the network of one '
                      'of the campaigns; repeatable'),
     ] = None,
-    perception: Annotated[
-        list[str] | None,
-        typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
-                     'repeatable'),
-    ] = None,
+    perception: NetworkOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write evidence toward a requirement: one page, JSON, an argument for Mermaid, a manifest.
@@ -94,11 +94,7 @@ def verify_evidence(
         int, typer.Option(metavar='N', min=0, help='runs to drive again and compare to the bit')
     ] = 5,
     seed: Annotated[int, typer.Option(min=0, help='random seed that chooses them')] = 0,
-    perception: Annotated[
-        list[str] | None,
-        typer.Option(metavar='FILE', help="a campaign's network, if its file has moved; "
-                     'repeatable'),
-    ] = None,
+    perception: NetworkOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Verify evidence: every byte, hash and figure again, and a sample of the runs.
