@@ -1,0 +1,440 @@
+"""Record of a campaign, of trials or of a study: one SQLite file, written by one command at a time.
+
+An entry has a kind, a key and plain values. Each change is one transaction, on the disk before the
+method returns; the rollback journal leaves one plain file that can be copied and read anywhere,
+which write-ahead logging would not. A crash therefore leaves the entries before or after a change.
+
+Each entry has a digest, and the file has their number and the digest of all of them, so a flipped
+bit, a lost entry and a torn file are found when it is read. A file that somebody replaced by an
+older copy of itself is not: ``taxinet doctor`` compares it with the bags.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import quote
+
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.atomic import disk_error, make_folder, sync_folder
+
+RECORD_NAME = 'campaign.db'
+_APPLICATION_ID = 0x54584E54
+_VERSION = 1
+_SCHEMA = (
+    f'PRAGMA application_id = {_APPLICATION_ID}',
+    f'PRAGMA user_version = {_VERSION}',
+    'CREATE TABLE entries (kind TEXT NOT NULL, key TEXT NOT NULL, value TEXT NOT NULL, '
+    'digest BLOB NOT NULL, PRIMARY KEY (kind, key)) WITHOUT ROWID',
+    'CREATE TABLE total (number INTEGER NOT NULL, digest BLOB NOT NULL)',
+)
+_BUSY_S = 20.0
+_DIGEST_BYTES = 16
+_LOST = 'lost'
+"""Kind of the entry of a record that was damaged, until its command has ended in good order."""
+
+Entries = dict[str, dict[str, Any]]
+"""Values by kind and key, in the order of the keys."""
+
+
+class Record:
+    """An open record. A context manager."""
+
+    def __init__(self, path: Path, *, create: bool = True) -> None:
+        """Open a record for writing.
+
+        Args:
+            path: its file.
+            create: whether it may be created, with its folder.
+
+        Raises:
+            UsageError: another command writes it, or it is damaged or of another version.
+            OSError: it cannot be opened or created there.
+        """
+        self._path = path
+        self._connection: sqlite3.Connection | None = None
+        if create:
+            make_folder(path.parent)
+        self._lock = _lock(path)
+        try:
+            with _named(path):
+                self._connection = _connect(path, 'rwc' if create else 'rw')
+                _begin(self._connection)
+            sync_folder(path.parent)
+            self._entries = _checked(path, self._connection)
+            self._inode = _inode(path)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        return self._path
+
+    @property
+    def entries(self) -> Entries:
+        """The entries that it contained when it was opened."""
+        return self._entries
+
+    def put(self, kind: str, key: str, values: Any) -> None:
+        """Write one entry; raises as :meth:`put_all`."""
+        self.put_all([(kind, key, values)])
+
+    def put_all(self, entries: Iterable[tuple[str, str, Any]]) -> None:
+        """Write or replace entries by kind and key, all or none of them.
+
+        Raises:
+            OSError: they cannot be written, as on a full disk.
+            RecordError: the file was moved, deleted or replaced.
+        """
+        self._change([(kind, key, _text(values)) for kind, key, values in entries])
+
+    def remove(self, kind: str) -> None:
+        """Remove all entries of a kind. Raises as :meth:`put_all`."""
+        with _named(self._path):
+            keys = self._open().execute('SELECT key FROM entries WHERE kind = ?', (kind,))
+            gone = [(kind, str(key), None) for key, in keys]
+        if gone:
+            self._change(gone)
+
+    def check_in_place(self) -> None:
+        """Check that the file is where it was opened.
+
+        Raises:
+            RecordError: it was moved, deleted or replaced.
+        """
+        if _inode(self._path) != self._inode:
+            raise RecordError(
+                f'{self._path}: was moved, deleted or replaced while it was being written'
+            )
+
+    def close(self) -> None:
+        """Close it; a second call has no effect."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def _open(self) -> sqlite3.Connection:
+        assert self._connection is not None
+        return self._connection
+
+    def _change(self, entries: Iterable[tuple[str, str, str | None]]) -> None:
+        connection = self._open()
+        with self._in_place(), _named(self._path), _transaction(connection):
+            number, total = _total(connection)
+            for kind, key, value in entries:
+                found = connection.execute(
+                    'SELECT digest FROM entries WHERE kind = ? AND key = ?', (kind, key)
+                ).fetchone()
+                if found is not None:
+                    number, total = number - 1, _xor(total, found[0])
+                    connection.execute(
+                        'DELETE FROM entries WHERE kind = ? AND key = ?', (kind, key)
+                    )
+                if value is not None:
+                    digest = _digest(kind, key, value)
+                    number, total = number + 1, _xor(total, digest)
+                    connection.execute(
+                        'INSERT INTO entries VALUES (?, ?, ?, ?)', (kind, key, value, digest)
+                    )
+            connection.execute('UPDATE total SET number = ?, digest = ?', (number, total))
+
+    @contextlib.contextmanager
+    def _in_place(self) -> Iterator[None]:
+        """Context for writing; a file that is gone is named before what follows from it."""
+        try:
+            yield
+        finally:
+            self.check_in_place()
+
+
+def read_record(path: Path) -> Entries:
+    """Read a record, even while it is being written.
+
+    Raises:
+        UsageError: there is none, it is damaged or of another version, or it was damaged and its
+            command has not been continued to its end.
+    """
+    if not path.is_file():
+        raise UsageError(f'{path}: no such file')
+    entries = _read(path)
+    for why in entries.get(_LOST, {}).values():
+        raise UsageError(f'{path}: was damaged ({why}); continue it to its end with --resume')
+    return entries
+
+
+def repair_record(path: Path) -> str:
+    """Keep what is intact of a damaged record, before its command continues.
+
+    The damaged file is kept as a copy. :func:`read_record` refuses the new one until
+    :func:`repaired` is called, as entries may be missing.
+
+    Returns:
+        A line on what was damaged, or ''.
+
+    Raises:
+        UsageError: another command writes it, or nothing of it can be read.
+        OSError: a file cannot be read or written.
+    """
+    lock = _lock(path)
+    try:
+        try:
+            _read(path)
+            return ''
+        except UsageError as error:
+            if _is_of_another_version(path):
+                raise
+            why = str(error).removeprefix(f'{path}: ')
+        entries = _intact(path)
+        if not entries:
+            raise UsageError(f'{path}: {why}, and no entry of it can be read; choose another --out')
+        number = 1
+        while (copy := path.with_name(f'{path.name}.damaged-{number}')).exists():
+            number += 1
+        draft = path.with_name(f'.{path.stem}.part{path.suffix}')
+        draft.unlink(missing_ok=True)
+        shutil.copyfile(path, copy)
+        with _named(draft):
+            connection = _connect(draft, 'rwc')
+            with contextlib.closing(connection):
+                _begin(connection)
+                with _transaction(connection):
+                    _fill(connection, [*entries, (_LOST, '', _text(why))])
+        Path(f'{path}-journal').unlink(missing_ok=True)
+        draft.replace(path)
+        sync_folder(path.parent)
+        return f'{path}: damaged ({why}); kept as {copy.name}; what it lacks is made again'
+    finally:
+        os.close(lock)
+
+
+def repaired(record: Record) -> None:
+    """Note that a damaged record is complete again. Raises as :meth:`Record.put_all`."""
+    record.remove(_LOST)
+
+
+def record_trouble(path: Path) -> str:
+    """What is wrong with a record, by SQLite's integrity check and our digests; '' if nothing."""
+    try:
+        with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+            found = [str(line) for line, in connection.execute('PRAGMA integrity_check')]
+        read_record(path)
+    except (UsageError, OSError) as error:
+        return str(error).removeprefix(f'{path}: ')
+    return '' if found == ['ok'] else found[0]
+
+
+# SQLite -----------------------------------------------------------------------------------------
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    if mode == 'ro' and os.access(path.parent, os.W_OK) and os.access(path, os.W_OK):
+        mode = 'rw'  # so that what a killed command left half written is rolled back
+    connection = sqlite3.connect(
+        f'file:{quote(str(path.absolute()))}?mode={mode}', uri=True, timeout=_BUSY_S,
+        isolation_level=None, check_same_thread=False,
+    )
+    connection.execute('PRAGMA synchronous = EXTRA')
+    return connection
+
+
+def _begin(connection: sqlite3.Connection) -> None:
+    """Make the tables of a new file."""
+    tables = connection.execute('SELECT count(*) FROM sqlite_master').fetchone()[0]
+    if tables == 0 and connection.execute('PRAGMA user_version').fetchone()[0] == 0:
+        with _transaction(connection):
+            for statement in _SCHEMA:
+                connection.execute(statement)
+            connection.execute('INSERT INTO total VALUES (0, ?)', (bytes(_DIGEST_BYTES),))
+
+
+def _fill(
+    connection: sqlite3.Connection, entries: Iterable[tuple[str, str, str]]
+) -> None:
+    number, total = 0, bytes(_DIGEST_BYTES)
+    for kind, key, value in entries:
+        digest = _digest(kind, key, value)
+        number, total = number + 1, _xor(total, digest)
+        connection.execute('INSERT INTO entries VALUES (?, ?, ?, ?)', (kind, key, value, digest))
+    connection.execute('UPDATE total SET number = ?, digest = ?', (number, total))
+
+
+@contextlib.contextmanager
+def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    connection.execute('BEGIN IMMEDIATE')
+    try:
+        yield
+        connection.execute('COMMIT')
+    except BaseException:
+        with contextlib.suppress(sqlite3.Error):
+            connection.execute('ROLLBACK')
+        raise
+
+
+def _read(path: Path) -> Entries:
+    if path.stat().st_size == 0:
+        raise UsageError(f'{path}: is empty; its command was killed as it began')
+    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+        return _checked(path, connection)
+
+
+def _checked(path: Path, connection: sqlite3.Connection) -> Entries:
+    """All entries, in one view of the file; their digests and number are checked."""
+    found: Entries = {}
+    number, total = 0, bytes(_DIGEST_BYTES)
+    with _named(path):
+        connection.execute('BEGIN')
+        try:
+            _check_version(path, connection)
+            for kind, key, value, digest in connection.execute(_ALL):
+                if not _is_intact(kind, key, value, digest):
+                    raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
+                number, total = number + 1, _xor(total, digest)
+                found.setdefault(kind, {})[key] = json.loads(value)
+            if _total(connection) != (number, total):
+                raise UsageError(f'{path}: damaged (entries are missing or exchanged)')
+        finally:
+            with contextlib.suppress(sqlite3.Error):
+                connection.execute('COMMIT')
+    return found
+
+
+_ALL = 'SELECT kind, key, value, digest FROM entries ORDER BY kind, key'
+
+
+def _intact(path: Path) -> list[tuple[str, str, str]]:
+    """The entries of a damaged file that can be read and have their digest."""
+    found: dict[tuple[str, str], str] = {}
+    for order in ('', ' DESC'):  # from both ends, up to the damage
+        with contextlib.suppress(sqlite3.Error, OSError, UnicodeError), contextlib.closing(
+            _connect(path, 'ro')
+        ) as connection:
+            rows = connection.execute(
+                f'SELECT kind, key, value, digest FROM entries ORDER BY kind{order}, key{order}'
+            )
+            for kind, key, value, digest in rows:
+                if _is_intact(kind, key, value, digest) and kind != _LOST:
+                    found[kind, key] = value
+    return [(kind, key, value) for (kind, key), value in sorted(found.items())]
+
+
+def _is_intact(kind: Any, key: Any, value: Any, digest: Any) -> bool:
+    texts = (kind, key, value)
+    return all(isinstance(text, str) for text in texts) and digest == _digest(kind, key, value)
+
+
+def _check_version(path: Path, connection: sqlite3.Connection) -> None:
+    application, = connection.execute('PRAGMA application_id').fetchone()
+    version, = connection.execute('PRAGMA user_version').fetchone()
+    if (application, version) != (_APPLICATION_ID, _VERSION):
+        raise UsageError(
+            f'{path}: not a record of this version of taxinet_ros (format {version}, expected '
+            f'{_VERSION}); read it with the version that wrote it'
+        )
+
+
+def _is_of_another_version(path: Path) -> bool:
+    """Whether a file is whole but no record of this version."""
+    try:
+        with contextlib.closing(_connect(path, 'ro')) as connection:
+            _check_version(path, connection)
+            connection.execute('SELECT 1 FROM entries, total LIMIT 1').fetchone()
+    except UsageError:
+        return True
+    except (sqlite3.Error, OSError):
+        return False
+    return False
+
+
+def _total(connection: sqlite3.Connection) -> tuple[int, bytes]:
+    rows = connection.execute('SELECT number, digest FROM total').fetchall()
+    if len(rows) != 1 or not isinstance(rows[0][1], bytes) or len(rows[0][1]) != _DIGEST_BYTES:
+        raise sqlite3.DatabaseError('the number of its entries is damaged')
+    return int(rows[0][0]), rows[0][1]
+
+
+def _text(values: Any) -> str:
+    return json.dumps(values, separators=(',', ':'))
+
+
+def _digest(kind: str, key: str, value: str) -> bytes:
+    text = '\0'.join((kind, key, value))
+    return hashlib.sha256(text.encode()).digest()[:_DIGEST_BYTES]
+
+
+def _xor(one: bytes, other: bytes) -> bytes:
+    return (int.from_bytes(one) ^ int.from_bytes(other)).to_bytes(_DIGEST_BYTES)
+
+
+def _inode(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0)
+    return (found.st_dev, found.st_ino)
+
+
+def _lock(path: Path) -> int:
+    """Lock the folder of a record, which closing the descriptor ends.
+
+    SQLite's own locks end with every close of the file in this process, so the folder has it.
+    """
+    descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise UsageError(f'{path}: another command is writing to it') from None
+    except OSError as error:
+        os.close(descriptor)
+        raise UsageError(
+            f'{path.parent}: cannot be locked ({error.strerror}); network file systems are not '
+            'supported: write to a local folder and copy it afterwards'
+        ) from error
+    return descriptor
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Context in which errors of SQLite become those of the file."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        name = getattr(error, 'sqlite_errorname', '')
+        codes = {'FULL': errno.ENOSPC, 'READONLY': errno.EROFS, 'CANTOPEN': errno.EACCES}
+        for word, code in codes.items():
+            if name.startswith(f'SQLITE_{word}'):
+                raise OSError(code, os.strerror(code), str(path)) from error
+        if name.startswith('SQLITE_IOERR'):
+            raise disk_error(path, OSError(errno.EIO, str(error))) from error
+        raise UsageError(f'{path}: damaged ({error})') from error
+    except (sqlite3.DatabaseError, UnicodeError) as error:
+        raise UsageError(f'{path}: damaged ({error})') from error
+
+
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values as they are read back from a record: tuples are lists, keys are texts."""
+    return dict(json.loads(_text(values)))
