@@ -46,11 +46,13 @@ from taxinet_ros.nodes.lockstep.active_run import (
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health
 from taxinet_ros.nodes.lockstep.endpoints import (
+    brief_intruder,
     has_its_publishers,
     heard_by,
     hears,
     intruder,
     missing_nodes,
+    second_publisher_events,
     why_silent,
 )
 from taxinet_ros.nodes.messages.convert import (
@@ -177,7 +179,8 @@ class Simulator(Node):
         ):
             hear = functools.partial(self._hear, step_reader(topic), callback)
             self._listeners[topic.name] = self.create_subscription(
-                topic.type, topic.name, hear, topic.end_qos, raw=is_read_raw(topic)
+                topic.type, topic.name, hear, topic.end_qos, raw=is_read_raw(topic),
+                event_callbacks=second_publisher_events(topic, self._on_second_publisher),
             )
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
@@ -553,6 +556,11 @@ class Simulator(Node):
         changed = run.ending is None and self._count_publishers() != run.publishers
         if changed and (found := self._intruder(run)) is not None:
             self._fail(run, InfraKind.INTRUDER, *found)
+
+    def _on_second_publisher(self, topic: Topic) -> None:
+        run = self._run
+        if run is not None and run.started and run.ending is None:
+            self._fail(run, InfraKind.INTRUDER, *brief_intruder(self, topic, run.participants))
 
     def _watch_steps(self, run: ActiveRun, now: float, silence: float) -> None:
         if run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:

@@ -5,16 +5,18 @@ earlier ``ros2 topic echo`` would be counted as a node of the run, and that node
 run's first messages.
 
 On each topic of a run every publisher of the table speaks exactly once. rclpy does not report who
-sent a message; so this is required before the first step, and again before the verdict.
+sent a message; so this is required before the first step, and again before the verdict. One that
+comes between two checks and leaves before the next is noticed by the subscriptions of its topic.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -93,6 +95,35 @@ def intruder(node: Node, topic: Topic, participants: Sequence[str]) -> tuple[str
     if doubled:
         return doubled[0], f'a second node of this name publishes {topic.name}'
     return None
+
+
+def second_publisher_events(
+    topic: Topic, on_second: Callable[[Topic], None]
+) -> SubscriptionEventCallbacks:
+    """Events of a subscription that report a publisher beside the one of the table, however brief.
+
+    Args:
+        topic: its topic; one of several publishers has none to report.
+        on_second: called with the topic when another publisher is matched.
+    """
+    present = 0
+
+    def matched(now: Any) -> None:
+        nonlocal present
+        before, present = present, now.current_count
+        # A publisher that was lost on a busy machine comes back where there is none.
+        if before and now.total_count_change:
+            on_second(topic)
+
+    alone = len(topic.publishers) == 1
+    return SubscriptionEventCallbacks(matched=matched if alone else None)
+
+
+def brief_intruder(node: Node, topic: Topic, participants: Sequence[str]) -> tuple[str, str]:
+    """As :func:`intruder`, of a topic on which a second publisher was just matched."""
+    wanted = min(_wanted(topic, participants))
+    left = wanted, f'a second publisher of {topic.name} came and left'
+    return intruder(node, topic, participants) or left
 
 
 def publisher_names(node: Node, topic: Topic) -> list[str]:

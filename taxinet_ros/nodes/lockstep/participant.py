@@ -16,11 +16,17 @@ from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.run.messages import progress_cdr
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
-from taxinet_ros.nodes.lockstep.endpoints import absent_publishers, heard_by, hears
+from taxinet_ros.nodes.lockstep.endpoints import (
+    absent_publishers,
+    brief_intruder,
+    heard_by,
+    hears,
+    second_publisher_events,
+)
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
 from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
 
@@ -94,6 +100,7 @@ class Participant(Node):
         self._listeners.append((topic, self.create_subscription(
             topic.type, topic.name, self._guarded(callback),
             interface.NEWEST if newest else topic.end_qos, raw=raw,
+            event_callbacks=second_publisher_events(topic, self._on_second_publisher),
         )))
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
@@ -186,6 +193,14 @@ class Participant(Node):
     def charge(self, error: InfraError) -> None:
         """End the run because of another node's error."""
         Participant.report(self, NodeStatus.ERROR, detail=blame_text(error))
+
+    def _on_second_publisher(self, topic: Topic) -> None:
+        """Report an intruder; the simulator ignores one that comes when no run is under way."""
+        if self._scenario is None or not self._poll.is_canceled():
+            return
+        who, detail = brief_intruder(self, topic, self._scenario.participants)
+        self.charge(InfraError(InfraKind.INTRUDER, who, -1, detail))
+        self._trouble = ''
 
     def _take(self, scenario: Scenario) -> None:
         if self.get_name() not in scenario.participants:
