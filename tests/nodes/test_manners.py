@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
+from graph_runs import on_own_domain
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
@@ -31,7 +30,7 @@ from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
 from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
@@ -197,59 +196,42 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
         'foxglove_server': {'port': 0},
     }
     found = {}
-    with own_domain() as domain:
-        for name, kind in CLASSES.items():
-            context = Context()
-            rclpy.init(context=context, domain_id=domain)
+    for name, kind in CLASSES.items():
+        with on_own_domain(SingleThreadedExecutor) as spinning:
             overrides = [Given(key, value=value) for key, value in given.get(name, {}).items()]
-            node = kind(context=context, parameter_overrides=overrides)
-            try:
-                found[name] = described_by(node)
-            finally:
-                node.close()
-                leave_graph(node)
-                rclpy.shutdown(context=context)
+            node = kind(context=spinning.context, parameter_overrides=overrides)
+            spinning.add(node)
+            found[name] = described_by(node, spinning)
     return found
 
 
-def described_by(node: Node) -> list[ParameterDescriptor]:
+def described_by(node: Node, spinning: NodeExecutor) -> list[ParameterDescriptor]:
     """What ``ros2 param describe`` asks a node for: by the service, as anybody would."""
-    asker = rclpy.create_node('asker', context=node.context)
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    executor.add_node(asker)
-    service = f'{node.get_name()}/describe_parameters'
-    client = asker.create_client(DescribeParameters, service)
+    asker = Node('asker', context=node.context)
+    spinning.add(asker)
+    client = asker.create_client(DescribeParameters, f'{node.get_name()}/describe_parameters')
     assert client.wait_for_service()
     names = [name for name in node._parameters if name not in OF_RCLPY]
     answer = client.call_async(DescribeParameters.Request(names=names))
-    executor.spin_until_future_complete(answer)
-    executor.remove_node(node)
-    leave_graph(asker)
-    executor.shutdown()
+    spinning.executor.spin_until_future_complete(answer)
     return list(answer.result().descriptors)
 
 
 def test_given_a_whole_number_for_a_double_then_every_executable_takes_it():
     taken = 0
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            for executable in NODES:
-                doubles = [
-                    one for one in usage_of(executable).parameters if isinstance(one.default, float)
-                ]
-                whole = {one.name: math.ceil(one.limits[0]) for one in doubles if one.limits}
-                given = [Given(name, value=value) for name, value in whole.items()]
-                node = Node('taker', context=context, parameter_overrides=given)
-                found = declare_all(node, doubles)
-                assert found == whole
-                assert all(type(value) is float for value in found.values())
-                taken += len(found)
-                leave_graph(node)
-        finally:
-            rclpy.shutdown(context=context)
+    with on_own_domain() as spinning:
+        for executable in NODES:
+            doubles = [
+                one for one in usage_of(executable).parameters if isinstance(one.default, float)
+            ]
+            whole = {one.name: math.ceil(one.limits[0]) for one in doubles if one.limits}
+            given = [Given(name, value=value) for name, value in whole.items()]
+            node = Node('taker', context=spinning.context, parameter_overrides=given)
+            found = declare_all(node, doubles)
+            assert found == whole
+            assert all(type(value) is float for value in found.values())
+            taken += len(found)
+            spinning.add(node)
     assert taken > 20
 
 

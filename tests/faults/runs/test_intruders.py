@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import request, run, steps_in
 from geometry_msgs.msg import TransformStamped
+from graph_runs import request, run, steps_in
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node

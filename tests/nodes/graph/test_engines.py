@@ -8,6 +8,7 @@ from pathlib import Path
 import jsbsim
 import pytest
 import yaml
+from graph_runs import run_in
 from own_place import OWN_PLACE
 from plugins import lay_down
 
@@ -73,13 +74,11 @@ def check_same(
     world: str = 'kmwh',
 ) -> list[RunResult]:
     """Make runs with both engines, and compare results and both files of each bag."""
-    theirs: list[RunResult] = []
     graph = GraphOptions(
         perception=perception, controller=controller, out=tmp_path / 'graph', gains=gains or {},
         timing=timing, images=images, world=world,
     )
-    with composed_graph(graph) as opened:
-        opened.run(asked, lambda _, result: theirs.append(result) is None)
+    theirs = run_in(composed_graph(graph), *asked)
     (tmp_path / 'loop').mkdir()
     loop = Loop(LoopOptions(
         perception=perception, controller=controller, out=tmp_path / 'loop', gains=gains or {},
@@ -87,7 +86,6 @@ def check_same(
         world_sha256=find_world(world).fingerprint,
     ))
     ours = [loop.run(one) for one in asked]
-    assert len(theirs) == len(asked)
     for one, mine, other in zip(asked, ours, theirs, strict=True):
         bags = tmp_path / 'loop' / one.run_id, tmp_path / 'graph' / one.run_id
         assert bag_difference(*bags) == ''

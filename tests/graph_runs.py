@@ -1,4 +1,4 @@
-"""Runs that something is done to, and what they leave behind."""
+"""Runs on graphs, what is done to them and what they leave behind; nodes on a domain alone."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.task import Future
+
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 
 PERIOD_NS = 100_000_000
 
@@ -33,6 +38,43 @@ def run(graph: Any, *asked: RunRequest) -> list[RunResult]:
     results: list[RunResult] = []
     graph.run(asked, lambda request, result: results.append(result) or True)
     return results
+
+
+def run_in(opened: Any, *asked: RunRequest) -> list[RunResult]:
+    """All results of a graph that is opened for these runs."""
+    with opened as graph:
+        results = run(graph, *asked)
+    assert len(results) == len(asked)
+    return results
+
+
+def judged_in(opened: Any, *asked: RunRequest) -> list[RunResult]:
+    """As :func:`run_in`, of runs that all have a verdict."""
+    results = run_in(opened, *asked)
+    assert all(result.outcome.judged for result in results), results
+    return results
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What lies in a folder."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@contextlib.contextmanager
+def on_own_domain(
+    executor: Callable[..., Any] = EventsExecutor, domain: int | None = None
+) -> Iterator[NodeExecutor]:
+    """A context on a domain that nobody else uses, with an executor; its nodes leave at the end."""
+    found = own_domain() if domain is None else contextlib.nullcontext(domain)
+    with found as number, NodeExecutor(number, executor) as spinning:
+        yield spinning
+
+
+def spin(executor: Any, until: Callable[[], object]) -> None:
+    """Spin until something holds."""
+    future = Future(executor=executor)
+    while not until():
+        executor.spin_until_future_complete(future, timeout_sec=0.05)
 
 
 def grown(bag: Path) -> bool:
