@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +24,7 @@ from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 
 PERIOD_NS = 100_000_000
+EXECUTABLES = Path(sys.prefix, 'lib', 'taxinet_ros')
 
 
 def request(run_id: str = 'run', duration: float = 600.0, **changes: Any) -> RunRequest:
@@ -68,6 +72,21 @@ def on_own_domain(
     found = own_domain() if domain is None else contextlib.nullcontext(domain)
     with found as number, NodeExecutor(number, executor) as spinning:
         yield spinning
+
+
+def start_node(
+    name: str, domain: int | str, *words: str, **how: Any
+) -> subprocess.Popen[str]:
+    """An installed executable as ``ros2 run`` starts it; what it logs comes over a pipe."""
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
+    streams = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.PIPE, **how}
+    command = [str(EXECUTABLES / name), *words]
+    return subprocess.Popen(command, env=environment, text=True, **streams)
+
+
+def parameters(*values: str) -> list[str]:
+    """Words that give a node parameters, ``NAME:=VALUE`` each."""
+    return ['--ros-args', *(word for value in values for word in ('-p', value))]
 
 
 def spin(executor: Any, until: Callable[[], object]) -> None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
-from graph_runs import judged_in, on_own_domain, request
+from graph_runs import judged_in, on_own_domain, parameters, request, start_node
 from rclpy.parameter import Parameter
 from waiting import wait_for
 
@@ -34,7 +32,6 @@ from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 RUNS = 12
 SPEC = 'close=always(abs(cte) <= 0.3)'
 SEARCH = (
@@ -59,15 +56,10 @@ class Graph:
 
 
 def start(
-    executable: str, domain: int, *parameters: str, name: str = ''
+    executable: str, domain: int, *values: str, name: str = ''
 ) -> subprocess.Popen[str]:
-    words = [str(FOLDER / executable), '--ros-args']
-    words += ['-r', f'__node:={name}'] if name else []
-    words += [word for parameter in parameters for word in ('-p', parameter)]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
-    return subprocess.Popen(
-        words, env=environment, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
+    renamed = ['-r', f'__node:={name}'] if name else []
+    return start_node(executable, domain, *parameters(*values), *renamed)
 
 
 @pytest.fixture(scope='module')
@@ -268,10 +260,10 @@ BAD = {
 }
 
 
-def built(parameters: dict[str, object], *words: str) -> SearchOptions | None:
+def built(given: dict[str, object], *words: str) -> SearchOptions | None:
     """Build the node in this process, also with words of its command line; what it is to search."""
     with on_own_domain() as spinning:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        overrides = [Parameter(name, value=value) for name, value in given.items()]
         return StandaloneSampler(
             context=spinning.context, parameter_overrides=overrides,
             cli_args=['--ros-args', *words],
