@@ -62,13 +62,6 @@ class NodeProcess(ChildProcess):
     ) -> Self:
         """Start a user's command as a node, including its child processes.
 
-        Args:
-            name: name of the node.
-            command: program and arguments.
-            domain: ROS domain to join.
-            log: file for its output.
-            graces_s: grace periods after SIGINT and after SIGTERM [s].
-
         Raises:
             UsageError: the program does not exist.
         """
@@ -130,11 +123,6 @@ def command_processes(
     commands: Mapping[str, list[str]], domain: int, logs: Path
 ) -> Iterator[list[NodeProcess]]:
     """Context of user commands running as nodes of a graph; all are ended on exit.
-
-    Args:
-        commands: program and arguments by the node's name.
-        domain: ROS domain of the nodes.
-        logs: folder for their output.
 
     Raises:
         UsageError: the program does not exist.

@@ -128,13 +128,7 @@ class GraphOptions:
 def campaign_graph(
     campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
 ) -> GraphOptions:
-    """Options of the graphs of a campaign.
-
-    Args:
-        campaign: campaign whose folder exists.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+    """Options of the graphs of a campaign."""
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
@@ -186,13 +180,7 @@ class SampledGraph:
         self, spinning: NodeExecutor, patience: Mapping[str, float],
         children: Sequence[NodeProcess],
     ) -> None:
-        """Create the sampler.
-
-        Args:
-            spinning: executor of the nodes in this process; the caller closes it.
-            patience: parameters of the sampler.
-            children: processes that are nodes of the graph; the death of one ends its run.
-        """
+        """Create the sampler; the death of one of the ``children`` ends the run under way."""
         self.children = children
         self._spinning = spinning
         self._patience = patience
@@ -261,15 +249,7 @@ def node_processes(
     options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = (),
     remaps: Sequence[str] = (),
 ) -> Iterator[list[NodeProcess]]:
-    """Context of all nodes of a graph except the sampler; all are ended on exit.
-
-    Args:
-        options: options of the graph.
-        domain: ROS domain of the nodes.
-        logs: folder for their output.
-        without: names of nodes to leave out.
-        remaps: remap rules for every node, ``FROM:=TO``.
-    """
+    """Context of all nodes of a graph except the sampler and ``without``; all are ended on exit."""
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []
     with (

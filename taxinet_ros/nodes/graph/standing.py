@@ -79,12 +79,8 @@ def run_standing_graph(
 ) -> None:
     """Start a graph and supervise it until stopped.
 
-    A ``KeyboardInterrupt`` at any time kills every node; otherwise they end in order.
-
-    Args:
-        options: options of the graph.
-        shown: the display.
-        on_start: called with the supervisor, which can stop the graph, once it exists.
+    A ``KeyboardInterrupt`` at any time kills every node; otherwise they end in order. ``on_start``
+    is called with the supervisor, which can stop the graph.
 
     Raises:
         UsageError: bad input, or the domain belongs to another graph.

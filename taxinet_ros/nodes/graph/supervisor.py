@@ -358,14 +358,7 @@ class Supervisor(Node):
         say: Callable[[str], None],
         **node: Any,
     ) -> None:
-        """Start supervision.
-
-        Args:
-            processes: the processes just started.
-            care: supervision options.
-            say: called with a line per event.
-            node: goes to :class:`rclpy.node.Node`.
-        """
+        """Start supervision of processes just started; ``say`` is called with a line per event."""
         super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
         times = care.limit if care.restart is Restart.ON_FAILURE else 0
         self.nodes = [

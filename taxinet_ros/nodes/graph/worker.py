@@ -30,12 +30,7 @@ _BEAT_S = 1.0
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
-    """Command line of a worker for the runs of a campaign, by its engine.
-
-    Args:
-        campaign: campaign whose folder exists.
-        facts: its recorded facts.
-    """
+    """Command line of a worker for the runs of a campaign, by its engine."""
     from taxinet_ros.campaign.loop_run import campaign_loop
     from taxinet_ros.campaign.loop_worker import loop_worker_command
     from taxinet_ros.campaign.options import GRAPH
@@ -54,13 +49,7 @@ def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any])
 def audit_command(
     campaign: CampaignOptions, controller_sha256: str, world_sha256: str
 ) -> list[str]:
-    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`.
-
-    Args:
-        campaign: the campaign.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`."""
     from taxinet_ros.campaign.options import AUDIT_FOLDER
     from taxinet_ros.nodes.graph.runner import campaign_graph
 

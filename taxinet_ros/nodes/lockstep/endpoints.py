@@ -31,13 +31,7 @@ _NAME_WAIT_S, _NAME_PERIOD_S = 0.5, 0.02
 
 
 def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
-    """Whether a publisher is matched with all of the given nodes.
-
-    Args:
-        node: node of the publisher.
-        publisher: the publisher.
-        names: names of the nodes that must be matched.
-    """
+    """Whether a publisher is matched with all of the given nodes."""
     matched = publisher.get_subscription_count()
     if matched < len(names):  # Much cheaper than the check below, and called often.
         return False
@@ -49,14 +43,7 @@ def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
 def hears(
     node: Node, subscription: Subscription, topic: Topic, participants: Sequence[str]
 ) -> bool:
-    """Whether a subscription is matched with each publisher of a run, and there is no other.
-
-    Args:
-        node: node of the subscription.
-        subscription: the subscription.
-        topic: its topic.
-        participants: names of the nodes of the run, without the simulator.
-    """
+    """Whether a subscription is matched with each publisher of a run, and there is no other."""
     matched = subscription.get_publisher_count()
     if matched < len(_wanted(topic, participants)):  # as above
         return False
@@ -164,13 +151,7 @@ _CHOSEN = {
 
 
 def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) -> dict[str, str]:
-    """Nodes that are missing or incomplete, each with the reason as text.
-
-    Args:
-        node: the observing node.
-        names: names of the nodes of the graph.
-        gone: endpoints known to belong to dead processes.
-    """
+    """Nodes that are missing or incomplete without the endpoints ``gone``, each with the reason."""
     why: dict[str, str] = {}
     for topic in interface.TOPICS:
         speakers, listeners = (
@@ -190,13 +171,7 @@ def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) 
 
 
 def why_silent(node: Node, name: str, names: Sequence[str]) -> str:
-    """Reason why a node of a graph is silent, or '': a missing topic or incompatible endpoint.
-
-    Args:
-        node: the observing node.
-        name: name of the silent node.
-        names: names of the nodes of the graph.
-    """
+    """Reason why a node of a graph is silent, or '': a missing topic or incompatible endpoint."""
     if why := missing_nodes(node, names).get(name):
         return why
     inputs = [topic for topic in interface.TOPICS if name in _CHOSEN.get(topic.name, ())]

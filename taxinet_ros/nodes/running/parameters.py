@@ -219,10 +219,6 @@ def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
 def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
     """Check that a command line has only ROS arguments.
 
-    Args:
-        usage: usage of the executable.
-        arguments: the command line, the program first.
-
     Returns:
         Whether help was requested and printed.
 
