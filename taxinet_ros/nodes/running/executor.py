@@ -14,8 +14,7 @@ from taxinet_ros.processes.interrupts import interrupts_delayed
 
 
 class NodeExecutor:
-    """Spins nodes on a ROS domain; a context manager that removes them from the graph at its end.
-    """
+    """Spins nodes on a ROS domain; a context manager at whose end they leave the graph."""
 
     def __init__(self, domain: int, executor: Callable[..., Any] = EventsExecutor) -> None:
         """Join a domain."""
