@@ -29,7 +29,7 @@ def test_given_the_nodes_as_they_run_then_the_shipped_policies_allow_that_and_no
     assert shipped == policies(found)  # python tests/nodes/sros2_policies.py writes them anew
     assert set(found) == {*NODES, SUPERVISOR}
     speakers = {
-        node for node, rules in found.items() if '/tf' in rules.get(('topics', 'publish'), ())
+        node for node, rules in found.values() if '/tf' in rules.get(('topics', 'publish'), ())
     }
     assert speakers == {'simulator', 'bag_player'}, 'the recorder makes what it writes of odometry'
 

@@ -151,21 +151,6 @@ def test_given_latency_and_functions_of_a_file_then_every_byte_is_the_same(tmp_p
     assert results[0].robustness != results[1].robustness, 'latencies are drawn for each run'
 
 
-@pytest.mark.parametrize('images', ['none', 'all'])
-@pytest.mark.parametrize('broken', ['perception', 'controller'])
-def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
-    broken, images, tmp_path
-):
-    (tmp_path / 'bad.py').write_text(BAD)
-    words = {'perception': 'truth', 'controller': 'steering'}
-    words[broken] = f'{tmp_path}/bad.py:{"Falling" if broken == "perception" else "steep"}'
-    (result,) = check_same(
-        [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path, images=images, **words
-    )
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'node_error')
-    assert result.last_seq == (5 if broken == 'perception' else 3)
-
-
 MONITORS = """
 class Late:
     def __init__(self):
@@ -196,14 +181,24 @@ def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp
     assert commands[4:] == [0.0 if fallback == 'stop' else 5.0] * 12
 
 
-def test_given_a_monitor_that_fails_then_both_engines_name_the_controller(tmp_path):
+@pytest.mark.parametrize(('perception', 'controller', 'images', 'last_seq'), [
+    ('bad.py:Falling', 'steering', 'all', 5), ('truth', 'bad.py:steep', 'none', 3),
+    ('truth', 'steering+mon.py:falls+stop', 'none', 0),
+])
+def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
+    perception, controller, images, last_seq, tmp_path, monkeypatch
+):
+    (tmp_path / 'bad.py').write_text(BAD)
     (tmp_path / 'mon.py').write_text(MONITORS)
+    monkeypatch.chdir(tmp_path)
     (result,) = check_same(
-        [request(0, Scenario(duration_s=1.0))], tmp_path, perception='truth',
-        controller=f'steering+{tmp_path}/mon.py:falls+stop',
+        [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path, images=images,
+        perception=perception, controller=controller,
     )
-    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, 'steering_controller')
-    assert result.last_seq == 0
+    assert (result.outcome, result.kind, result.last_seq) == (
+        Outcome.INFRA_ERROR, 'node_error', last_seq
+    )
+    assert result.who == ('perception' if perception != 'truth' else 'steering_controller')
 
 
 PACKAGE = """
