@@ -293,9 +293,7 @@ class Recorder(Participant):
             self._finish_if_whole()
 
     def _on_run_status(self, cdr: bytes) -> None:
-        status = deserialize_message(cdr, RunStatus)
-        if status.state == RunStatus.ENDED:
-            self._end(status, cdr)
+        self._end(deserialize_message(cdr, RunStatus), cdr)
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -303,10 +301,10 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
-        if self._writer is None or status.run_id != self.run_id:
-            return
-        self._ended, self._ended_cdr = status, cdr
-        self._finish_if_whole()
+        of_this_run = self._writer is not None and status.run_id == self.run_id
+        if of_this_run and status.state == RunStatus.ENDED:
+            self._ended, self._ended_cdr = status, cdr
+            self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -372,7 +370,8 @@ class Recorder(Participant):
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
-        if judged and not self._told:
+        one_time = self._verdict is not None and (not self._free or self._account is not None)
+        if judged and not one_time:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
         if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
@@ -388,26 +387,18 @@ class Recorder(Participant):
         self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
         writer = self._writer
         assert writer is not None
-        self._add_ending(writer, self._ended)
+        writer.add_metadata(OUTCOME_METADATA, outcome_words(self._ended, self._written))
+        if self._account is not None:
+            writer.add_metadata(FREE_RUN_METADATA, {
+                **self._account.to_words(),
+                **{name: f'{x:g}' for name, x in self._account.figures().items()},
+            })
         writer.close()
         self._writer = None
         if self._images == 'failures' and self._ended.outcome in _FAILURES:
             self._late_frames.begin(writer.folder, self._min_free)
         else:
             self._done()
-
-    def _add_ending(self, writer: BagWriter, ended: RunStatus) -> None:
-        writer.add_metadata(OUTCOME_METADATA, outcome_words(ended, self._written))
-        if self._account is not None:
-            writer.add_metadata(FREE_RUN_METADATA, {
-                **self._account.to_words(),
-                **{name: f'{x:g}' for name, x in self._account.figures().items()},
-            })
-
-    @property
-    def _told(self) -> bool:
-        """Whether all one-time messages of a judged run are present."""
-        return self._verdict is not None and (not self._free or self._account is not None)
 
     def _done(self) -> None:
         """Report that the bag is complete on disk, with the recorded end of the run."""
@@ -432,19 +423,15 @@ class Recorder(Participant):
         else:
             self._done()
 
-    @property
-    def _whole(self) -> int:
-        """Number of steps written."""
-        return self._written + len(self._held)
-
     def _is_rest_under_way(self) -> bool:
         """Whether messages from before the end of an aborted run may still be missing.
 
         They arrive on other topics than the end message, which may overtake them.
         """
         assert self._ended is not None
-        begun = self._whole or self._steps.torn() or self._ended.seq > 0
-        if not begun or self._whole > self._ended.seq:
+        whole = self._written + len(self._held)
+        begun = whole or self._steps.torn() or self._ended.seq > 0
+        if not begun or whole > self._ended.seq:
             return False
         # In a free run, unanswered steps never become complete.
         patient = self._ended.outcome == Outcome.INTERRUPTED and not self._free

@@ -395,13 +395,12 @@ class Simulator(Node):
             if not heard_by(self, publisher, run.listeners(name))
         ]
         return unheard + [
-            topic.name for topic in interface.TOPICS if not self._has_publishers(run, topic)
+            topic.name for topic in interface.TOPICS if not (
+                hears(self, self._listeners[topic.name], topic, run.participants)
+                if topic.name in self._listeners
+                else has_its_publishers(self, topic, run.participants)
+            )
         ]
-
-    def _has_publishers(self, run: ActiveRun, topic: Topic) -> bool:
-        if (listener := self._listeners.get(topic.name)) is not None:
-            return hears(self, listener, topic, run.participants)
-        return has_its_publishers(self, topic, run.participants)
 
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
@@ -520,9 +519,7 @@ class Simulator(Node):
     def _diagnose(self) -> Health:
         """Health of this node, for diagnostics."""
         run = self._run
-        if run is None:
-            return self._health.look(None, '')
-        return self._health.look(run, ', '.join(self._awaited(run)))
+        return self._health.look(run, ', '.join(self._awaited(run)) if run is not None else '')
 
     def _awaited(self, run: ActiveRun) -> list[str]:
         """Names of the nodes that a run waits for; in a free run, those overdue."""
@@ -550,12 +547,9 @@ class Simulator(Node):
             self._attempt(run, lambda: self._await_ready(run))
         else:
             self._watch_steps(run, now, silence)
-            self._watch_publishers(run)
-
-    def _watch_publishers(self, run: ActiveRun) -> None:
-        changed = run.ending is None and self._count_publishers() != run.publishers
-        if changed and (found := self._intruder(run)) is not None:
-            self._fail(run, InfraKind.INTRUDER, *found)
+            changed = run.ending is None and self._count_publishers() != run.publishers
+            if changed and (found := self._intruder(run)) is not None:
+                self._fail(run, InfraKind.INTRUDER, *found)
 
     def _on_second_publisher(self, topic: Topic) -> None:
         run = self._run

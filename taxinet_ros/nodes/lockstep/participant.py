@@ -96,7 +96,11 @@ class Participant(Node):
             newest: take only the last waiting message; in lockstep at most one waits.
         """
         if is_read_raw(topic) and not raw:
-            callback, raw = self._reading(topic, callback), True
+            read, hear, raw = step_reader(topic), callback, True
+
+            def callback(cdr: bytes) -> None:
+                hear(read(cdr))
+
         self._listeners.append((topic, self.create_subscription(
             topic.type, topic.name, self._guarded(callback),
             interface.NEWEST if newest else topic.end_qos, raw=raw,
@@ -115,14 +119,13 @@ class Participant(Node):
             state=state,
             seq=seq,
             detail=detail,
-            listens=self._declared() if ready else [],
+            # In a free run, who must hear its timing is known without.
+            listens=[
+                topic.name for topic, _ in self._listeners if topic is not interface.TIMING
+            ] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
         ))
-
-    def _declared(self) -> list[str]:
-        """Topics it declares; the simulator knows who must hear of a free run's timing."""
-        return [topic.name for topic, _ in self._listeners if topic is not interface.TIMING]
 
     def progress(self, seq: int, stamp_ns: int) -> bytes:
         """Serialised status for progress up to control step ``seq``."""
@@ -235,11 +238,6 @@ class Participant(Node):
         for topic, heard in self._listeners:
             if not hears(self, heard, topic, present):
                 yield topic.name
-
-    @staticmethod
-    def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
-        read = step_reader(topic)
-        return lambda cdr: callback(read(cdr))
 
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)
