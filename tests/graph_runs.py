@@ -8,10 +8,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.task import Future
 
 from taxinet_ros.bag.errors import BagTruncated
@@ -82,6 +84,16 @@ def start_node(
     streams = {'stdout': subprocess.DEVNULL, 'stderr': subprocess.PIPE, **how}
     command = [str(EXECUTABLES / name), *words]
     return subprocess.Popen(command, env=environment, text=True, **streams)
+
+
+def class_of(executable: str) -> type[Any]:
+    """The node class of an executable."""
+    module = import_module(f'taxinet_ros.nodes.{executable}')
+    (kind,) = (
+        one for one in vars(module).values()
+        if isinstance(one, type) and issubclass(one, Node) and one.__module__ == module.__name__
+    )
+    return kind
 
 
 def parameters(*values: str) -> list[str]:

@@ -9,10 +9,9 @@ import subprocess
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
-from graph_runs import on_own_domain, parameters, start_node
+from graph_runs import class_of, on_own_domain, parameters, start_node
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -32,15 +31,6 @@ OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
 def usage_of(executable: str) -> Usage:
     usage: Usage = import_module(f'taxinet_ros.nodes.{executable}').USAGE
     return usage
-
-
-def class_of(executable: str) -> type[Any]:
-    module = import_module(f'taxinet_ros.nodes.{executable}')
-    (kind,) = (
-        one for one in vars(module).values()
-        if isinstance(one, type) and issubclass(one, Node) and one.__module__ == module.__name__
-    )
-    return kind
 
 
 def ends_of(commands: dict[str, tuple[str, ...]]) -> dict[str, tuple[int, str, str]]:

@@ -26,7 +26,7 @@ def found(bag: Path, tmp_path_factory) -> dict[str, tuple[str, Interface]]:
 
 def test_given_the_nodes_as_they_run_then_the_shipped_policies_allow_that_and_no_more(found):
     shipped = {path.name: path.read_text(encoding='utf-8') for path in FOLDER.iterdir()}
-    assert shipped == policies(found)  # python tests/nodes/sros2_policies.py writes them anew
+    assert shipped == policies(found), 'sros2_policies.py writes them anew'
     assert set(found) == {*NODES, SUPERVISOR}
     speakers = {
         node for node, rules in found.values() if '/tf' in rules.get(('topics', 'publish'), ())
