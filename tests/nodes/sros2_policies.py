@@ -1,8 +1,9 @@
 """SROS2 policies out of what running nodes say of themselves; as a script it writes the files.
 
 ``PYTHONPATH=tests python tests/nodes/sros2_policies.py`` writes ``docs/sros2/policies`` anew. The
-form is that of policy version 0.2.0, https://design.ros2.org/articles/ros2_access_control_policies.html with the
-enclaves of https://design.ros2.org/articles/ros2_security_enclaves.html.
+form is that of policy version 0.2.0,
+https://design.ros2.org/articles/ros2_access_control_policies.html with the enclaves of
+https://design.ros2.org/articles/ros2_security_enclaves.html.
 """
 
 from __future__ import annotations

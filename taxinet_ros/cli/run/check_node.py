@@ -42,16 +42,6 @@ def run_check(
 ) -> int:
     """Drive a node and print which clauses it keeps and breaks.
 
-    Args:
-        command: program and arguments as a shell splits them, or ``FILE.py:NAME``.
-        role: ``perception``, ``controller``, or None to detect it.
-        external: the node is started by the user.
-        domain: ROS domain; None for a free one.
-        frames: messages in an ordinary run.
-        patience_s: timeout for an answer [s].
-        log: file for the node's output; None: discard it.
-        as_json: print JSON.
-
     Returns:
         Exit code: 0, it keeps all clauses tried.
 

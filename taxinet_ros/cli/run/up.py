@@ -171,23 +171,7 @@ def make_up_options(
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
     namespace: str = '', world: str = KMWH,
 ) -> UpOptions:
-    """Validate the options.
-
-    Args:
-        perception: as for :class:`.graph.GraphOptions`.
-        controller: likewise.
-        out: new folder for bags and logs; None: one below ``bags/``.
-        record: whether there is a recorder.
-        images: runs whose camera frames go into the bags.
-        settings: ``steering.<gain>=value``.
-        restart: a word of :class:`Restart`.
-        domain: ROS domain; None: the environment's, else a free one.
-        silent_s: silence after which a node is reported [s].
-        latency: ``NAME=LATENCY`` of perception or controller.
-        free: simulated time follows the wall clock.
-        real_time_factor: with ``free``, simulated seconds per wall-clock second, or ``max``.
-        namespace: namespace of every name in the graph; '' for none.
-        world: name of the world of the runs.
+    """Validate the options of ``taxinet up``, as its command line has them.
 
     Raises:
         UsageError: an option is invalid.
