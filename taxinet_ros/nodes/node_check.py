@@ -623,8 +623,7 @@ class Stage:
             return
         asked_in, asked = self._asked_by(run, said)
         if asked is None:
-            words = f'{said.seq} unasked, before the first frame of run {run.kind}'
-            self._verdicts.judge('answers', words, '')
+            self._verdicts.judge('answers', f'one before the first frame of run {run.kind}', '')
             return
         asked.answers.append(said)
         if not asked.kind:
