@@ -30,12 +30,7 @@ _BEAT_S = 1.0
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
-    """Command line of a worker for the runs of a campaign, by its engine.
-
-    Args:
-        campaign: campaign whose folder exists.
-        facts: its recorded facts.
-    """
+    """Command line of a worker for the runs of a campaign, by its engine."""
     from taxinet_ros.campaign.loop_run import campaign_loop
     from taxinet_ros.campaign.loop_worker import loop_worker_command
     from taxinet_ros.campaign.options import GRAPH
@@ -54,13 +49,7 @@ def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any])
 def audit_command(
     campaign: CampaignOptions, controller_sha256: str, world_sha256: str
 ) -> list[str]:
-    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`.
-
-    Args:
-        campaign: the campaign.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`."""
     from taxinet_ros.campaign.options import AUDIT_FOLDER
     from taxinet_ros.nodes.graph.runner import campaign_graph
 
@@ -69,15 +58,12 @@ def audit_command(
 
 
 def worker_command(options: GraphOptions) -> list[str]:
-    """Command line of a worker with a graph."""
-    return module_command(
-        'taxinet_ros.nodes.graph.worker',
-        f'--perception={options.perception}', f'--out={options.out}',
-        f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
-        f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
-        f'--timing={options.timing.words}', f'--world={options.world}',
-        f'--world-sha256={options.world_sha256}',
-    )
+    """Command line of a worker with a graph, in a folder that exists."""
+    values = {
+        **dataclasses.asdict(options), 'out': str(options.out), 'make_out': False,
+        'timing': options.timing.words,
+    }
+    return module_command('taxinet_ros.nodes.graph.worker', f'--options={json.dumps(values)}')
 
 
 class _Inbox:
@@ -153,16 +139,11 @@ def main(words: Sequence[str] | None = None) -> int:
     from taxinet_ros.core.pacing.timing import parse_timing
     from taxinet_ros.nodes.graph.runner import GraphOptions
 
-    options = GraphOptions(
-        perception=arguments.perception, out=arguments.out, make_out=False,
-        images=arguments.images, gains=json.loads(arguments.gains),
-        controller=arguments.controller, controller_sha256=arguments.controller_sha256,
-        timing=parse_timing(arguments.timing), world=arguments.world,
-        world_sha256=arguments.world_sha256,
-    )
+    values = json.loads(arguments.options)
+    values |= {'out': Path(values['out']), 'timing': parse_timing(values['timing'])}
     outbox = _Outbox(arguments.answers)
     try:
-        _work(options, outbox)
+        _work(GraphOptions(**values), outbox)
     except UsageError as error:
         outbox.say(error=str(error))
         return ExitCode.USAGE
@@ -191,15 +172,7 @@ def _work(options: GraphOptions, outbox: _Outbox) -> None:
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument('--answers', type=int, required=True)
-    parser.add_argument('--perception', required=True)
-    parser.add_argument('--out', type=Path, required=True)
-    parser.add_argument('--images', required=True)
-    parser.add_argument('--gains', required=True)
-    parser.add_argument('--controller', required=True)
-    parser.add_argument('--controller-sha256', default='')
-    parser.add_argument('--timing', default='')
-    parser.add_argument('--world', required=True)
-    parser.add_argument('--world-sha256', default='')
+    parser.add_argument('--options', required=True)
     return parser.parse_args(words)
 
 
