@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import AT_ONCE, Timing
+from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere, node_command
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -48,39 +48,23 @@ _PERCEPTIONS: dict[str, NodeClass] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraphOptions:
-    """Options of a graph.
+class GraphOptions(System):
+    """A system that runs as a graph of nodes.
 
     Attributes:
-        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`.
         out: folder for the bags, one folder per run.
         make_out: whether to create a missing ``out``. A campaign creates its own, so if it is
             missing, it was moved or deleted and must not be replaced.
         images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
-        gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], if not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], if not default.
-        controller: ``steering``, ``FILE.py:NAME``, or a word of :mod:`taxinet_ros.core.user_code`.
-        controller_sha256: required hash of the controller's file and the files it lists, so that a
-        change during a campaign is detected; '' for any.
-        timing: timing of answers.
-        world: name of the world that runs take place in.
-        world_sha256: required hash of the package that provides it; '' for any.
     """
 
-    perception: str
     out: Path
     make_out: bool = True
     images: str = 'all'
-    gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
-    controller: str = STEERING
-    controller_sha256: str = ''
-    timing: Timing = AT_ONCE
-    world: str = KMWH
-    world_sha256: str = ''
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of this package except the sampler, by node name."""
@@ -125,14 +109,10 @@ class GraphOptions:
         return {name: words for name, words in found.items() if words}
 
 
-def campaign_graph(
-    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
-) -> GraphOptions:
-    """Options of the graphs of a campaign."""
+def campaign_graph(campaign: CampaignOptions, system: System) -> GraphOptions:
+    """Options of the graphs of a campaign whose folder exists, with its recorded system."""
     return GraphOptions(
-        perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
-        gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
-        timing=campaign.timing, world=campaign.world, world_sha256=world_sha256,
+        **vars(system), out=campaign.out, make_out=False, images=campaign.images
     )
 
 

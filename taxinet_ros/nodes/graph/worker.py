@@ -23,6 +23,7 @@ from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
     from taxinet_ros.campaign.options import CampaignOptions
+    from taxinet_ros.core.system import System
     from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 
@@ -34,35 +35,29 @@ def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any])
     from taxinet_ros.campaign.loop_run import campaign_loop
     from taxinet_ros.campaign.loop_worker import loop_worker_command
     from taxinet_ros.campaign.options import GRAPH
-    from taxinet_ros.campaign.record.facts import recorded_world
+    from taxinet_ros.campaign.record.facts import recorded_system
     from taxinet_ros.nodes.graph.runner import campaign_graph
 
-    recorded = facts['controller_sha256'], recorded_world(facts)[1]
+    system = recorded_system(campaign, facts)
     if campaign.engine == GRAPH:
-        return worker_command(campaign_graph(campaign, *recorded))
+        return worker_command(campaign_graph(campaign, system))
     return loop_worker_command(
-        campaign_loop(campaign, *recorded), campaign.audit_percent,
-        audit_command(campaign, *recorded),
+        campaign_loop(campaign, system), campaign.audit_percent, audit_command(campaign, system)
     )
 
 
-def audit_command(
-    campaign: CampaignOptions, controller_sha256: str, world_sha256: str
-) -> list[str]:
+def audit_command(campaign: CampaignOptions, system: System) -> list[str]:
     """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`."""
     from taxinet_ros.campaign.options import AUDIT_FOLDER
     from taxinet_ros.nodes.graph.runner import campaign_graph
 
-    graph = campaign_graph(campaign, controller_sha256, world_sha256)
+    graph = campaign_graph(campaign, system)
     return worker_command(dataclasses.replace(graph, out=campaign.out / AUDIT_FOLDER))
 
 
 def worker_command(options: GraphOptions) -> list[str]:
     """Command line of a worker with a graph, in a folder that exists."""
-    values = {
-        **dataclasses.asdict(options), 'out': str(options.out), 'make_out': False,
-        'timing': options.timing.words,
-    }
+    values = {**options.to_json(), 'out': str(options.out), 'make_out': False}
     return module_command('taxinet_ros.nodes.graph.worker', f'--options={json.dumps(values)}')
 
 
@@ -136,11 +131,11 @@ def main(words: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a usage error.
     """
     arguments = _arguments(words)
-    from taxinet_ros.core.pacing.timing import parse_timing
+    from taxinet_ros.core.system import system_values
     from taxinet_ros.nodes.graph.runner import GraphOptions
 
-    values = json.loads(arguments.options)
-    values |= {'out': Path(values['out']), 'timing': parse_timing(values['timing'])}
+    values = system_values(json.loads(arguments.options))
+    values |= {'out': Path(values['out'])}
     outbox = _Outbox(arguments.answers)
     try:
         _work(GraphOptions(**values), outbox)
