@@ -20,9 +20,9 @@ from taxinet_ros.errors import UsageError
 
 RECORD_NAMES = frozenset({
     'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
-    'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
+    'metadata.yaml', 'stack.json', 'campaign.db', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
+    'assurance.json', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
     'improve.json', 'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv',
     'labels.parquet', 'evidence.json', 'MANIFEST',
 })
@@ -30,6 +30,7 @@ RECORD_NAMES = frozenset({
 
 _READ = frozenset({
     '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.jsonl',
+    '.db',
 })
 """Suffixes of files that commands read, and that only an option for such files may replace."""
 _RECORDING = '.mcap'
@@ -38,6 +39,7 @@ _TABLE = '.parquet'
 _STARTS = (
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
+    (b'SQLite format 3\0', 'a record (SQLite)'),
     (b'{"sum":"', 'a journal'),
     (b'{"event":', 'a journal'),
     (b'run_id,index,', 'a table of runs'),

@@ -113,16 +113,20 @@ class RecordedCampaign:
         return scenario_of_row(row, self.folder, self.facts)
 
 
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder is that of a campaign."""
+    return (folder / LEDGER_NAME).is_file()
+
+
 def open_campaign(folder: Path) -> RecordedCampaign:
     """Open the campaign in a folder read-only; it may be running.
 
     Raises:
         UsageError: it is not a campaign, or its ledger is damaged.
     """
-    path = folder / LEDGER_NAME
-    if not path.is_file():
+    if not is_campaign(folder):
         raise UsageError(f'{folder}: not a campaign: no {LEDGER_NAME}')
-    return RecordedCampaign(folder=folder, content=read_ledger(path))
+    return RecordedCampaign(folder=folder, content=read_ledger(folder / LEDGER_NAME))
 
 
 def open_failed_campaign(folder: Path) -> RecordedCampaign:

@@ -31,26 +31,26 @@ from taxinet_ros.analysis.runs.campaign import (
     runs_of,
 )
 from taxinet_ros.campaign.options import DEFAULT_ROOT, LOOP, make_options, make_out
-from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
+from taxinet_ros.campaign.past_runs.recorded_campaign import is_campaign
 from taxinet_ros.campaign.past_runs.shared_scenes import (
     SceneSet,
     SharedTrials,
     scenes_of,
     scenes_of_program,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BISECT_NAME = 'bisect.json'
 BEFORE, AFTER = 'before.parquet', 'after.parquet'
-_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, TRIALS_NAME, 'compared.png', BISECT_NAME}
+_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', BISECT_NAME}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +131,15 @@ def run_compare(options: CompareOptions) -> int:
 
 
 def _is_campaign(word: str) -> bool:
-    path = Path(word)
-    return (path / LEDGER_NAME).is_file() or word.endswith('.parquet')
+    return is_campaign(Path(word)) or word.endswith('.parquet')
 
 
 def _folder(options: CompareOptions, *words: str) -> Path:
     names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
     out = options.out or DEFAULT_ROOT / f'compare-{names}'
-    if out.is_dir() and {path.name for path in out.iterdir()} - _OURS:
+    there = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    # SQLite leaves its journal beside a record, and a repair the damaged one.
+    if {name for name in there if not name.startswith(RECORD_NAME)} - _OURS:
         raise UsageError(f'--out {out}: contains something else; choose another folder')
     make_out(out)
     return out

@@ -26,15 +26,10 @@ from taxinet_ros.analysis.gate import (
 )
 from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.past_runs.recorded_campaign import is_campaign, open_campaign
 from taxinet_ros.campaign.past_runs.shared_scenes import SharedTrials, scenes_of
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import (
-    LEDGER_NAME,
-    STACKS,
-    recorded_rules,
-    recorded_stacks,
-)
+from taxinet_ros.campaign.record.facts import STACKS, recorded_rules, recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
@@ -178,7 +173,7 @@ def _write_documents(judged: _Judged, junit: Path) -> None:
 
 def _judged(asked: GateInput) -> _Judged | None:
     """The runs to judge; None if driving a network was interrupted."""
-    recorded = (asked.campaign / LEDGER_NAME).is_file() or asked.campaign.is_dir()
+    recorded = asked.campaign.is_dir()
     if asked.baseline is not None and not recorded:
         return _driven(asked, str(asked.campaign), asked.baseline)
     for option, given in (('--out', asked.out), ('--workers', asked.workers)):
@@ -243,7 +238,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
 
 def _planned(baseline: Path, rows: Sequence[RunRow]) -> range:
     """The runs that the baseline planned, which are other ones than its runs."""
-    if (baseline / LEDGER_NAME).is_file() and (found := open_campaign(baseline).planned_runs):
+    if is_campaign(baseline) and (found := open_campaign(baseline).planned_runs):
         return found
     return range(max(row.index for row in rows) + 2)  # more than there are: the number was open
 
