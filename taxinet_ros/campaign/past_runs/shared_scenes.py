@@ -17,11 +17,7 @@ import pandas as pd
 
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.past_runs.recorded_campaign import (
-    is_campaign,
-    open_campaign,
-    spread_evenly,
-)
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.past_runs.trials import (
     System,
     Task,
@@ -31,7 +27,7 @@ from taxinet_ros.campaign.past_runs.trials import (
     run_trials,
 )
 from taxinet_ros.campaign.rates import sample_size_was_fixed
-from taxinet_ros.campaign.record.facts import recorded_world
+from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of

@@ -31,13 +31,13 @@ from taxinet_ros.analysis.runs.campaign import (
     runs_of,
 )
 from taxinet_ros.campaign.options import DEFAULT_ROOT, LOOP, make_options, make_out
-from taxinet_ros.campaign.past_runs.recorded_campaign import is_campaign
 from taxinet_ros.campaign.past_runs.shared_scenes import (
     SceneSet,
     SharedTrials,
     scenes_of,
     scenes_of_program,
 )
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
@@ -138,8 +138,8 @@ def _folder(options: CompareOptions, *words: str) -> Path:
     names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
     out = options.out or DEFAULT_ROOT / f'compare-{names}'
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
-    # SQLite leaves its journal beside a record, and a repair the damaged one.
-    if {name for name in there if not name.startswith(RECORD_NAME)} - _OURS:
+    # Beside a record may be its journal, its lock and a damaged one.
+    if {name for name in there if RECORD_NAME not in name} - _OURS:
         raise UsageError(f'--out {out}: contains something else; choose another folder')
     make_out(out)
     return out

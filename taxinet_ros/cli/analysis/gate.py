@@ -26,13 +26,18 @@ from taxinet_ros.analysis.gate import (
 )
 from taxinet_ros.bag.check.findings import ranges
 from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.recorded_campaign import is_campaign, open_campaign
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.past_runs.shared_scenes import SharedTrials, scenes_of
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import STACKS, recorded_rules, recorded_stacks
-from taxinet_ros.campaign.record.ledger import LedgerContent
+from taxinet_ros.campaign.record.content import CampaignContent
+from taxinet_ros.campaign.record.facts import (
+    STACKS,
+    is_campaign,
+    recorded_rules,
+    recorded_stacks,
+)
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
+from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.progress import stage_bars
@@ -183,7 +188,6 @@ def _judged(asked: GateInput) -> _Judged | None:
                 f'{asked.campaign} is not driven'
             )
     campaign = open_campaign(asked.campaign)
-    check_tables(asked.campaign)
     return _Judged(
         folder=asked.campaign, rows=campaign.rows, facts=campaign.facts,
         planned=campaign.planned_runs, notes=tuple(_record_notes(campaign.content)),
@@ -260,9 +264,9 @@ def _beside(junit: Path) -> Path:
     return junit.with_name(f'{junit.stem}-{PARQUET_NAME}')
 
 
-def _record_notes(content: LedgerContent) -> Iterator[str]:
+def _record_notes(content: CampaignContent) -> Iterator[str]:
     """Notes about the campaign's record."""
-    if found := differences(*recorded_stacks(content.campaign).values()):
+    if found := differences(*recorded_stacks(content.facts).values()):
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: started but has no result'

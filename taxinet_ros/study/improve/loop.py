@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.journal import JournalOwner, open_journal
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
@@ -98,7 +98,7 @@ def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
     """Stage that searches for failures of the incumbent."""
     return _campaign(
         options, falsify_name(number), incumbent, options.sampler,
-        options.seed_of(number, FALSIFY), also=(f'{falsify_name(number)}/{LEDGER_NAME}',),
+        options.seed_of(number, FALSIFY), also=(f'{falsify_name(number)}/{RECORD_NAME}',),
     )
 
 
@@ -144,7 +144,7 @@ def _training(
         images=options.images, validation=options.validation,
         added=options.counterexamples * len(campaigns), epochs=options.epochs,
         seed=options.seed_of(number, TRAIN), workers=options.workers,
-        inputs=(incumbent, *(f'{campaign}/{LEDGER_NAME}' for campaign in campaigns)),
+        inputs=(incumbent, *(f'{campaign}/{RECORD_NAME}' for campaign in campaigns)),
         programs=[text.rpartition('=')[0] for text in options.add],
     )
 
@@ -261,7 +261,7 @@ class Improvement:
         )
 
     def _judged(self, campaign: str) -> list[RunRow]:
-        rows = read_ledger(self._out / campaign / LEDGER_NAME).rows
+        rows = read_campaign(self._out / campaign).rows
         return [row for row in rows if row.outcome.judged]
 
     def _analysis(self, number: int) -> Mapping[str, Any]:

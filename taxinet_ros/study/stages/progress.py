@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.log import StageRecord
 from taxinet_ros.study.stages.stage import Kind, Stage
@@ -50,8 +50,8 @@ def state_of(stage: Stage, records: Records, out: Path) -> State:
 
 
 def can_resume(folder: Path) -> bool:
-    """Whether a campaign, or an arm of an experiment, has a ledger."""
-    return any((folder / place / LEDGER_NAME).is_file() for place in ('', *_names(folder)))
+    """Whether a campaign, or an arm of an experiment, has a record."""
+    return any(is_campaign(folder / place) for place in ('', *_names(folder)))
 
 
 def seconds_left(

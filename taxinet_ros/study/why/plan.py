@@ -17,7 +17,6 @@ import yaml
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region
 from taxinet_ros.analysis.explain.counterfactual import Factor, factors, run_factors
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.programs import scenario_program
@@ -27,6 +26,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.stage import Kind, Resume, Stage, workers_option
 
 ANALYZE, LOCALIZE, SHRINK = 'analyze', 'localize', 'shrink'
@@ -98,7 +98,7 @@ def localize_stage(
     moved = () if perception is None else ('--perception', perception)
     return Stage(
         name=LOCALIZE, words=('localize', str(campaign), *moved, '--out', str(out / LOCALIZE)),
-        runs=runs, hints=workers_option(workers), inputs=(str(campaign / LEDGER_NAME),),
+        runs=runs, hints=workers_option(workers), inputs=(str(campaign / RECORD_NAME),),
         outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
         amount=_TRIALS * runs, resume=Resume.SAME, optional=True,
     )
@@ -119,8 +119,8 @@ def explain_stage(bag: Path, out: Path, rank: int, perception: str, world: str) 
 
 def shrink_stage(bag: Path, out: Path, *, runs: int, workers: int, perception: str) -> Stage:
     """Stage that finds the parameters of a run that matter."""
-    ledger = bag.parent / LEDGER_NAME
-    inputs = (ledger,) if ledger.is_file() else storage_files(bag)
+    record = bag.parent / RECORD_NAME
+    inputs = (record,) if record.is_file() else storage_files(bag)
     return Stage(
         name=SHRINK, runs=runs, hints=workers_option(workers),
         words=('shrink', str(bag), '--perception', perception, '--images', 'none', '--quiet',
