@@ -21,7 +21,7 @@ from taxinet_ros.analysis.fault_localisation import (
     write_cases,
 )
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
-from taxinet_ros.campaign.past_runs.localisation import Trial
+from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import Scenario

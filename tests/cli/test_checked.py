@@ -104,14 +104,14 @@ def test_given_the_names_of_records_then_all_are_known():
     names = {
         facts.FACTS_NAME, facts.LEDGER_NAME, table.CSV_NAME, table.PARQUET_NAME,
         layout.METADATA_FILE, compare.STACK_FILE,
-        learned_result.LEARNED_NAME, localisation.TRIALS_NAME, tuning.TRIALS_NAME,
+        learned_result.LEARNED_NAME, RECORD_NAME, NAME,
         experiment.PAIRS_NAME, experiment.JSON_NAME, analysis_folder.JSON_NAME,
         fault_localisation.CSV_NAME, fault_localisation.PARQUET_NAME,
-        fault_localisation.JSON_NAME, judge.SCENES_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
+        fault_localisation.JSON_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
         judge.RESULT_NAME,
         config.STUDY_NAME, log.LOG_NAME, improve_options.FACTS_NAME, loop.ROUNDS_NAME,
         evidence.JSON_NAME, evidence.MANIFEST_NAME, dataset_folder.LABELS, dataset_folder.FACTS,
-        dataset_folder.REQUEST, image_folder.FOREIGN_LABELS,
+        image_folder.FOREIGN_LABELS,
     }
     assert names == RECORD_NAMES
 

@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, UsageError, warn_once
 from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, repaired
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.registry import KMWH
@@ -296,12 +295,12 @@ class TrialRecord(Generic[_R]):
         make_out(out)
         path = out / RECORD_NAME
         try:
-            damaged = path.exists() and path.stat().st_size > 0 and repair_record(path)
+            damaged = repair_record(path) if path.exists() and path.stat().st_size else ''
             self._record = Record(path)
         except OSError as error:
             raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
         if damaged:
-            print(f'warning: {damaged}', file=sys.stderr)
+            warn_once(damaged)
         try:
             self._begin(f'--out {out}: {other}; choose another folder', settings)
             self.done = self._earlier(kind)

@@ -5,14 +5,13 @@ It is a record, ``progress.db``, in their folder, with one entry per picture.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
 from taxinet_ros.campaign.scenes.programs import check_same_files
-from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.record import Record, plain, repair_record, repaired
 
@@ -71,7 +70,7 @@ class Unfinished:
             )
         try:
             if is_begun(folder) and (damaged := repair_record(path)):
-                print(f'warning: {damaged}', file=sys.stderr)
+                warn_once(damaged)
             self._record = Record(path)
         except OSError as error:
             if error.errno in FULL_DISK:

@@ -14,10 +14,10 @@ from taxinet_ros.analysis import network_check
 from taxinet_ros.analysis.network_check import NetworkCheck, fixed_scenes, scenes_digest
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.past_runs.localisation import Trial
+from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.campaign.record.book import finished_row, run_request
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, campaign_facts, write_facts
-from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.content import ROW, run_key
+from taxinet_ros.campaign.record.facts import FACTS, campaign_facts
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_text
@@ -26,6 +26,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.files.record import RECORD_NAME, Record, read_record
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 
@@ -47,13 +48,11 @@ def campaign(folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7,
             robustness=exact_intervals({'phi_always': -1.0 if index in violated else 0.5}),
         )) for index in range(runs)
     ]
-    folder.mkdir()
-    write_facts(folder, facts)
-    with Ledger(folder / LEDGER_NAME) as ledger:
-        ledger.campaign(facts)
-        for row in rows:
-            ledger.result(row)
-    write_tables(rows, folder, ['phi_always'])
+    with Record(folder / RECORD_NAME) as record:
+        record.put_all([(FACTS, '', facts), *(
+            (ROW, run_key(row.index), row.to_json()) for row in rows
+        )])
+    write_tables(rows, folder, facts)
     return folder
 
 
@@ -96,12 +95,12 @@ def test_given_a_junit_file_then_it_replaces_its_own_and_neither_a_record_nor_a_
     for _ in range(2):
         assert taxinet(*words, 'gate.xml')[0] == 0
     assert len(read_runs(tmp_path / 'gate-runs.parquet').failed) == 80
-    ledger = (before / LEDGER_NAME).read_bytes()
-    for name in (LEDGER_NAME, 'runs.csv', 'campaign.json'):
+    record = (before / RECORD_NAME).read_bytes()
+    for name in (RECORD_NAME, 'runs.csv'):
         code, said, err = taxinet(*words, f'before/{name}')
         assert (code, said) == (2, '')
         assert f'error: --junit before/{name}: is the name of a record in before' in err
-    assert (before / LEDGER_NAME).read_bytes() == ledger
+    assert (before / RECORD_NAME).read_bytes() == record
     table = bytearray((tmp_path / 'gate-runs.parquet').read_bytes())
     table[len(table) // 3] ^= 1
     (tmp_path / 'gate-runs.parquet').write_bytes(table)
@@ -182,7 +181,7 @@ def test_given_a_network_then_it_is_driven_through_the_baselines_scenes_and_kept
     assert '3 of 3 scenes are known to nine decimals only' in said
     made = pd.read_parquet(tmp_path / 'driven' / 'runs.parquet')
     assert made['distance_m'].tolist() == frame['distance_m'].tolist()
-    assert (tmp_path / 'driven' / 'trials.jsonl').read_text().count('"event":"trial"') == 3
+    assert len(read_record(tmp_path / 'driven' / RECORD_NAME)['trial']) == 3
     assert taxinet(*asked)[1] == said, 'what is done is kept'
     assert len(read_runs(tmp_path / 'driven' / 'runs.parquet').frame) == 3
 

@@ -88,8 +88,7 @@ def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(tmp_path):
 def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as_recorded(folder):
     done = taxinet('localize', 's', '--with', 'truth', '--out', 'whose', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
-    lines = (folder / 'whose' / 'trials.jsonl').read_text().splitlines()
-    trials = [event['trial'] for event in map(json.loads, lines) if event['event'] == 'trial']
+    trials = read_record(folder / 'whose' / RECORD_NAME)['trial'].values()
     control = {trial['run_id']: trial['rho_upper'] for trial in trials
                if trial['word'] == 'as-recorded'}
     assert control == read_table(folder / 's').set_index('run_id')['rho_near'].to_dict()

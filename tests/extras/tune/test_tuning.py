@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
-from taxinet_ros.campaign.past_runs.localisation import Trial
 from taxinet_ros.campaign.past_runs.shared_scenes import SceneSet, scenes_of_program
+from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.mtl import RobustnessInterval
@@ -28,6 +28,7 @@ from taxinet_ros.extras.tune.tuning import (
     tuned_json,
     varied_gains,
 )
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 
 def trial(number: int, rho: float | None) -> Trial:
@@ -167,13 +168,13 @@ def test_given_gains_too_small_then_better_ones_are_found_and_an_interrupt_chang
     out, looks = tmp_path / 'parts', itertools.count()
     with Tuning(options, out) as tuning:
         assert tuning.run(interrupted=lambda: next(looks) > 4) is None
-    lines = (out / 'trials.jsonl').read_text().count('\n')
+    kept = len(read_record(out / RECORD_NAME)['trial'])
     made = []
     with Tuning(dataclasses.replace(options, workers=2), out) as tuning:
         again = tuning.run(on_run=lambda: made.append(1))
     assert again == whole
-    assert lines > 1
-    assert len(made) < whole.runs + 2 * len(whole.before)
+    assert kept > 0
+    assert len(made) == len(read_record(out / RECORD_NAME)['trial']) - kept
 
 
 def test_given_other_settings_or_scenes_of_the_search_then_they_are_refused(options, tmp_path):
@@ -206,8 +207,7 @@ def test_given_the_command_then_it_prints_and_writes_what_was_found(
     assert (left.value.code, told.err) == (0, '')
     assert 'better on scenes that the search has not seen' in told.out
     assert 'next: taxinet falsify s_falsif --perception truth --set steering.cte' in told.out
-    assert {path.name for path in Path('out').iterdir()} == {
-        'trials.jsonl', 'tune.json'}
+    assert {path.name for path in Path('out').iterdir()} == {RECORD_NAME, 'tune.json'}
     monkeypatch.setattr(sys, 'argv', ['taxinet', 'tune', '--set', 'rain=0'])
     with pytest.raises(SystemExit) as left:
         main()
