@@ -119,7 +119,7 @@ def make_localize_options(
     if again := find_world(*recorded_world(found.facts)).again_words:
         raise UsageError(f'{campaign}: {again}, so trials cannot localise the fault')
     if not found.judging.specs:
-        raise UsageError(f'{campaign}: its ledger does not record the formulas')
+        raise UsageError(f'{campaign}: its record does not have the formulas')
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),

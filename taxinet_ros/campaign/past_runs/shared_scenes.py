@@ -140,7 +140,7 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
         raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
     judging = campaign.judging
     if not judging.specs:
-        raise UsageError(f'{path}: its ledger does not record the formulas')
+        raise UsageError(f'{path}: its record does not have the formulas')
     scenes = []
     for row in spread_evenly(campaign.judged, runs):
         scenario, exact = campaign.scenario(row)

@@ -20,6 +20,7 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.nodes.graph.runner import campaign_graph
 
 pytestmark = pytest.mark.ros
