@@ -38,14 +38,13 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of_program,
 )
 from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BISECT_NAME = 'bisect.json'
@@ -169,23 +168,15 @@ def _driven(
     scenes: SceneSet, networks: Sequence[str], out: Path, workers: int, console: Console
 ) -> list[CampaignRuns] | None:
     """Drive the networks through the scenes, and write their tables; None if interrupted."""
-    asked: list[bool] = []
     tables: list[CampaignRuns] = []
     total = len(networks) * len(scenes.scenes)
     with (
-        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
-        interrupts(lambda: asked.append(True)),
+        SharedTrials(scenes, out) as trials,
+        trial_bar(console, 'runs', total) as (count, interrupted),
     ):
-        number = 0
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            show('runs', number, max(total, number))
-
         for network, name in zip(networks, (BEFORE, AFTER), strict=True):
             found = trials.drive(
-                network, workers=workers, on_trial=count, interrupted=lambda: bool(asked))
+                network, workers=workers, on_trial=count, interrupted=interrupted)
             if len(found) < len(scenes.scenes):
                 return None
             frame = trials.table(network)
@@ -253,24 +244,17 @@ def run_bisect(options: BisectOptions) -> int:
             )
     scenes = scenes_of(options.scene, options.runs)
     out = options.out or DEFAULT_ROOT / f'bisect-{options.scene.resolve().stem}'
-    asked: list[bool] = []
+    total = len(options.networks) * len(scenes.scenes)
     with (
-        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
-        interrupts(lambda: asked.append(True)),
+        SharedTrials(scenes, out) as trials,
+        trial_bar(console, 'runs', total) as (count, interrupted),
     ):
-        number, most = 0, len(options.networks) * len(scenes.scenes)
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            show('runs', number, most)
-
         def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
             done = trials.drive(
                 options.networks[place], names, workers=options.workers, on_trial=count,
-                interrupted=lambda: bool(asked),
+                interrupted=interrupted,
             )
-            if asked:
+            if interrupted():
                 raise KeyboardInterrupt
             return {name: done[name].passed for name in names}
 
