@@ -253,11 +253,7 @@ def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_a
     assert len((tmp_path / 'out' / 'alarms.csv').read_text().splitlines()) == 3
     assert (tmp_path / 'out' / 'trade.png').stat().st_size > 5000
     assert [one['factor'] for one in kept['judged']['trade']] == list(FACTORS)
-    goes_on_after_an_end_amid(tmp_path, judging)
-
-
-def goes_on_after_an_end_amid(tmp_path, judging):
-    """What is done is kept and not driven again; what is damaged is."""
+    # What is done is kept and not driven again; what is damaged is.
     out, record = tmp_path / 'out', tmp_path / 'out' / RECORD_NAME
     whole = {path.name: path.read_bytes() for path in out.iterdir()}
     entries = read_record(record)
