@@ -19,7 +19,7 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
+    JudgedSystem,
     Task,
     Trial,
     TrialRecord,
@@ -36,7 +36,7 @@ from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -92,11 +92,11 @@ class SceneSet:
     world: str = KMWH
     world_sha256: str = ''
 
-    def system(self, network: str) -> System:
+    def system(self, network: str) -> JudgedSystem:
         """The system that drives them with a network."""
-        return System(
+        return JudgedSystem(
             perception=network, judging=self.judging, gains=self.gains, controller=self.controller,
-            timing=self.timing, world=self.world, world_sha256=self.world_sha256,
+            timing=parse_timing(self.timing), world=self.world, world_sha256=self.world_sha256,
         )
 
     @property
