@@ -101,7 +101,8 @@ def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
         workers=1, out=folder / 'small', resume=False, images='none',
     )
     assert options.campaign.timing.words == f'{WORDS} draws=0.1'
-    assert campaign_graph(options.campaign, '').timing == options.campaign.timing
+    system = options.campaign.system('', '')
+    assert campaign_graph(options.campaign, system).timing == options.campaign.timing
     with Shrinking(options, PARTICIPANTS) as shrinking:
         assert shrinking.next() is not None
     facts = json.loads((folder / 'small' / 'campaign.json').read_text())
