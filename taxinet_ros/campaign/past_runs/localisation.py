@@ -19,18 +19,17 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import (
     AS_RECORDED,
@@ -39,6 +38,7 @@ from taxinet_ros.core.perception.substituted import (
     TRUTH_HEADING,
     parse_substitution,
 )
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -77,13 +77,13 @@ class LocalizeOptions:
         return len(self.rows) * len(self.words)
 
     @property
-    def system(self) -> System:
+    def system(self) -> TrialSystem:
         """The campaign's system."""
         world, package = recorded_world(self.campaign.facts)
-        return System(
+        return TrialSystem(
             perception=self.perception, judging=self.campaign.judging,
             gains=dict(self.campaign.gains), controller=self.controller,
-            timing=self.campaign.timing, world=world, world_sha256=package,
+            timing=parse_timing(self.campaign.timing), world=world, world_sha256=package,
         )
 
 

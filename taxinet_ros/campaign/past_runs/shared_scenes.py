@@ -19,11 +19,10 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.rates import sample_size_was_fixed
@@ -36,11 +35,12 @@ from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
@@ -92,11 +92,11 @@ class SceneSet:
     world: str = KMWH
     world_sha256: str = ''
 
-    def system(self, network: str) -> System:
+    def system(self, network: str) -> TrialSystem:
         """The system that drives them with a network."""
-        return System(
+        return TrialSystem(
             perception=network, judging=self.judging, gains=self.gains, controller=self.controller,
-            timing=self.timing, world=self.world, world_sha256=self.world_sha256,
+            timing=parse_timing(self.timing), world=self.world, world_sha256=self.world_sha256,
         )
 
     @property
