@@ -19,11 +19,10 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene
 from taxinet_ros.campaign.past_runs.trials import (
-    JudgedSystem,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.record.facts import recorded_world
@@ -39,6 +38,7 @@ from taxinet_ros.core.perception.substituted import (
     TRUTH_HEADING,
     parse_substitution,
 )
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -77,10 +77,10 @@ class LocalizeOptions:
         return len(self.rows) * len(self.words)
 
     @property
-    def system(self) -> JudgedSystem:
+    def system(self) -> TrialSystem:
         """The campaign's system."""
         world, package = recorded_world(self.campaign.facts)
-        return JudgedSystem(
+        return TrialSystem(
             perception=self.perception, judging=self.campaign.judging,
             gains=dict(self.campaign.gains), controller=self.controller,
             timing=parse_timing(self.campaign.timing), world=world, world_sha256=package,

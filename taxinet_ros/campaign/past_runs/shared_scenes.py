@@ -19,11 +19,10 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.past_runs.trials import (
-    JudgedSystem,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.rates import sample_size_was_fixed
@@ -41,6 +40,7 @@ from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
@@ -92,9 +92,9 @@ class SceneSet:
     world: str = KMWH
     world_sha256: str = ''
 
-    def system(self, network: str) -> JudgedSystem:
+    def system(self, network: str) -> TrialSystem:
         """The system that drives them with a network."""
-        return JudgedSystem(
+        return TrialSystem(
             perception=network, judging=self.judging, gains=self.gains, controller=self.controller,
             timing=parse_timing(self.timing), world=self.world, world_sha256=self.world_sha256,
         )

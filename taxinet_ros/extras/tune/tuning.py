@@ -27,7 +27,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_shift,
 )
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, SceneSet
-from taxinet_ros.campaign.past_runs.trials import JudgedSystem, Trial, TrialRecord, trial_pool
+from taxinet_ros.campaign.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
 from taxinet_ros.campaign.samplers.optuna_study import SEEDS, new_study, quiet
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
@@ -140,7 +140,7 @@ class TuneOptions:
         SteeringGains(**self.start)
 
     @property
-    def system(self) -> JudgedSystem:
+    def system(self) -> TrialSystem:
         """The system without gains, which each candidate has its own of."""
         return dataclasses.replace(self.learning.system(self.perception), gains={})
 

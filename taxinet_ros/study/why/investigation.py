@@ -28,7 +28,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.campaign.past_runs.trials import JudgedSystem, Task, Trial, make_trial
+from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, make_trial
 from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
@@ -40,7 +40,7 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, parse_timing
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.domain import domain_doubts
 from taxinet_ros.core.perception.perception import (
     GroundTruth,
@@ -491,9 +491,9 @@ class Investigation:
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),
             run.controller_fingerprint, 'put its file back',
         )
-        bench = JudgedSystem(
+        bench = TrialSystem(
             perception=network, judging=Judging(specs=run.specs), gains=run.gains,
-            controller=run.controller, timing=parse_timing(run.timing.words), world=run.world,
+            controller=run.controller, timing=run.timing, world=run.world,
             world_sha256=run.world_fingerprint,
         )
         perception = make_perception(network)
