@@ -22,8 +22,8 @@ RECORD_NAMES = frozenset({
     'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
     'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
-    'improve.json', 'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv',
+    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'campaign.db',
+    'rounds.json', 'dataset.json', 'request.json', 'labels.csv',
     'labels.parquet', 'evidence.json', 'MANIFEST',
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""

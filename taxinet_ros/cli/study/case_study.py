@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,23 +11,24 @@ from rich.console import Console
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.processes.child import module_command
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.config import (
-    STUDY_NAME,
     StudyConfig,
     read_config,
-    read_study,
     resized,
     scaled,
     shipped_config,
-    write_study,
+    study_of,
 )
-from taxinet_ros.study.stages.log import StageLog, read_records
 from taxinet_ros.study.stages.plan import stages, stages_until
 from taxinet_ros.study.stages.progress import list_lines, study_heading
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options, read_stages
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
+
+_COMMAND = 'case-study'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ def run_case_study(options: CaseStudyOptions) -> int:
     wanted = stages_until(found, options.until) if options.until else found
     if options.listed:
         out = options.out or Path('OUT')
-        for line in list_lines(wanted, read_records(out), out):
+        for line in list_lines(wanted, read_stages(out), out):
             console.print(line, soft_wrap=True, markup=False)
         return ExitCode.OK
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
@@ -99,27 +101,29 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
         console.print(line, soft_wrap=True, markup=False)
 
     make_out(out)
-    if not (out / STUDY_NAME).exists():
-        write_study(out, config)  # first, so that the study can be resumed from here on
-    with StageLog(out) as log:
-        write_study(out, config)
+    with open_study(out, show) as record:
+        record.put(OPTIONS, _COMMAND, dataclasses.asdict(config))
         show(study_heading(config, wanted, out))
-        show(f'every command runs in {out}')
-        run = StudyRun(
-            out, wanted, log=log, command=stage_command(), workers=config.workers, show=show,
-        )
-        return run.run()
+        show(f'every stage runs in {out}')
+        return StudyRun(
+            out, wanted, record=record, work=call_stage, workers=config.workers, show=show,
+        ).run()
+
+
+def _begun(out: Path, option: str) -> StudyConfig:
+    """The configuration of the study in a folder."""
+    return study_of(read_options(out, _COMMAND, option))
 
 
 def _config(options: CaseStudyOptions) -> StudyConfig:
     if options.resume and options.out is None:
         raise UsageError('--resume: name the case study to continue with --out')
     begun = options.out is not None and (
-        options.resume or (options.listed and (options.out / STUDY_NAME).exists())
+        options.resume or (options.listed and (options.out / RECORD_NAME).exists())
     )
     if begun and options.config is None and options.scale is None:
         assert options.out is not None
-        config = read_study(options.out, '--resume' if options.resume else '--list')
+        config = _begun(options.out, '--resume' if options.resume else '--list')
     else:
         config = read_config(options.config or shipped_config())
         config = scaled(config, 1.0 if options.scale is None else options.scale)
@@ -132,7 +136,7 @@ def _report(options: CaseStudyOptions) -> int:
     _check_alone(options, '--report-only', taken=('out',))
     if options.out is None:
         raise UsageError('--report-only: name the case study with --out')
-    config = read_study(options.out, '--report-only')
+    config = _begun(options.out, '--report-only')
     from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
 
     for line in write_study_report(config, options.out):
@@ -166,7 +170,3 @@ def _check_alone(options: CaseStudyOptions, what: str, *, taken: Collection[str]
         if value not in (None, False) and name.removeprefix('--') not in taken:
             raise UsageError(f'{what}: runs nothing; leave {name} out')
 
-
-def stage_command() -> list[str]:
-    """Command line of a ``taxinet`` that ends when this process dies for any reason."""
-    return module_command('taxinet_ros.cli.stage_process')

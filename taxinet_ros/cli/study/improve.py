@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
-from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.study.improve.acceptance import Decision
-from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, START, Improvement, Round, RoundLedger
-from taxinet_ros.study.improve.options import ImproveOptions, read_options, write_options
-from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.improve.loop import BEST, START, Improvement, Round
+from taxinet_ros.study.improve.options import ImproveOptions
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
+
+ROUNDS_NAME = 'rounds.json'
+"""The rounds of the record, to read."""
+_COMMAND = 'improve'
 
 
 def run_improve(
@@ -55,25 +62,30 @@ def run_improve(
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    def show_round(done: Round) -> None:
-        show('')
-        for line in round_lines(done, options.rounds):
-            show(line)
-
-    with StageLog(out) as log, RoundLedger(out) as ledger:
+    rounds: list[dict[str, Any]] = []
+    with open_study(out, show) as record:
+        if OPTIONS not in record.entries:
+            record.put(OPTIONS, _COMMAND, dataclasses.asdict(options))
         show(
             f'improve {options.start} on {options.program}: at most {options.rounds} rounds of 3 '
             f'times {options.runs:,} runs -> {out}'
         )
-        show(f'every command runs in {out}')
+        show(f'every stage runs in {out}')
 
         def run_stages(stages: Sequence[Stage]) -> int:
             return StudyRun(
-                out, with_engine(stages, engine, audit, where), log=log, command=stage_command(),
+                out, with_engine(stages, engine, audit, where), record=record, work=call_stage,
                 workers=options.workers, show=show,
             ).run()
 
-        code = Improvement(out, options, ledger, run_stages, show_round).run()
+        def show_round(done: Round) -> None:
+            rounds.append(done.to_json())
+            record.put('round', str(done.number), rounds[-1])
+            write_atomically(out / ROUNDS_NAME, json.dumps(rounds, indent=2) + '\n')
+            for line in ('', *round_lines(done, options.rounds)):
+                show(line)
+
+        code = Improvement(out, options, run_stages, show_round).run()
     if code == ExitCode.OK:
         show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
     return code
@@ -86,7 +98,8 @@ def _begun(
     if options is None:
         if out is None:
             raise UsageError('--resume: name the folder to continue with --out')
-        earlier = dataclasses.replace(read_options(out), workers=workers)
+        values = read_options(out, _COMMAND, '--resume')
+        earlier = ImproveOptions(**{**values, 'add': tuple(values['add']), 'workers': workers})
         if (out / START).exists():
             earlier = dataclasses.replace(earlier, start=str(out / START))
         return earlier, out
@@ -95,7 +108,6 @@ def _begun(
         out = new_folder(DEFAULT_ROOT / 'improve')
     check_new(out)
     make_out(out)
-    write_options(out, options)
     return options, out
 
 

@@ -14,10 +14,11 @@ from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.study.stages.log import LOG_NAME, StageLog
+from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.study.stages.record import OPTIONS, STAGE, open_study
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
@@ -39,7 +40,7 @@ from taxinet_ros.study.why.verdict import (
     judge,
 )
 
-_SUBJECT = 'subject.json'
+_COMMAND = 'why'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +86,9 @@ def run_why(options: WhyOptions) -> int:
     path = options.path.absolute()
     kind = kind_of(path)
     out = (options.out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
-    _claim(out, path)
+    if out.is_dir() and any(out.iterdir()) and not (out / RECORD_NAME).is_file():
+        raise UsageError(f'--out {out}: contains something else; choose another folder')
+    make_out(out)
 
     warned: set[str] = set()
 
@@ -97,13 +100,14 @@ def run_why(options: WhyOptions) -> int:
         console.print(line, soft_wrap=True, markup=False)
 
     show(f'why {kind} {options.path}: at most about {budget.runs} runs -> {_near(out)}')
-    with StageLog(out) as log:
+    with open_study(out, show) as record:
+        _claim(record, out, path)
         (out / 'logs').mkdir(exist_ok=True)
 
         def run_stages(stages: Sequence[Stage]) -> tuple[int, Mapping[str, str]]:
             sitting = StudyRun(
-                out, with_engine(stages, options.engine, options.audit, where), log=log,
-                command=stage_command(), workers=options.workers, show=show, folder=Path.cwd(),
+                out, with_engine(stages, options.engine, options.audit, where), record=record,
+                work=call_stage, workers=options.workers, show=show, folder=Path.cwd(),
                 logs=out / 'logs', again='the same command',
             )
             return sitting.run(), sitting.refused
@@ -116,7 +120,7 @@ def run_why(options: WhyOptions) -> int:
             evidence = work.evidence()
         except StoppedError as stopped:
             return stopped.code
-        log.check_in_place()
+        record.check_in_place()
         verdict = judge(evidence)
         todo = tuple(_actions(evidence, verdict, path, kind))
         worst = _worst(work, evidence)
@@ -185,21 +189,16 @@ def _worst(work: Investigation, evidence: Evidence) -> dict[int, WorstRun]:
     return found
 
 
-def _claim(out: Path, path: Path) -> None:
-    """Make the folder for this subject, or check that it is its own.
+def _claim(record: Record, out: Path, path: Path) -> None:
+    """Note the subject of a new record, or check that it is about this one.
 
     Raises:
-        UsageError: it has something else.
+        UsageError: it is about something else.
     """
-    claim, text = out / _SUBJECT, json.dumps({'why': str(path)}) + '\n'
-    if claim.is_file():
-        if claim.read_text(encoding='utf-8') != text:
-            raise UsageError(f'--out {out}: is about something else; choose another folder')
-        return
-    if out.is_dir() and any(out.iterdir()) and not (out / LOG_NAME).is_file():
-        raise UsageError(f'--out {out}: contains something else; choose another folder')
-    make_out(out)
-    write_atomically(claim, text)
+    mine, before = {'path': str(path)}, record.entries.get(OPTIONS, {})
+    if before.get(_COMMAND, mine) != mine or (not before and record.entries.keys() - {STAGE}):
+        raise UsageError(f'--out {out}: is about something else; choose another folder')
+    record.put(OPTIONS, _COMMAND, mine)
 
 
 def _near(path: Path) -> str:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
 
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.study.stages.config import StudyConfig
-from taxinet_ros.study.stages.log import StageRecord
+from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Kind, Stage
+from taxinet_ros.training.data.dataset_folder import REQUEST
 
-Records = Mapping[str, StageRecord]
 _DEFAULT_SECONDS = {Kind.RUNS: 3.5, Kind.TRIALS: 2.0, Kind.LOOKS: 0.0025, Kind.REPORT: 60.0}
 """Default time per unit on one core of a small machine, until the study has measured it [s]."""
-_START_S = 25.0
-"""Start-up time of every command [s]."""
+_START_S = 5.0
+"""Time that every stage takes before its work begins [s]."""
 _SHARED_AMONG_WORKERS = (Kind.RUNS, Kind.TRIALS)
 """Kinds of work that are divided among workers."""
 
@@ -32,7 +32,7 @@ class State(Enum):
     OPEN = 'to do'
 
 
-def state_of(stage: Stage, records: Records, out: Path) -> State:
+def state_of(stage: Stage, records: Stages, out: Path) -> State:
     """State of a stage, from its current dependencies and the contents of its folder.
 
     Raises:
@@ -50,12 +50,15 @@ def state_of(stage: Stage, records: Records, out: Path) -> State:
 
 
 def can_resume(folder: Path) -> bool:
-    """Whether a campaign, or an arm of an experiment, has a ledger."""
-    return any((folder / place / LEDGER_NAME).is_file() for place in ('', *_names(folder)))
+    """Whether there is a campaign, an arm of an experiment, or an unfinished training."""
+    return any(
+        next(folder.glob(name), None)
+        for name in (LEDGER_NAME, f'*/{LEDGER_NAME}', f'*.part/{REQUEST}')
+    )
 
 
 def seconds_left(
-    rest: Iterable[Stage], found: Sequence[Stage], records: Records, workers: int
+    rest: Iterable[Stage], found: Sequence[Stage], records: Stages, workers: int
 ) -> float:
     """Estimated duration of some stages [s].
 
@@ -73,7 +76,7 @@ def seconds_left(
     return sum(_START_S + stage.amount * pace[stage.kind] for stage in rest)
 
 
-def _measured(found: Sequence[Stage], records: Records) -> dict[Kind, float]:
+def _measured(found: Sequence[Stage], records: Stages) -> dict[Kind, float]:
     """Wall time per unit of each kind, measured on the finished stages."""
     sums: dict[Kind, tuple[float, float]] = {}
     for stage in found:
@@ -89,10 +92,6 @@ def _is_not_empty(folder: Path) -> bool:
     return folder.is_dir() and any(folder.iterdir())
 
 
-def _names(folder: Path) -> list[str]:
-    return [path.name for path in folder.iterdir()] if folder.is_dir() else []
-
-
 def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str:
     """Display text of the planned work."""
     size = '' if config.scale == 1 else f'scale {config.scale:g}, '
@@ -105,7 +104,7 @@ def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str
 def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> str:
     """Display text with number, name and command of a stage."""
     stage = found[number - 1]
-    command = shlex.join(['taxinet', *stage.command(resume=resume)])
+    command = shlex.join(['taxinet', *stage.words(resume=resume)])
     return f'[{number}/{len(found)}] {stage.name}: {command}'
 
 
@@ -114,7 +113,7 @@ def time_line(elapsed_s: float, left_s: float) -> str:
     return f'{clock(elapsed_s)} elapsed, about {rough_duration(left_s)} left'
 
 
-def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]:
+def list_lines(found: Sequence[Stage], records: Stages, out: Path) -> list[str]:
     """One line per stage with its state and command."""
     width = max(len(stage.name) for stage in found)
     lines = []
@@ -123,7 +122,7 @@ def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]
         words = f'{state.value:<5}'
         if state is State.DONE:
             words += f' in {clock(records[stage.name].wall_s)}'
-        command = shlex.join(['taxinet', *stage.command()])
+        command = shlex.join(['taxinet', *stage.words()])
         lines.append(f'{number:2d}  {stage.name:<{width}}  {words:<17}  {command}')
     return lines
 
