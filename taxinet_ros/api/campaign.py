@@ -16,7 +16,7 @@ from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.past_runs import recorded_campaign
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
@@ -130,7 +130,7 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
         UsageError: not a campaign, or its ledger is damaged.
     """
     folder = Path(path)
-    if not (folder / LEDGER_NAME).is_file():
+    if not is_campaign(folder):
         if folder.suffix == f'.{STORAGE_ID}' or holds_bag(folder):
             raise UsageError(f'{folder}: a bag, no campaign; open it with tx.open_recording')
         if not folder.exists():
@@ -152,7 +152,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
         BagError: it is empty, not a ROS 2 bag, or unreadable.
     """
     folder = Path(path)
-    if (folder / LEDGER_NAME).is_file():
+    if is_campaign(folder):
         raise UsageError(
             f'{folder}: a campaign, no bag; open it with tx.open_campaign, or one of the folders '
             'in it'

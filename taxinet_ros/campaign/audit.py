@@ -20,11 +20,11 @@ from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.campaign.options import AUDIT, AUDIT_FOLDER, LOOP
-from taxinet_ros.campaign.record.facts import FACTS_NAME
 from taxinet_ros.campaign.worker_pool import WorkerPool, encode_line, result_to_json
 from taxinet_ros.core.provenance import differences
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 
 _LOOK_S = 0.2
@@ -117,7 +117,7 @@ class Auditor:
             folder = self._out / AUDIT_FOLDER
             folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileExistsError):  # from here the bags get the program's text
-                (folder / FACTS_NAME).symlink_to(Path('..', '..', FACTS_NAME))
+                (folder / RECORD_NAME).symlink_to(Path('..', '..', RECORD_NAME))
             pool = WorkerPool(self._command(), 1, folder, silence_s=_SILENCE_S)
             self._pool = self._opened.enter_context(pool)
         return self._pool

@@ -1,7 +1,7 @@
 """A plain campaign, whose scenes are drawn from the program one by one.
 
-A campaign's folder contains ``campaign.json`` (options and program text), one bag folder per run,
-``ledger.jsonl`` (append-only, authoritative) and ``runs.csv``/``runs.parquet`` (derived from it).
+A campaign's folder contains ``campaign.db`` (the record: options, program text and rows), one bag
+folder per run, and ``runs.csv``/``runs.parquet`` (made from the record).
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Check a folder of results: what is damaged, missing or unfinished.
 
-Checks, in the folder and its subfolders: every journal (ledgers, trials, stages, rounds, finished
-images), every sealed JSON file and the files it has checksums of, a campaign's tables against its
-ledger, each bag against its row, each picture of a dataset against its label, the recorded outputs
-of a study, and drafts left by a killed process. Everything else, such as derived pages and plots,
-is listed as not checked. What is damaged or missing is made again by ``--resume``.
+Checks, in the folder and its subfolders: every record, by SQLite's integrity check and the digests
+of its entries; each bag of a campaign against its row, and bags that no row knows; every sealed
+JSON file and the files it has checksums of; each picture of a dataset against its label; and drafts
+left by a killed process. Everything else, such as derived pages and plots, is listed as not
+checked. A campaign's tables are made again if they do not say what its record says; what is damaged
+or missing otherwise is made again by ``--resume``.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
+from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
+from taxinet_ros.campaign.record.facts import ARM, FACTS
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
     CSV_NAME,
@@ -31,14 +32,16 @@ from taxinet_ros.campaign.record.table import (
     csv_text,
     read_any_table,
     table,
+    write_tables,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import DRAFTS
-from taxinet_ros.files.journal import lost_end, parse_journal
+from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, record_trouble
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
-_DATASET, _REQUEST, _STAGES = 'dataset.json', 'request.json', 'stages.jsonl'
+EXPERIMENT_NAME = 'experiment.json'
+_DATASET, _REQUEST = 'dataset.json', 'request.json'
 _RESUME = 'the command that made it, with --resume if it has that'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
@@ -86,17 +89,8 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     """
     found, places = Examination(), list(_places(folder))
     for place in places:
-        journals = _files(place, '*.jsonl', found)
-        for path in journals:
-            found.count('journals', path=path)
-            if path.name != LEDGER_NAME:
-                for number, why in parse_journal(path.read_bytes()).troubles:
-                    found.report(f'{path}:{number}', why, _RESUME)
-            if path.name == _STAGES:
-                _check_stages(path, found)
+        _check_record(place, found, on_bag)
         _check_sealed(place, found)
-        if place / LEDGER_NAME in journals:
-            _check_campaign(place, found, on_bag)
         _check_pictures(place, found)
         _check_drafts(place, found)
     if not found.looked_at:
@@ -144,51 +138,67 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
 # Campaigns ---------------------------------------------------------------------------------------
 
 
+def _check_record(
+    folder: Path, found: Examination, on_bag: Callable[[Path], None]
+) -> None:
+    for path in _files(folder, RECORD_NAME, found):
+        found.count('records', path=path)
+        if why := record_trouble(path):
+            found.report(path, why, _RESUME)
+        elif read_entry(path, FACTS) is not None:
+            _check_campaign(folder, found, on_bag)
+
+
 def _check_campaign(
     folder: Path, found: Examination, on_bag: Callable[[Path], None]
 ) -> None:
-    path = folder / LEDGER_NAME
-    parsed = parse_journal(path.read_bytes())
-    for number, why in parsed.troubles:
-        found.report(f'{path}:{number}', why, _RESUME)
-    intact = [line.event for line in parsed.lines if line.event is not None]
     try:
-        content = ledger_content(path, intact) if parsed.troubles else read_ledger(path)
+        content = read_campaign(folder)
     except UsageError as error:
-        where, _, what = str(error).partition(': ')
-        if not any(where.startswith(one.where) for one in found.findings):
-            found.report(where, what, _RESUME)
+        found.report(folder / RECORD_NAME, error, _RESUME)
         return
     found.count('runs', len(content.rows))
-    if not parsed.troubles:
-        _check_tables(folder, content, found)
+    arm = content.facts.get(ARM, folder.name)
+    if arm != folder.name and (folder.parent / EXPERIMENT_NAME).is_file():
+        found.report(folder, f'is arm {arm} of its experiment; was it renamed or exchanged?')
+    _check_tables(folder, content, found)
     for row in content.rows:
         if row.bag:
             on_bag(folder / row.bag)
-            _check_bag(folder / row.bag, row, content.campaign, found)
+            _check_bag(folder / row.bag, row, content.facts, found)
     _check_runs(folder, content, found)
 
 
-def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> None:
-    """Check that the tables agree with the ledger."""
-    names = [name for name in (CSV_NAME, PARQUET_NAME) if not (folder / name).is_file()]
-    if names or not (folder / FACTS_NAME).is_file():
-        names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
-        why = '' if content.finished else ' (the campaign has not ended in good order)'
-        found.report(folder, f'{", ".join(names)} not there{why}', _RESUME)
-    expected = table(content.rows, list(content.campaign.get('specs', {})))
+def _check_tables(folder: Path, content: CampaignContent, found: Examination) -> None:
+    """Check that the tables agree with the record; make them again if they do not."""
+    expected = table(content.rows, tuple(content.facts.get('specs', {})))
+    wrong = []
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
         if path.is_file():
             found.count('tables', path=path)
-            if not same(path, expected):
-                more = _only_there(path, content)
-                also = f': it has run {ranges(more)}, and the ledger has not' if more else ''
-                found.report(path, f'does not say what the ledger says{also}', _RESUME)
+            if more := _only_there(path, content):
+                found.report(path, f'has run {ranges(more)}, and the record has not: is the '
+                             f'{RECORD_NAME} an older copy?')
+                return
+        if not path.is_file() or not same(path, expected):
+            wrong.append(name)
+    if not wrong:
+        return
+    try:
+        with Record(folder / RECORD_NAME, create=False):
+            write_tables(content.rows, folder, content.facts)
+    except UsageError:
+        found.notes.append(f'{folder}: its campaign is running')
+    except OSError as error:
+        found.report(folder / wrong[0], f'does not say what the record says ({error.strerror})')
+    else:
+        found.checked |= {folder / name for name in wrong}
+        found.notes.append(f'{folder}: {", ".join(wrong)} made again from the record')
 
 
-def _only_there(path: Path, content: LedgerContent) -> list[int]:
-    """Runs in a table but not in the ledger."""
+def _only_there(path: Path, content: CampaignContent) -> list[int]:
+    """Runs in a table but not in the record."""
     import pandas as pd
 
     try:
@@ -242,37 +252,43 @@ def _check_bag(
             found.report(bag, error, command)
 
 
-def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:
-    """Check for runs that were started and have no result, and for bags without a result."""
+def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> None:
+    """Check for runs that were started and have no result, and for bags that no row knows."""
     if content.unfinished:
         said = f'run {ranges(content.unfinished)}: started but has no result'
         if content.finished:
-            found.report(folder / LEDGER_NAME, said, _RESUME)
+            found.report(folder / RECORD_NAME, said, _RESUME)
         else:
-            found.notes.append(f'{folder / LEDGER_NAME}: {said}; --resume runs it again')
+            found.notes.append(f'{folder / RECORD_NAME}: {said}; --resume runs it again')
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
-        if bag.name not in known and '.broken-' not in bag.name:
-            found.notes.append(f'{bag}: a bag without a result in the ledger{_verdict_of(bag)}')
+        if bag.name in known or '.broken-' in bag.name:
+            continue
+        index, verdict = _verdict_of(bag)
+        if index is None or index in content.attempts:
+            found.notes.append(f'{bag}: a bag without a result in the record{verdict}')
+        else:  # the record says before each run that it begins
+            found.report(bag, f'is of run {index}, which the record does not know{verdict}: is the '
+                         f'{RECORD_NAME} an older copy?', _RESUME)
 
 
-def _verdict_of(bag: Path) -> str:
-    """Short text on the verdict in a bag."""
+def _verdict_of(bag: Path) -> tuple[int | None, str]:
+    """Index of the run of a bag, and short text on its verdict, as far as it says them."""
     try:
         told = open_recording(bag).facts
     except (BagError, UsageError):
-        return ''
+        return None, ''
     if told is None or not told.outcome:
-        return ''
+        return None, ''
     rho = ', '.join(f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
-    return f'; it says {told.outcome}{f" ({rho})" if rho else ""}'
+    return told.index, f'; it says {told.outcome}{f" ({rho})" if rho else ""}'
 
 
 # Everything else ---------------------------------------------------------------------------------
 
 
 def _check_sealed(place: Path, found: Examination) -> None:
-    """Check sealed JSON files, and the files and journals they have checksums of."""
+    """Check sealed JSON files, and the files they have checksums of."""
     for path in _files(place, '*.json', found):
         if not any(word in path.read_bytes() for word in (b'"seal"', b'"checksum"')):
             continue
@@ -288,11 +304,6 @@ def _check_sealed(place: Path, found: Examination) -> None:
                 found.report(place / name, f'is missing, but listed in {path.name}', _RESUME)
             elif file_sha256(place / name) != digest:
                 found.report(place / name, f'is not the file recorded in {path.name}', _RESUME)
-        for name, ended in sealed.journals.items():
-            journal = place / name
-            data = journal.read_bytes() if journal.is_file() else b''
-            if why := lost_end(parse_journal(data), ended):
-                found.report(journal, why, _RESUME)
 
 
 def _check_pictures(place: Path, found: Examination) -> None:
@@ -316,22 +327,6 @@ def _check_pictures(place: Path, found: Examination) -> None:
             found.report(path, f'is missing, but listed in {_LABELS}')
         elif file_sha256(path) != digest:
             found.report(path, f'is not the image recorded in {_LABELS}')
-
-
-def _check_stages(path: Path, found: Examination) -> None:
-    """Check that the outputs of a study's finished stages exist and are unchanged."""
-    last = {
-        line.event['stage']: line.event for line in parse_journal(path.read_bytes()).lines
-        if line.event is not None and 'stage' in line.event
-    }
-    for stage, event in last.items():
-        for name, digest in event.get('outputs', {}).items():
-            output = path.parent / name
-            found.checked.add(output)
-            if not output.is_file():
-                found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
-            elif file_sha256(output) != digest:
-                found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
 def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:

@@ -40,8 +40,8 @@ from taxinet_ros.campaign.options import (
     read_specs,
     with_offsets,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.registry import check_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG
@@ -346,7 +346,7 @@ def arm_searches(
         arm.name: SearchOptions(
             campaign=campaigns[arm.name], sampler=experiment.sampler, cluster=where,
             sampler_options=experiment.sampler_options, workers=workers,
-            resume=resume and (out / arm.name / LEDGER_NAME).is_file(),
+            resume=resume and is_campaign(out / arm.name),
         )
         for arm in experiment.arms
     }
@@ -357,15 +357,13 @@ def _may_be_begun(experiment: Experiment, out: Path) -> bool:
     arms = {arm.name for arm in experiment.arms}
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
     return bool(there) and (
-        there <= arms or any((out / name / LEDGER_NAME).is_file() for name in arms)
+        there <= arms or any(is_campaign(out / name) for name in arms)
     )
 
 
 def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]:
-    """The runs of every arm by name, read from the ledgers."""
-    return {
-        arm.name: read_ledger(out / arm.name / LEDGER_NAME).rows for arm in experiment.arms
-    }
+    """The runs of every arm by name."""
+    return {arm.name: read_campaign(out / arm.name).rows for arm in experiment.arms}
 
 
 def check_paired(

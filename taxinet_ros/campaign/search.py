@@ -8,7 +8,6 @@ the module has the printed lines of a search.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import statistics
 import time
@@ -27,7 +26,7 @@ from taxinet_ros.campaign.record.facts import (
     extension_facts,
     planned_runs,
 )
-from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
+from taxinet_ros.campaign.record.resumption import EarlierRuns, earlier_runs, facts_of_graph
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.covering import Covering
 from taxinet_ros.campaign.samplers.registry import (
@@ -68,7 +67,6 @@ from taxinet_ros.campaign.summary import (
     table_line,
 )
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -137,8 +135,8 @@ class Search:
             self._prepare()
             opened.enter_context(self.book)
             asked = self._asked_facts()
-            self._earlier = read_earlier_runs(self._campaign.out, asked)
-            self.book.begin({**asked, **self._earlier.facts}, self._earlier.content)
+            self._earlier = earlier_runs(self._campaign.out, self.book.earlier, asked)
+            self.book.begin({**asked, **self._earlier.facts})
             self._opened = opened.pop_all()
         self._begun = time.monotonic()
         return self
@@ -268,7 +266,7 @@ class Search:
             self._refused[index] = error.refused
             self._keep(self.book.rejected_row(index, str(error)))
             return None
-        return self.book.begin_run(index, scenario, _digest(scenario))
+        return self.book.begin_run(index, scenario)
 
     # Answers -----------------------------------------------------------------------------------
 
@@ -380,10 +378,6 @@ class Search:
             **({ODD: json.loads(self.options.odd.text)} if self.options.odd is not None else {}),
             **({UNTIL: [str(self.options.stop)]} if self.options.stop is not None else {}),
         }
-
-
-def _digest(scenario: Scenario) -> str:
-    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
 
 
 def search_heading(options: SearchOptions) -> str:

@@ -263,7 +263,7 @@ def make_estimate_options(
         raise UsageError(f'--islands {islands}: needs to be within 4..100')
     runs = campaign.runs
     if resume and (before := read_facts(campaign.out)) is not None:
-        first = before.values.get('first_runs')
+        first = before.get('first_runs')
         runs = first if isinstance(first, int) else runs
     particles = particles_for(runs, islands, floor)
     if particles < LEAST_PARTICLES:

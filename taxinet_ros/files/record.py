@@ -186,6 +186,24 @@ def read_record(path: Path) -> Entries:
     return entries
 
 
+def read_entry(path: Path, kind: str, key: str = '') -> Any:
+    """Read one entry of a record, however large that is; None if there is none.
+
+    Raises:
+        UsageError: there is no such record, or it is damaged or of another version.
+    """
+    if not path.is_file():
+        raise UsageError(f'{path}: no such file')
+    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+        _check_version(path, connection)
+        found = connection.execute(f'{_ALL} WHERE kind = ? AND key = ?', (kind, key)).fetchone()
+    if found is None:
+        return None
+    if not _is_intact(*found):
+        raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
+    return json.loads(found[2])
+
+
 def repair_record(path: Path) -> str:
     """Keep what is intact of a damaged record, before its command continues.
 
@@ -309,7 +327,7 @@ def _checked(path: Path, connection: sqlite3.Connection) -> Entries:
         connection.execute('BEGIN')
         try:
             _check_version(path, connection)
-            for kind, key, value, digest in connection.execute(_ALL):
+            for kind, key, value, digest in connection.execute(f'{_ALL} ORDER BY kind, key'):
                 if not _is_intact(kind, key, value, digest):
                     raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
                 number, total = number + 1, _xor(total, digest)
@@ -322,7 +340,7 @@ def _checked(path: Path, connection: sqlite3.Connection) -> Entries:
     return found
 
 
-_ALL = 'SELECT kind, key, value, digest FROM entries ORDER BY kind, key'
+_ALL = 'SELECT kind, key, value, digest FROM entries'
 
 
 def _intact(path: Path) -> list[tuple[str, str, str]]:
@@ -332,9 +350,7 @@ def _intact(path: Path) -> list[tuple[str, str, str]]:
         with contextlib.suppress(sqlite3.Error, OSError, UnicodeError), contextlib.closing(
             _connect(path, 'ro')
         ) as connection:
-            rows = connection.execute(
-                f'SELECT kind, key, value, digest FROM entries ORDER BY kind{order}, key{order}'
-            )
+            rows = connection.execute(f'{_ALL} ORDER BY kind{order}, key{order}')
             for kind, key, value, digest in rows:
                 if _is_intact(kind, key, value, digest) and kind != _LOST:
                     found[kind, key] = value
@@ -398,11 +414,19 @@ def _inode(path: Path) -> tuple[int, int]:
 
 
 def _lock(path: Path) -> int:
-    """Lock the folder of a record, which closing the descriptor ends.
+    """Lock the folder of a record, until the descriptor is closed.
 
-    SQLite's own locks end with every close of the file in this process, so the folder has it.
+    SQLite's own locks end with every close of the file in this process, so the folder is locked;
+    on NFS, where only files open for writing can be, a file beside the record.
     """
-    descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        return _locked(path, path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return _locked(path, path.with_name(f'.{path.name}.lock'), os.O_RDWR | os.O_CREAT)
+
+
+def _locked(path: Path, what: Path, flags: int) -> int:
+    descriptor = os.open(what, flags | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -410,10 +434,7 @@ def _lock(path: Path) -> int:
         raise UsageError(f'{path}: another command is writing to it') from None
     except OSError as error:
         os.close(descriptor)
-        raise UsageError(
-            f'{path.parent}: cannot be locked ({error.strerror}); network file systems are not '
-            'supported: write to a local folder and copy it afterwards'
-        ) from error
+        raise disk_error(what, error) from error
     return descriptor
 
 

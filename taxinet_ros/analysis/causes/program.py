@@ -21,7 +21,7 @@ from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.overrides import overrides_statement
 from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
@@ -38,6 +38,7 @@ from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 
 RUNS = 100
 ANOTHER_SEED = 1_000_003
@@ -63,7 +64,7 @@ def program_name(cause: Cause) -> str:
 def why_no_program(runs: CampaignRuns) -> str:
     """Why the causes of these runs cannot be tested on fresh scenes; '' if they can."""
     if not runs.facts:
-        return f'there is no {FACTS_NAME} beside the table, so the settings of its runs are unknown'
+        return f'no {RECORD_NAME} is beside the table, so the settings of its runs are unknown'
     if not runs.perception:
         return 'the graph of its runs was started before the campaign'
     try:
@@ -167,8 +168,8 @@ def _recorded_settings(runs: CampaignRuns) -> RunSettings:
     facts = dict(runs.facts)
     settings = RunSettings.from_facts(facts)
     told = runs.spec in facts.get('specs', {}) and _documents_known(settings)
-    if not told and (runs.folder / LEDGER_NAME).is_file():
-        # The ledger has the requirements added later, and the documents in full.
+    if not told and is_campaign(runs.folder):
+        # The record has the requirements added later, and the documents in full.
         added = open_campaign(runs.folder).content.added
         facts['specs'] = {**added, **facts.get('specs', {})}
         settings = RunSettings.from_facts(facts)

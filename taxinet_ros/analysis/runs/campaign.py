@@ -23,7 +23,6 @@ from taxinet_ros.analysis.runs.features import (
     feature_columns,
     scene_columns,
 )
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.rates import (
     count_kinds,
     count_words,
@@ -32,8 +31,6 @@ from taxinet_ros.campaign.rates import (
     without_gaps,
 )
 from taxinet_ros.campaign.record.facts import (
-    FACTS_NAME,
-    LEDGER_NAME,
     planned_runs,
     read_facts,
     recorded_stacks,
@@ -46,6 +43,7 @@ from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 
 
 class GroupRate(NamedTuple):
@@ -278,15 +276,13 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
     """Read the runs of a campaign's folder or table.
 
     Args:
-        path: folder, or ``.parquet`` file. A campaign that was killed has no table yet: its runs so
-            far are read from its ledger.
+        path: folder, or ``.parquet`` file; an unfinished campaign gives its runs so far.
         spec: formula that defines failure; None for the headline.
 
     Raises:
         UsageError: there is no such table or formula, or no run was judged.
     """
-    killed = (path / LEDGER_NAME).is_file() and not (path / PARQUET_NAME).exists()
-    return runs_of(open_campaign(path).table() if killed else read_table(path), path, spec)
+    return runs_of(read_table(path), path, spec)
 
 
 def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:
@@ -429,7 +425,7 @@ def _unrecorded(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:
     """What had to be assumed about the runs, or ''."""
     assumed = []
     if not facts:
-        assumed.append(f'that their number was fixed beforehand (no {FACTS_NAME} beside the table)')
+        assumed.append(f'that their number was fixed beforehand (no {RECORD_NAME} beside it)')
     if not {'sampler', 'drawn'} & set(table.columns):
         assumed.append('that their program drew them (the table has no column sampler)')
     return f'about the runs it is assumed {" and ".join(assumed)}' if assumed else ''
@@ -484,12 +480,11 @@ def _network(perception: str) -> str:
 
 
 def facts_beside(path: Path) -> dict[str, Any]:
-    """Read ``campaign.json`` in the folder of a campaign's table; empty if there is none.
+    """Facts of the campaign in the folder of a table; empty if there are none.
 
     Raises:
         UsageError: it is damaged.
     """
     if path.is_file() and path.name != PARQUET_NAME:
         return {}
-    found = read_facts(path if path.is_dir() else path.parent)
-    return found.values if found else {}
+    return read_facts(path if path.is_dir() else path.parent) or {}

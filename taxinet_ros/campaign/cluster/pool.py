@@ -24,7 +24,7 @@ from taxinet_ros.campaign.cluster.connection import Cluster, Tell
 from taxinet_ros.campaign.cluster.machine import Needs
 from taxinet_ros.campaign.cluster.task import PYTHON, run_task
 from taxinet_ros.campaign.options import AUDIT, GRAPH, CampaignOptions
-from taxinet_ros.campaign.record.facts import FACTS_NAME
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.worker_pool import Answer, request_to_json, result_from_json
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.topics import RECORDER
@@ -91,7 +91,7 @@ class ClusterPool:
         self._job = json.dumps(dataclasses.asdict(dataclasses.replace(
             cluster.job, command=[word.replace(sys.executable, PYTHON) for word in command],
             folder='' if self._folder is None else str(self._folder),
-            facts=(self._out / FACTS_NAME).read_text(encoding='utf-8'),
+            facts=json.dumps(read_facts(self._out)),
         )))
         self._runs: dict[Future[str], RunRequest] = {}
         self._ended = as_completed(loop=cluster.client.loop)

@@ -27,7 +27,7 @@ from typing import Any
 
 from taxinet_ros.campaign.cluster.machine import Machine, Needs, describe, difference
 from taxinet_ros.campaign.options import AUDIT
-from taxinet_ros.campaign.record.facts import FACTS_NAME
+from taxinet_ros.campaign.record.facts import FACTS
 from taxinet_ros.campaign.worker_pool import (
     SILENCE_S,
     WorkerPool,
@@ -35,6 +35,7 @@ from taxinet_ros.campaign.worker_pool import (
     result_to_json,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Record
 
 PYTHON, OUT = '@PYTHON@', '@OUT@'
 """Words in the command of a child for this machine's Python, and for the folder of its bags."""
@@ -146,7 +147,8 @@ class _Bench:
         try:
             self._folder = place / f'{job.campaign}-{uuid.uuid4().hex[:8]}'
             self._folder.mkdir(parents=True)
-            (self._folder / FACTS_NAME).write_text(job.facts, encoding='utf-8')
+            with Record(self._folder / RECORD_NAME) as record:  # whence bags get the program's text
+                record.put(FACTS, '', json.loads(job.facts))
         except OSError as error:
             raise UsageError(f'{self._folder}: cannot be written: {error.strerror}') from error
         command = [

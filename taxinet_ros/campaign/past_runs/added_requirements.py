@@ -9,12 +9,20 @@ from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import check_same_run
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import Ledger, LedgerContent, read_ledger
+from taxinet_ros.campaign.record.content import (
+    REQUIREMENT,
+    ROW,
+    CampaignContent,
+    campaign_content,
+    read_campaign,
+    run_key,
+)
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Record
 
 
 def campaign_bags(folder: Path) -> list[Path]:
@@ -25,9 +33,8 @@ def campaign_bags(folder: Path) -> list[Path]:
     Raises:
         UsageError: the record is damaged.
     """
-    ledger = folder / LEDGER_NAME
-    if ledger.is_file():
-        return [folder / row.bag for row in read_ledger(ledger).rows if row.bag]
+    if is_campaign(folder):
+        return [folder / row.bag for row in read_campaign(folder).rows if row.bag]
     return sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')})
 
 
@@ -38,10 +45,11 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
         UsageError: the folder contains no campaign or a running one, or its runs were judged by
             another formula of that name.
     """
-    if not (folder / LEDGER_NAME).is_file():
-        raise UsageError(f'--add: {folder / LEDGER_NAME}: no such file; not a campaign')
-    with Ledger(folder / LEDGER_NAME):
-        content = read_ledger(folder / LEDGER_NAME)
+    if not is_campaign(folder):
+        raise UsageError(f'--add: {folder / RECORD_NAME}: no such file; not a campaign')
+    read_campaign(folder)
+    with _opened(folder) as record:
+        content = campaign_content(record.path, record.entries)
     own = _own_formulas(content)
     chosen = list(specs)
     for spec in chosen:
@@ -72,26 +80,34 @@ def add_requirements(
     Raises:
         UsageError: the campaign is running, its record damaged, or a bag belongs to another run.
     """
-    with Ledger(folder / LEDGER_NAME) as ledger:
-        content = read_ledger(folder / LEDGER_NAME)
+    with _opened(folder) as record:
+        content = campaign_content(record.path, record.entries)
         for row in content.rows:
             if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
-                check_same_run(row, content.campaign, open_recording(bag.path))
-        counts = {}
+                check_same_run(row, content.facts, open_recording(bag.path))
+        rows = {row.index: row for row in content.rows}
+        counts = {spec.name: 0 for spec in specs}
         for spec in specs:
-            intervals = {
-                row.index: interval for row in content.rows
-                if (interval := _interval(row, spec, bags.get(folder / row.bag))) is not None
-            }
-            ledger.requirement(spec.name, spec.text, intervals)
-            counts[spec.name] = len(intervals)
-        rows = read_ledger(folder / LEDGER_NAME).rows
-        write_tables(rows, folder, [*_own_formulas(content)])
+            for row in content.rows:
+                interval = _interval(row, spec, bags.get(folder / row.bag))
+                if interval is not None:
+                    rows[row.index] = rows[row.index].also_judged(spec.name, interval)
+                    counts[spec.name] += 1
+        record.put_all([
+            *((REQUIREMENT, spec.name, spec.text) for spec in specs),
+            *((ROW, run_key(row.index), row.to_json()) for row in rows.values()),
+        ])
+        write_tables(rows.values(), folder, content.facts)
     return counts
 
 
-def _own_formulas(content: LedgerContent) -> dict[str, str]:
-    return dict(content.campaign.get('specs', {}))
+def _opened(folder: Path) -> Record:
+    """The record of an intact campaign that no command writes."""
+    return Record(folder / RECORD_NAME, create=False)
+
+
+def _own_formulas(content: CampaignContent) -> dict[str, str]:
+    return dict(content.facts.get('specs', {}))
 
 
 def _interval(row: RunRow, spec: Spec, bag: JudgedBag | None) -> RobustnessInterval | None:

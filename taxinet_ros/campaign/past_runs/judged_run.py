@@ -1,7 +1,7 @@
 """A recorded run of a campaign: scenario, settings and verdict.
 
 A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it exists, since only the bag
-has the exact scenario; else the campaign's ledger, so the bag may be deleted.
+has the exact scenario; else the campaign's record, so the bag may be deleted.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, WORLD, recorded_world
-from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
+from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
+from taxinet_ros.campaign.record.facts import WORLD, is_campaign, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
@@ -78,11 +78,10 @@ def find_run(path: Path) -> JudgedRun:
         UsageError: there is none, its bag is damaged, or it has no scenario.
     """
     whole = _place(path)
-    if (whole / LEDGER_NAME).is_file():
+    if is_campaign(whole):
         raise UsageError(f'{path}: a campaign{_example(path)}')
-    ledger = whole.parent / LEDGER_NAME
-    content = read_ledger(ledger) if ledger.is_file() else None
-    facts = content.campaign if content else _NO_FACTS
+    content = read_campaign(whole.parent) if is_campaign(whole.parent) else None
+    facts = content.facts if content else _NO_FACTS
     if holds_bag(whole):
         try:
             recording = open_recording(path)
@@ -101,7 +100,7 @@ def find_run(path: Path) -> JudgedRun:
 def _place(path: Path) -> Path:
     """Folder of a run: the given campaign path takes precedence over a link's target."""
     named = Path(os.path.abspath(path))
-    return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
+    return named if is_campaign(named.parent) else path.resolve()
 
 
 def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
@@ -157,7 +156,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
 
 def _example(campaign: Path) -> str:
     """Hint for a path that names a campaign instead of a run."""
-    rows = read_ledger(campaign / LEDGER_NAME).rows
+    rows = read_campaign(campaign).rows
     failed = [row for row in rows if row.outcome is Outcome.FAIL]
     if not failed:
         return ', and none of its runs failed'
@@ -310,7 +309,7 @@ class BagPlaces:
 
     def __init__(self) -> None:
         """Create it without reading any record."""
-        self._records: dict[Path, LedgerContent] = {}
+        self._records: dict[Path, CampaignContent] = {}
 
     def check(self, bag: Path | Recording, *, whole: bool = True) -> None:
         """Check that a bag belongs to the run given by its path.
@@ -325,16 +324,16 @@ class BagPlaces:
         """
         path = bag if isinstance(bag, Path) else bag.path
         folder = _place(path.parent if path.is_file() else path)
-        ledger = folder.parent / LEDGER_NAME
-        if not ledger.is_file():
+        campaign = folder.parent
+        if not is_campaign(campaign):
             return
-        if ledger not in self._records:
-            self._records[ledger] = _record(ledger)
-        record = self._records[ledger]
+        if campaign not in self._records:
+            self._records[campaign] = _content(campaign)
+        record = self._records[campaign]
         recording = open_recording(bag) if isinstance(bag, Path) else bag
         for row in record.rows:
             if row.bag == folder.name:
-                check_same_run(row, record.campaign, recording, whole=whole)
+                check_same_run(row, record.facts, recording, whole=whole)
                 return
         told = recording.facts
         if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
@@ -344,9 +343,9 @@ class BagPlaces:
             )
 
 
-def _record(ledger: Path) -> LedgerContent:
-    """Content of a ledger; empty if damaged, as a bag can be read without it."""
+def _content(folder: Path) -> CampaignContent:
+    """Content of a campaign's record; empty if damaged, as a bag can be read without it."""
     try:
-        return read_ledger(ledger)
+        return read_campaign(folder)
     except UsageError:
-        return ledger_content(ledger, ())
+        return CampaignContent()

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, planned_runs
-from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
+from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
+from taxinet_ros.campaign.record.facts import is_campaign, planned_runs
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import table
+from taxinet_ros.campaign.record.table import campaign_table
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,16 +33,16 @@ class RecordedCampaign:
 
     Attributes:
         folder: folder of the campaign.
-        content: content of the ledger.
+        content: content of its record.
     """
 
     folder: Path
-    content: LedgerContent
+    content: CampaignContent
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """Facts of the campaign as in ``campaign.json``: program, seed, perception, formulas."""
-        return self.content.campaign
+        """Facts of the campaign: program, seed, perception, formulas."""
+        return self.content.facts
 
     @property
     def rows(self) -> tuple[RunRow, ...]:
@@ -97,7 +98,7 @@ class RecordedCampaign:
 
     def table(self) -> pd.DataFrame:
         """Table with one row per run, by index, with the columns and types of ``runs.parquet``."""
-        return table(self.rows, tuple(self.facts.get('specs', {})))
+        return campaign_table(self.content)
 
     def bag(self, row: RunRow) -> Path | None:
         """Folder of a run's bag; None if there is none."""
@@ -117,12 +118,13 @@ def open_campaign(folder: Path) -> RecordedCampaign:
     """Open the campaign in a folder read-only; it may be running.
 
     Raises:
-        UsageError: it is not a campaign, or its ledger is damaged.
+        UsageError: it is not a campaign, or its record is damaged.
     """
-    path = folder / LEDGER_NAME
-    if not path.is_file():
-        raise UsageError(f'{folder}: not a campaign: no {LEDGER_NAME}')
-    return RecordedCampaign(folder=folder, content=read_ledger(path))
+    if not is_campaign(folder):
+        old = ' (ledger.jsonl is of version 0.1.0, whose campaigns are not read any more)'
+        also = old if (folder / 'ledger.jsonl').is_file() else ''
+        raise UsageError(f'{folder}: not a campaign: no {RECORD_NAME} of one{also}')
+    return RecordedCampaign(folder=folder, content=read_campaign(folder))
 
 
 def open_failed_campaign(folder: Path) -> RecordedCampaign:
@@ -150,7 +152,7 @@ def scenario_of_row(
 ) -> tuple[Scenario, bool]:
     """The scenario of a run, and whether it is bit-exact.
 
-    The bag is bit-exact; the ledger has nine decimals in human units. That is not enough to repeat
+    The bag is bit-exact; the record has nine decimals in human units. That is not enough to repeat
     a run: some pixels differ by one level, and the closed loop propagates it.
 
     Args:
@@ -159,7 +161,7 @@ def scenario_of_row(
         facts: facts of its campaign.
 
     Raises:
-        UsageError: the ledger has no scene of it, or the bag belongs to another run.
+        UsageError: the record has no scene of it, or the bag belongs to another run.
     """
     # Imported here because reading a campaign's rows does not need the bag reader.
     from taxinet_ros.bag.run.recording import open_recording
@@ -172,7 +174,7 @@ def scenario_of_row(
             check_same_run(row, facts, recording)
             return recording.scenario, True
         except BagError:
-            pass  # a damaged bag has less information than the ledger
+            pass  # a damaged bag has less information than the record
     if None in row.scene.values():
         raise UsageError(f'{folder / row.run_id}: has neither a bag nor a recorded scene')
     return scenario_from_human(row.scene), False

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.past_runs.localisation import (
 )
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.rates import sample_size_was_fixed
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of
@@ -111,11 +111,11 @@ def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
     Raises:
         UsageError: it is none of these, or its runs cannot be repeated.
     """
-    if (path / LEDGER_NAME).is_file():
+    if is_campaign(path):
         return _of_campaign(path, runs)
     if path.suffix == '.parquet' and path.is_file():
         return _of_table(path, runs)
-    if (path.parent / LEDGER_NAME).is_file() or (path.is_dir() and holds_bag(path)):
+    if is_campaign(path.parent) or (path.is_dir() and holds_bag(path)):
         return _of_run(path)
     raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
 

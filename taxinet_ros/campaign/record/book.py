@@ -1,9 +1,9 @@
-"""A campaign on disk: options, ledger and table, kept consistent and resumable.
+"""A campaign on disk: its record, open for writing, and the table made from it.
 
 Plain campaigns, searches, arms of experiments and shrinkings each use one book. They choose the
 next scene; the book handles run numbers, names and rows, retries, and the checks for resuming.
-While the book is open, its files are watched: if they are moved, deleted or replaced, the campaign
-ends, since its verdicts would be lost.
+That a run begins is recorded before it, its result after it. If the record is moved, deleted or
+replaced meanwhile, the campaign ends, since its verdicts would be lost.
 """
 
 from __future__ import annotations
@@ -19,13 +19,22 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.options import AUDIT, CampaignOptions, check_new, make_out
+from taxinet_ros.campaign.record.content import (
+    BEGUN,
+    DOCUMENT,
+    END,
+    ROW,
+    CampaignContent,
+    campaign_content,
+    run_key,
+)
 from taxinet_ros.campaign.record.facts import (
+    ARM,
     ARMS,
     AUDIT_PERCENT,
     ENGINE,
     EXTENSIONS,
-    FACTS_NAME,
-    LEDGER_NAME,
+    FACTS,
     ODD,
     STACKS,
     UNTIL,
@@ -34,14 +43,6 @@ from taxinet_ros.campaign.record.facts import (
     same_fact,
     stack_difference,
     this_stack,
-    write_facts,
-)
-from taxinet_ros.campaign.record.ledger import (
-    EMPTY_LEDGER,
-    Ledger,
-    LedgerContent,
-    read_ledger,
-    repair_ledger,
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
@@ -54,7 +55,8 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError, warn_once
-from taxinet_ros.files.atomic import disk_words, draft_path
+from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, repaired
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -133,7 +135,7 @@ def rename_broken(folder: Path) -> None:
     folder.rename(aside)
 
 
-_NOT_OF_A_RUN = frozenset({FACTS_NAME, draft_path(Path(FACTS_NAME)).name, LEDGER_NAME, 'logs'})
+_BEFORE_RUNS = frozenset({RECORD_NAME, f'{RECORD_NAME}-journal', 'logs'})
 """Names that a campaign's folder may contain before its first run."""
 
 
@@ -141,7 +143,8 @@ class CampaignBook:
     """The open record of one campaign; a context manager that writes the table at its end.
 
     Attributes:
-        facts: content of ``campaign.json``, from :meth:`begin` on.
+        facts: facts of the campaign, from :meth:`begin` on.
+        earlier: what the record contained when it was opened; only within the ``with``.
         rows: the latest row of each run by index, as in the table, including earlier sessions.
         warning: one line if these were made on another machine or version, or ''.
         broken_in_a_row: number of consecutive runs with an infrastructure error.
@@ -161,6 +164,7 @@ class CampaignBook:
             resume: continue the existing campaign.
         """
         self.facts: dict[str, Any] = {}
+        self.earlier = CampaignContent()
         self.rows: dict[int, RunRow] = {}
         self.warning = ''
         self.broken_in_a_row = 0
@@ -189,16 +193,22 @@ class CampaignBook:
             check_new(self._out)
 
     def __enter__(self) -> Self:
-        """Open the ledger; create it and the folder if there is nothing to resume.
+        """Open the record; create it and the folder if there is nothing to resume.
 
         Raises:
             UsageError: the folder cannot be used, or another campaign writes to it.
         """
         self.check_folder()
         make_out(self._out)
-        if (self._out / LEDGER_NAME).is_file() and (why := repair_ledger(self._out)):
-            warn_once(why)
-        self._ledger = Ledger(self._out / LEDGER_NAME)
+        path = self._out / RECORD_NAME
+        if path.is_file() and path.stat().st_size and (why := repair_record(path)):
+            warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
+        self._record = Record(path)
+        try:
+            self.earlier = campaign_content(path, self._record.entries)
+        except BaseException:
+            self._record.close()
+            raise
         return self
 
     def __exit__(
@@ -215,37 +225,40 @@ class CampaignBook:
                 return
             with self._watched():
                 if error is None:
-                    self._write_due_facts()
-                self._check_in_place()
-                write_tables(self.rows.values(), self._out, self._options.judging.names)
+                    self._end()
+                self._record.check_in_place()
+                write_tables(self.rows.values(), self._out, self.facts)
         except RecordError:
             if not isinstance(error, RecordError):  # else report the first error
                 raise
         finally:
-            self._ledger.close()
+            self._record.close()
 
-    def begin(self, facts: Mapping[str, Any], before: LedgerContent = EMPTY_LEDGER) -> None:
+    def _end(self) -> None:
+        """Record that the campaign ended in good order; a repaired record is whole if all are."""
+        self._write_due_facts()
+        self._record.put(END, '', len(self.rows))
+        if 'shrinks' in self.facts or len(self.rows) >= int(self.facts['runs']):
+            repaired(self._record)
+
+    def begin(self, facts: Mapping[str, Any]) -> None:
         """Record the facts of the campaign, before its first run.
 
         On a resume, they are written only when something is added to the record: until then the
         caller may still reject the earlier runs.
 
-        Args:
-            facts: facts of the campaign.
-            before: result of :func:`read_same_campaign`.
-
         Raises:
             RecordError: they cannot be written.
         """
-        stacks = {**recorded_stacks(before.campaign), **facts[STACKS]}
-        self.facts = {**facts, STACKS: stacks}
+        before = self.earlier
+        self.facts = {**facts, STACKS: {**recorded_stacks(before.facts), **facts[STACKS]}}
         self.rows.update({row.index: row for row in before.rows})
         self._attempts.update(before.attempts)
         self._documents.update(before.documents)
         if before.rows:
-            self.warning = stack_difference(before.campaign, str(self._out))
+            self.warning = stack_difference(before.facts, str(self._out))
         self._facts_due = True
-        if not before.rows or not (self._out / FACTS_NAME).is_file():
+        if not before.rows:
             self._write_due_facts()
         self._begun = True
 
@@ -271,7 +284,7 @@ class CampaignBook:
         if stack not in self.facts[STACKS]:
             self.add_facts({STACKS: {**self.facts[STACKS], stack: dict(record)}})
 
-    def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
+    def begin_run(self, index: int, scenario: Scenario) -> RunRequest:
         """Record that a run is about to start; rename the files of an earlier attempt.
 
         Raises:
@@ -283,9 +296,9 @@ class CampaignBook:
             self._options, index, scenario, self._participants, self._attempts[index]
         )
         rename_broken(self._out / request.run_id)
+        entries = [*self._new_documents(scenario), (BEGUN, run_key(index), self._attempts[index])]
         with self._watched():
-            self._write_documents(scenario)
-            self._ledger.intent(index, request.run_id, scenario_sha256)
+            self._record.put_all(entries)
         return request
 
     def second_chance(self, request: RunRequest, result: RunResult) -> bool:
@@ -323,6 +336,7 @@ class CampaignBook:
         Raises:
             RecordError: it cannot be written; ``rows`` contains it nevertheless.
         """
+        row.check()
         self.rows[row.index] = row
         if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
             infra = row.outcome is Outcome.INFRA_ERROR
@@ -332,42 +346,34 @@ class CampaignBook:
         try:
             self._write_due_facts()
             with self._watched():
-                self._ledger.result(row)
+                self._record.put(ROW, run_key(row.index), row.to_json())
         finally:
             self._on_row(row)
 
-    def _write_documents(self, scenario: Scenario) -> None:
-        """Record each document of a scenario that is not shipped in full, once."""
+    def _new_documents(self, scenario: Scenario) -> Iterator[tuple[str, str, Any]]:
+        """Entries of the documents of a scenario that are neither shipped nor recorded yet."""
         for key, catalogue in CATALOGUES.items():
             found = catalogue.find(getattr(scenario, key))
             if not found.shipped and (key, found.reference) not in self._documents:
-                self._ledger.document(key, found.document)
                 self._documents.add((key, found.reference))
+                yield DOCUMENT, f'{key} {found.reference}', (key, found.document)
 
     def _write_due_facts(self) -> None:
         if not self._facts_due:
             return
         self._facts_due = False
         with self._watched():
-            self._ledger.campaign(self.facts)  # first: facts in campaign.json must be in the ledger
-            write_facts(self._out, self.facts)
+            self._record.remove(END)
+            self._record.put(FACTS, '', self.facts)
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Context for writing; checks afterwards that the record is still in place."""
+        """Context for writing, in which errors of the disk name the way out."""
         try:
             yield
         except OSError as error:
             where = error.filename or self._out
             raise RecordError(f'{where}: {disk_words(error)}; continue with --resume') from error
-        self._check_in_place()
-
-    def _check_in_place(self) -> None:
-        self._ledger.check_in_place()
-        if not (self._out / FACTS_NAME).is_file():
-            raise RecordError(
-                f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was running'
-            )
 
 
 def check_resumable(out: Path) -> None:
@@ -376,7 +382,7 @@ def check_resumable(out: Path) -> None:
     Raises:
         UsageError: there is none.
     """
-    path = out / LEDGER_NAME
+    path = out / RECORD_NAME
     if path.is_file():
         return
     there = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
@@ -384,7 +390,7 @@ def check_resumable(out: Path) -> None:
         raise UsageError(
             f'--resume: {path}: no such file, so there is nothing to resume; leave --resume out'
         )
-    if not there <= _NOT_OF_A_RUN:
+    if not there <= _BEFORE_RUNS:
         raise UsageError(
             f'--resume: {path}: no such file, so the earlier options are unknown; put it back, or '
             'choose another --out'
@@ -394,8 +400,8 @@ def check_resumable(out: Path) -> None:
 UNKNOWN_TO_SAMPLER = 'untold'
 """The fact that lists the runs whose results a search's sampler never receives."""
 _MAY_DIFFER = frozenset({
-    'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
-    ENGINE, AUDIT_PERCENT, UNTIL,
+    'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARM,
+    ARMS, ENGINE, AUDIT_PERCENT, UNTIL,
 })
 """Facts that may differ on a resume: more runs may be requested; the digest covers the text;
 warnings differ between versions; another machine or version only causes a warning; both engines
@@ -404,37 +410,36 @@ _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
 """The command that writes campaigns with a certain fact."""
 
 
-def read_same_campaign(
-    out: Path, facts: Mapping[str, Any], undecided: Collection[str] = ()
-) -> LedgerContent:
-    """The ledger content of a campaign to resume, whose :class:`CampaignBook` is open.
+def check_same_campaign(
+    out: Path, content: CampaignContent, facts: Mapping[str, Any], undecided: Collection[str] = ()
+) -> None:
+    """Check that a campaign to resume is the requested one.
 
     Args:
         out: folder of the campaign.
+        content: content of its record.
         facts: facts of the requested campaign.
         undecided: names of facts that are not yet known.
 
     Raises:
-        UsageError: another campaign was started there, or the ledger is damaged.
+        UsageError: another campaign was started there.
     """
-    content = read_ledger(out / LEDGER_NAME, resumed=True)
-    if content.rows and not content.campaign:
+    if content.rows and not content.facts:
         raise UsageError(
-            f'--resume: {out / LEDGER_NAME}: has runs, but not what the campaign is; begin it '
+            f'--resume: {out / RECORD_NAME}: has runs, but not what the campaign is; begin it '
             'anew, with another --out'
         )
-    if content.campaign:
-        _check_same(out, content.campaign, {
+    if content.facts:
+        _check_same(out, content.facts, {
             name: value for name, value in facts.items() if name not in undecided
         })
-    return content
 
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    now = json.loads(json.dumps(now))
+    now = plain(now)
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
-            raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
+            raise UsageError(f'--resume: {out / RECORD_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     check_same_files(f'--resume: {out}', before, now)
     for name in dict.fromkeys((*now, ODD)):

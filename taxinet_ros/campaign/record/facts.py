@@ -1,14 +1,10 @@
-"""Facts of a campaign, written to ``campaign.json`` and the ledger before its first run.
-
-When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then has checksums of
-the tables and the end of the ledger.
-"""
+"""Facts of a campaign: everything that its runs depend on, recorded before the first of them."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +16,18 @@ from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario_fields import by_value
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import disk_error, write_atomically
-from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
+from taxinet_ros.files.record import RECORD_NAME, read_entry
 from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
 
-FACTS_NAME = 'campaign.json'
-LEDGER_NAME = 'ledger.jsonl'
+FACTS = 'facts'
+"""Kind of the entry of a campaign's record with its facts."""
 
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, including this campaign's."""
+
+ARM = 'experiment_arm'
+"""The fact that names this campaign's arm of an experiment, whose folder has that name."""
 
 EXTENSIONS = 'extensions'
 """The fact that lists the packages of extensions, with their versions and hashes."""
@@ -91,7 +89,7 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'images': options.images,
         ENGINE: options.engine,
         AUDIT_PERCENT: options.audit_percent,
-        **({ARMS: list(options.arms)} if options.arms else {}),
+        **({ARMS: list(options.arms), ARM: options.out.name} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
         # A standing graph has its own world, which is recorded in the bags.
         **({} if options.standing_graph else _world_facts(options.world)),
@@ -144,8 +142,8 @@ def missing_packages_named(out: Path | None) -> Iterator[None]:
         yield
     except UsageError as error:
         for folder in () if out is None else (out, *sorted(out.glob('*/'))):
-            told = read_facts(folder)
-            for kind, one in (told.values.get(EXTENSIONS, {}) if told else {}).items():
+            facts = read_facts(folder) or {}
+            for kind, one in facts.get(EXTENSIONS, {}).items():
                 if repr(one['name']) in str(error) and find(kind, one['name']) is None:
                     raise UsageError(
                         f'{error}; in {folder} it was {package_words(kind, one)}, which is not '
@@ -212,30 +210,31 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
     return f'{what}: {words}' if words else ''
 
 
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder has the record of a campaign, possibly a damaged one."""
+    path = folder / RECORD_NAME
+    if not path.is_file():
+        return False
+    try:
+        return read_entry(path, FACTS) is not None
+    except UsageError:
+        return True
+
+
 def record_beside(path: Path) -> Path | None:
     """Folder of the campaign that a folder, its table or one of its runs belongs to, if any."""
     first = path.resolve().parent if path.is_file() else path.resolve()
-    for folder in (first, first.parent):
-        if (folder / LEDGER_NAME).is_file():
-            return folder
-    return None
+    return next((folder for folder in (first, first.parent) if is_campaign(folder)), None)
 
 
-def read_facts(folder: Path) -> SealedJson | None:
-    """Read ``campaign.json`` in a folder; None if there is none.
+def read_facts(folder: Path) -> dict[str, Any] | None:
+    """Read the facts of the campaign in a folder; None if there is none.
 
     Raises:
-        UsageError: it is damaged, or cannot be read.
+        UsageError: they are damaged.
     """
-    path = folder / FACTS_NAME
-    if (path.is_symlink() or path.exists()) and not path.is_file():
-        raise UsageError(f'{path}: is not a regular file')
-    try:
-        return read_sealed(path)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise UsageError(f'{path}: {error.strerror}') from error
+    path = folder / RECORD_NAME
+    return read_entry(path, FACTS) if path.is_file() else None
 
 
 def program_attachment(program: str, out: Path) -> dict[str, bytes]:
@@ -250,34 +249,9 @@ def program_attachment(program: str, out: Path) -> dict[str, bytes]:
     """
     try:
         facts = read_facts(out)
-        if facts is not None and Path(facts.values['program']).stem == program:
-            text = str(facts.values['program_text'])
+        if facts is not None and Path(facts['program']).stem == program:
+            text = str(facts['program_text'])
             return {f'{program}{SUFFIX}': text.encode()} if text else {}
     except (UsageError, KeyError, TypeError):
         pass
     return {}
-
-
-def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``campaign.json`` into the folder ``out``, keeping the checksums of the tables.
-
-    Raises:
-        OSError: it cannot be written.
-        UsageError: the existing file is damaged.
-    """
-    before = read_facts(out)
-    files, journals = (before.files, before.journals) if before else ({}, {})
-    write_atomically(out / FACTS_NAME, sealed_text(facts, files, journals))
-
-
-def seal_facts(folder: Path, facts: SealedJson, tables: Iterable[Path]) -> None:
-    """Seal ``campaign.json`` with checksums of the current tables and ledger.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    path, ledger = folder / FACTS_NAME, folder / LEDGER_NAME
-    try:
-        write_sealed(path, facts.values, tables, [ledger] if ledger.exists() else [])
-    except OSError as error:
-        raise disk_error(path, error) from error

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.book import UNKNOWN_TO_SAMPLER, read_same_campaign, short_json
-from taxinet_ros.campaign.record.facts import ARMS, UNTIL, recorded_rules
-from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, LedgerContent
+from taxinet_ros.campaign.record.book import UNKNOWN_TO_SAMPLER, check_same_campaign
+from taxinet_ros.campaign.record.content import CampaignContent
+from taxinet_ros.campaign.record.facts import ARM, ARMS, UNTIL, recorded_rules
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_words
@@ -86,7 +86,6 @@ class EarlierRuns:
         begun: number of runs started or done, counted from run 0.
         facts: facts that are kept: number of runs planned at first, arms of the experiment,
             perception if determined by the graph, and the runs unknown to the sampler.
-        content: content of the ledger.
     """
 
     rows: Mapping[int, RunRow] = field(default_factory=dict)
@@ -94,24 +93,26 @@ class EarlierRuns:
     unknown_to_sampler: frozenset[int] = frozenset()
     begun: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
-    content: LedgerContent = EMPTY_LEDGER
 
 
-def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
-    """Read the completed runs of a ledger locked and repaired by :class:`.ledger.Ledger`.
+def earlier_runs(
+    out: Path, content: CampaignContent, facts: Mapping[str, Any]
+) -> EarlierRuns:
+    """The completed runs of a search to resume.
 
     Args:
         out: folder of the campaign.
+        content: content of its record.
         facts: facts of the search to resume.
 
     Raises:
-        UsageError: another search was started there, the ledger is damaged, or more runs were
-            started than are requested now.
+        UsageError: another search was started there, or more runs were started than are requested
+            now.
     """
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
-    content = read_same_campaign(out, facts, of_graph)
+    check_same_campaign(out, content, facts, of_graph)
     lag = int(facts.get('sampler_lag', LAG))
-    unknown = _unknown_to_sampler(content.campaign, content.rows, lag)
+    unknown = _unknown_to_sampler(content.facts, content.rows, lag)
     to_repeat = {row.index: row for row in _not_done(content.rows, unknown, lag)}
     rows = {row.index: row for row in content.rows if row.index not in to_repeat}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
@@ -119,12 +120,12 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
         raise UsageError(
             f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
         )
-    kept = _kept_facts(content.campaign, of_graph)
-    rules = [*recorded_rules(content.campaign), *recorded_rules(facts)]
+    kept = _kept_facts(content.facts, of_graph)
+    rules = [*recorded_rules(content.facts), *recorded_rules(facts)]
     if rules:
         kept[UNTIL] = list(dict.fromkeys(rules))
     return EarlierRuns(
-        rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun, content=content,
+        rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun,
         facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
     )
 
@@ -134,10 +135,6 @@ def _unknown_to_sampler(
 ) -> frozenset[int]:
     """See :class:`EarlierRuns`. A run is chosen with the results up to ``lag`` runs before it."""
     known = before.get(UNKNOWN_TO_SAMPLER, [])
-    if not isinstance(known, list) or not all(type(index) is int for index in known):
-        raise UsageError(
-            f"the ledger's {UNKNOWN_TO_SAMPLER} is {short_json(known)}; it has to be a list of runs"
-        )
     last = max((row.index for row in rows if row.outcome.judged), default=-1)
     broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
     return frozenset([*known, *(index for index in broken if index + lag <= last)])
@@ -161,5 +158,5 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list
 
 
 def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
-    kept = {key: before[key] for key in (*of_graph, ARMS) if key in before}
+    kept = {key: before[key] for key in (*of_graph, ARM, ARMS) if key in before}
     return {**kept, 'first_runs': before['first_runs']} if 'first_runs' in before else kept

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from taxinet_ros.bag.layout import is_bag_name, is_run_name
-from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
+from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import check_kind
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers whose runs are all independent draws from the program; '' means no sampler."""
@@ -38,7 +37,7 @@ class RunRow:
         drawn: whether the scene was drawn from the program itself, independently of earlier
             results; rates are estimated from these. None in rows older than this column.
         perception: the swap word.
-        fingerprint: hash of the weights; on disk ``perception_fingerprint``.
+        fingerprint: hash of the weights; in tables ``perception_fingerprint``.
         timing: when answers took effect, as text of :mod:`taxinet_ros.core.pacing.timing`; '' if
             each did at once. A free run is not reproducible.
         free: figures of a free run by name, see
@@ -53,8 +52,7 @@ class RunRow:
         outcome: how the run ended.
         kind, who, detail: why a run was not judged: kind of error, what failed, and one line.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
-            exact unless the run was stopped early. On disk these are ``rho``, as far as known, and
-            ``rho_lower`` and ``rho_upper``, the bounds of a run that was stopped early.
+            exact unless the run was stopped early.
         stopped_early, stopped_s: whether the run was stopped when its verdict was decided, and when
             [s]; judged runs only. Its figures then cover the time until the stop.
         left_runway, max_cross_track_m, settle_time_s: figures of the true path, see
@@ -68,8 +66,8 @@ class RunRow:
         retries: number of retries after infrastructure errors.
         bag: the run's bag, relative to the campaign's folder; its path if a standing graph has
             recorded it elsewhere; or ''.
-        stack: key of ``stacks`` in ``campaign.json`` with the machine, libraries and code of the
-            run, or '' in rows older than this column.
+        stack: name of the machine, libraries and code of the run among the campaign's ``stacks``,
+            or ''.
         wall_s: wall-clock duration of the run [s].
     """
 
@@ -302,64 +300,36 @@ class RunRow:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values for one line of the ledger; the inverse of :meth:`from_json`."""
-        values: dict[str, Any] = {}
-        for name, value in dataclasses.asdict(self).items():
-            if name == 'robustness':
-                ends = self.robustness if self.stopped_early else {}
-                values['rho'] = self.rho
-                values['rho_lower'] = {spec: interval.lower for spec, interval in ends.items()}
-                values['rho_upper'] = {spec: interval.upper for spec, interval in ends.items()}
-            else:
-                values[ON_DISK.get(name, name)] = value
-        return {**values, 'outcome': self.outcome.value}
+        """Plain values for the record, without defaults; the inverse of :meth:`from_json`."""
+        return {
+            name: value for name in _NAMES
+            if (value := getattr(self, name)) != _DEFAULTS.get(name, _NOTHING)
+        }
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read the output of :meth:`to_json`.
+        """Read the output of :meth:`to_json`, which was checked before it was written.
 
         Raises:
-            UsageError: a column is missing, unknown or of the wrong type, the outcome is unknown,
-                or the row is inconsistent (:meth:`check`).
+            KeyError, TypeError, ValueError: a value is missing, unknown or inconsistent.
         """
-        try:
-            if stray := values.keys() & ON_DISK.keys():
-                raise ValueError(f'unexpected {min(stray)}')
-            columns = {
-                _ATTRIBUTES.get(name, name): value for name, value in values.items()
-                if name not in _BOUNDS
-            }
-            row = cls(**{
-                **columns, 'outcome': Outcome(values['outcome']),
-                'robustness': _robustness(values),
-            })
-            for column in dataclasses.fields(cls):
-                name = ON_DISK.get(column.name, column.name)
-                check_kind(name, str(column.type), getattr(row, column.name))
-            row.check()
-            return row
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise UsageError(f'not a row of this version: {error}') from error
+        robustness = {
+            spec: RobustnessInterval(*ends) for spec, ends in values.get('robustness', {}).items()
+        }
+        return cls(**{**values, 'outcome': Outcome(values['outcome']), 'robustness': robustness})
 
+
+_NOTHING = object()
+_NAMES = tuple(column.name for column in dataclasses.fields(RunRow))
+_DEFAULTS: dict[str, Any] = {
+    column.name: {} if column.default is dataclasses.MISSING else column.default
+    for column in dataclasses.fields(RunRow)
+    if column.default is not dataclasses.MISSING
+    or column.default_factory is not dataclasses.MISSING
+}
 
 ON_DISK = {'fingerprint': 'perception_fingerprint'}
-"""Columns of ledgers and tables that have a longer name than a row's attribute."""
-_BOUNDS = ('rho', 'rho_lower', 'rho_upper')
-_ATTRIBUTES = {name: attribute for attribute, name in ON_DISK.items()}
-
-
-def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:
-    """Robustness from the three columns on disk, in formula order."""
-    rho, lower, upper = (values.get(name, {}) for name in _BOUNDS)
-    for name, column in zip(_BOUNDS, (rho, lower, upper), strict=True):
-        check_kind(name, 'Mapping[str, float]', column)
-    if lower.keys() != upper.keys() or bool(upper) != bool(values.get('stopped_early')):
-        raise ValueError(f'run {values["run_id"]}: has intervals {upper}')
-    found = {spec: RobustnessInterval(lower[spec], upper[spec]) for spec in upper}
-    found |= exact_intervals(rho)
-    if not all(interval.lower <= interval.upper for interval in found.values()):
-        raise ValueError(f'run {values["run_id"]}: a robustness is no number')
-    return found
+"""Columns of tables that have a longer name than a row's attribute."""
 
 
 def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:

@@ -8,20 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.layout import is_bag_name, is_run_name
-from taxinet_ros.campaign.record.facts import (
-    FACTS_NAME,
-    LEDGER_NAME,
-    STACKS,
-    read_facts,
-    recorded_stacks,
-    seal_facts,
-)
+from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
+from taxinet_ros.campaign.record.facts import STACKS, is_campaign, recorded_stacks
 from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -97,8 +91,15 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
-    """Write ``runs.csv`` and ``runs.parquet`` atomically, and seal ``campaign.json`` if it exists.
+def campaign_table(content: CampaignContent) -> pd.DataFrame:
+    """Table of a campaign, with its records of machines, libraries and code in ``attrs``."""
+    frame = table(content.rows, tuple(content.facts.get('specs', {})))
+    frame.attrs[STACKS] = recorded_stacks(content.facts)
+    return frame
+
+
+def write_tables(rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write ``runs.csv`` and ``runs.parquet`` atomically.
 
     The Parquet file contains the campaign's records of machine, libraries and code in
     ``attrs['stacks']``; the column ``stack`` refers to them.
@@ -106,16 +107,11 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     Args:
         rows: rows of one campaign.
         folder: existing folder of the campaign.
-        specs: names of its formulas, as for :func:`table`.
+        facts: its facts.
     """
-    frame = table(rows, specs)
-    facts = read_facts(folder)
-    frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
-    csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    write_atomically(csv, csv_text(frame))
-    write_table(parquet, frame)
-    if facts is not None:
-        seal_facts(folder, facts, [csv, parquet])
+    frame = campaign_table(CampaignContent(facts=facts, rows=tuple(rows)))
+    write_atomically(folder / CSV_NAME, csv_text(frame))
+    write_table(folder / PARQUET_NAME, frame)
 
 
 def csv_text(frame: pd.DataFrame) -> str:
@@ -125,57 +121,23 @@ def csv_text(frame: pd.DataFrame) -> str:
     ).to_csv(index=False)
 
 
-def read_table(folder: Path) -> pd.DataFrame:
-    """Read the table of the campaign in ``folder``, with the types of :func:`table`.
-
-    Args:
-        folder: folder of the campaign, or a ``.parquet`` file of such a table.
+def read_table(path: Path) -> pd.DataFrame:
+    """The table of a campaign, from its record, or a ``.parquet`` file of such a table.
 
     Raises:
-        UsageError: there is none, it is damaged or inconsistent, or it belongs to another campaign
-            than the ``campaign.json`` in its folder.
+        UsageError: there is none, or it is damaged or inconsistent.
     """
-    path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
+    if path.suffix != '.parquet':
+        if is_campaign(path):
+            return campaign_table(read_campaign(path))
+        path = path / PARQUET_NAME
     if not path.is_file():
-        raise UsageError(f'{path}: no such table; is {folder} a campaign?')
-    specs = check_tables(path.parent, path)
-    frame = read_any_table(path)  # once more checked, by the checksum in it
-    _check_rows(path, frame, specs)
+        raise UsageError(f'{path}: no such table; is {path.parent} a campaign?')
+    if not is_sealed_table(path, path.read_bytes()):
+        warn_once(f'{path}: is unverified, since it has no checksum')
+    frame = read_any_table(path)
+    _check_rows(path, frame)
     return frame
-
-
-def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
-    """Check a campaign's tables against the checksums in ``campaign.json``.
-
-    Args:
-        folder: folder of the campaign.
-        wanted: the table to be read; without a checksum, there or in itself, there is a warning.
-
-    Returns:
-        Names of the formulas that determined the outcomes, as far as known.
-
-    Raises:
-        UsageError: a table differs from its checksum.
-        OSError: the wanted one cannot be read.
-    """
-    facts = read_facts(folder)
-    mend = f'write it anew with --resume; see taxinet doctor {folder}'
-    vouched = False
-    for path in (folder / CSV_NAME, folder / PARQUET_NAME):
-        if facts is not None and path.is_file():
-            vouched |= facts.check_file(path, mend) and path == wanted
-    if wanted is not None and not vouched and not is_sealed_table(wanted, wanted.read_bytes()):
-        where = 'is not there' if facts is None else 'has no checksums of them'
-        warn_once(f'{folder}: its tables are unverified, since {FACTS_NAME} {where}')
-    ledger = folder / LEDGER_NAME
-    ended = facts.journals.get(LEDGER_NAME) if facts else None
-    if vouched and ended and ledger.is_file() and ledger.read_bytes().count(b'\n') > ended.lines:
-        warn_once(
-            f'{folder}: its tables are older than its ledger; is the campaign running? If not, '
-            '--resume it'
-        )
-    own = facts.values.get('specs') if facts else None
-    return list(own) if isinstance(own, dict) else []
 
 
 def read_any_table(path: Path) -> pd.DataFrame:
@@ -236,14 +198,8 @@ def _specs_of(frame: pd.DataFrame) -> list[str]:
     ]
 
 
-def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
-    """Check that every row is consistent, as in :meth:`.row.RunRow.check`.
-
-    Args:
-        path: path of the table, for messages.
-        frame: the table; missing columns are not checked.
-        own: names of the formulas that determined the outcomes, if known.
-    """
+def _check_rows(path: Path, frame: pd.DataFrame) -> None:
+    """Check that every row is consistent, as in :meth:`.row.RunRow.check`."""
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
     known = {field.key: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
@@ -264,18 +220,15 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
             _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
     specs = _specs_of(frame)
     if specs:
-        _check_robustness(path, frame, [name for name in own if name in specs], specs)
+        _check_robustness(path, frame, specs)
     if 'rho' in frame.columns:
-        _check_headline(path, frame, [*own, *specs][:1])
+        _check_headline(path, frame, specs[:1])
 
 
-def _check_robustness(
-    path: Path, frame: pd.DataFrame, own: Sequence[str], specs: Sequence[str]
-) -> None:
-    """Check outcomes: PASS, all formulas above zero; FAIL, at least one not; else no robustness.
+def _check_robustness(path: Path, frame: pd.DataFrame, specs: Sequence[str]) -> None:
+    """Check outcomes: PASS, the first formula above zero; FAIL, at least one not; else none.
 
-    If the formulas that determined the outcomes are not known, the first one of the table is among
-    them; others may have been added later.
+    Formulas after the first may have been added later, so that they did not determine outcomes.
     """
     passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
     above, below = passed | True, passed & False
@@ -284,10 +237,9 @@ def _check_robustness(
         lower = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
         upper = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
         _refuse(path, ~(passed | failed) & upper.notna(), 'a robustness without a verdict')
-        if name in (own or specs[:1]):
+        if name in specs[:1]:
             above &= lower > 0
-        if name in (own or specs):
-            below |= upper <= 0
+        below |= upper <= 0
     _refuse(path, passed & ~above, 'PASS, but a robustness is not above 0')
     _refuse(path, failed & ~below, 'FAIL, but no robustness is 0 or less')
 

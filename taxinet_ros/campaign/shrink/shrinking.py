@@ -1,7 +1,7 @@
 """Shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
 
 Its folder is a campaign folder. The next run depends only on the results, so a resumed shrinking
-reads them from its ledger and continues. Runs without a verdict are repeated under their old
+reads them from its record and continues. Runs without a verdict are repeated under their old
 numbers, so the table equals that of an uninterrupted one. The second half of the module reports the
 results for each parameter.
 """
@@ -18,9 +18,9 @@ from typing import Any, Self
 from rich.table import Table
 from rich.text import Text
 
-from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
+from taxinet_ros.campaign.record.book import CampaignBook, check_same_campaign
+from taxinet_ros.campaign.record.content import CampaignContent
 from taxinet_ros.campaign.record.facts import facts_of_runs
-from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
@@ -82,9 +82,9 @@ class Shrinking:
         facts = self._facts()
         with contextlib.ExitStack() as opened:
             opened.enter_context(self.book)
-            before = read_same_campaign(self._campaign.out, facts)
-            self._take_up(before)
-            self.book.begin(facts, before)
+            check_same_campaign(self._campaign.out, self.book.earlier, facts)
+            self._take_up(self.book.earlier)
+            self.book.begin(facts)
             opened.pop_all()
         return self
 
@@ -159,7 +159,7 @@ class Shrinking:
     def _key(self, point: Point) -> str:
         return json.dumps(self.options.space.scenario(point).to_human())
 
-    def _take_up(self, content: LedgerContent) -> None:
+    def _take_up(self, content: CampaignContent) -> None:
         """Load earlier results, and the runs that they left unfinished."""
         known = (*content.unfinished, *(row.index for row in content.rows))
         self._next = 1 + max(known, default=-1)

@@ -38,7 +38,7 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of,
     scenes_of_program,
 )
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
@@ -132,7 +132,7 @@ def run_compare(options: CompareOptions) -> int:
 
 def _is_campaign(word: str) -> bool:
     path = Path(word)
-    return (path / LEDGER_NAME).is_file() or word.endswith('.parquet')
+    return is_campaign(path) or word.endswith('.parquet')
 
 
 def _folder(options: CompareOptions, *words: str) -> Path:

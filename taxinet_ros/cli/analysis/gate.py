@@ -29,15 +29,15 @@ from taxinet_ros.campaign.options import DEFAULT_ROOT
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.past_runs.shared_scenes import SharedTrials, scenes_of
 from taxinet_ros.campaign.rates import Planned
+from taxinet_ros.campaign.record.content import CampaignContent
 from taxinet_ros.campaign.record.facts import (
-    LEDGER_NAME,
     STACKS,
+    is_campaign,
     recorded_rules,
     recorded_stacks,
 )
-from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import PARQUET_NAME, check_tables
+from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.progress import stage_bars
@@ -178,7 +178,7 @@ def _write_documents(judged: _Judged, junit: Path) -> None:
 
 def _judged(asked: GateInput) -> _Judged | None:
     """The runs to judge; None if driving a network was interrupted."""
-    recorded = (asked.campaign / LEDGER_NAME).is_file() or asked.campaign.is_dir()
+    recorded = is_campaign(asked.campaign) or asked.campaign.is_dir()
     if asked.baseline is not None and not recorded:
         return _driven(asked, str(asked.campaign), asked.baseline)
     for option, given in (('--out', asked.out), ('--workers', asked.workers)):
@@ -188,7 +188,6 @@ def _judged(asked: GateInput) -> _Judged | None:
                 f'{asked.campaign} is not driven'
             )
     campaign = open_campaign(asked.campaign)
-    check_tables(asked.campaign)
     return _Judged(
         folder=asked.campaign, rows=campaign.rows, facts=campaign.facts,
         planned=campaign.planned_runs, notes=tuple(_record_notes(campaign.content)),
@@ -243,7 +242,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
 
 def _planned(baseline: Path, rows: Sequence[RunRow]) -> range:
     """The runs that the baseline planned, which are other ones than its runs."""
-    if (baseline / LEDGER_NAME).is_file() and (found := open_campaign(baseline).planned_runs):
+    if is_campaign(baseline) and (found := open_campaign(baseline).planned_runs):
         return found
     return range(max(row.index for row in rows) + 2)  # more than there are: the number was open
 
@@ -265,9 +264,9 @@ def _beside(junit: Path) -> Path:
     return junit.with_name(f'{junit.stem}-{PARQUET_NAME}')
 
 
-def _record_notes(content: LedgerContent) -> Iterator[str]:
+def _record_notes(content: CampaignContent) -> Iterator[str]:
     """Notes about the campaign's record."""
-    if found := differences(*recorded_stacks(content.campaign).values()):
+    if found := differences(*recorded_stacks(content.facts).values()):
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: started but has no result'

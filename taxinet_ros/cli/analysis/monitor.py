@@ -33,7 +33,7 @@ from taxinet_ros.campaign.past_runs.added_requirements import (
     campaign_bags,
 )
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -255,7 +255,7 @@ def _bags(place: Path) -> list[Path]:
         return [place]
     bags = campaign_bags(place)
     if not bags:
-        what = 'none of its runs left a bag' if (place / LEDGER_NAME).is_file() else 'holds no bag'
+        what = 'none of its runs left a bag' if is_campaign(place) else 'holds no bag'
         raise UsageError(f'{place}: {what}')
     return bags
 

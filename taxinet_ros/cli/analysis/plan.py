@@ -24,7 +24,6 @@ from taxinet_ros.analysis.plan import (
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.rates import CONFIDENCE
 from taxinet_ros.campaign.record.facts import recorded_rules
-from taxinet_ros.campaign.record.table import check_tables
 from taxinet_ros.errors import ExitCode, UsageError
 
 _PAGE_WIDTH = 100
@@ -50,8 +49,6 @@ def run_plan(
     if folder is not None and so_far is not None:
         raise UsageError('plan: a campaign or --so-far, which stands for one; leave one out')
     campaign = None if folder is None else open_campaign(folder)
-    if folder is not None:
-        check_tables(folder)
     planned = plan_claim(claim, campaign, None if so_far is None else parse_so_far(so_far))
     if as_json:
         print(json.dumps(_json(planned), indent=2, allow_nan=False))

@@ -42,7 +42,6 @@ from taxinet_ros.campaign.experiment import (
 )
 from taxinet_ros.campaign.options import AUDIT, GRAPH
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -289,8 +288,7 @@ def _report(
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
     write_table(pairs, frame)
-    # Two swapped arms would be valid campaigns, each with the other's name.
-    write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
+    write_sealed(out / JSON_NAME, values, [pairs])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures

@@ -13,7 +13,7 @@ from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -153,7 +153,7 @@ def _print(
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
     campaign, kept = None, False
     folder = path if kind == 'campaign' else path.parent
-    if kind != 'table' and (folder / LEDGER_NAME).is_file():
+    if kind != 'table' and is_campaign(folder):
         campaign = Path(_near(folder))
         recorded = open_campaign(folder)
         kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)

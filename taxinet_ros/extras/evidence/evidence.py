@@ -23,7 +23,7 @@ from taxinet_ros.analysis.odd.coverage import coverage_json
 from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.options import check_new, make_out
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
+from taxinet_ros.campaign.record.facts import recorded_stacks
 from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.mtl.specs import SIGNALS, parse_spec
@@ -56,6 +56,7 @@ from taxinet_ros.extras.evidence.inputs import (
 )
 from taxinet_ros.extras.evidence.limits import WORDS, SystemFacts, known_limits
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 
 SCHEMA = 'taxinet-evidence-2'
@@ -562,7 +563,7 @@ def _records_verdict(system: SystemFacts) -> tuple[Verdict, str]:
 
 def _ledgers(system: SystemFacts) -> list[Reference]:
     return [
-        Reference(f'Ledger of {one.name}', f'{name}/{LEDGER_NAME}')
+        Reference(f'Record of {one.name}', f'{name}/{RECORD_NAME}')
         for name, one in system.campaigns
     ]
 

@@ -21,7 +21,7 @@ from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, planned_runs, recorded_world
+from taxinet_ros.campaign.record.facts import is_campaign, planned_runs, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.assurance.switch import parts_of
@@ -35,6 +35,7 @@ from taxinet_ros.core.perception.weights import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.journal import journal_end, parse_journal
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 MONITOR_NAME = 'assurance.json'
@@ -177,15 +178,13 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
         UsageError: it is no campaign, a table alone, unfinished, or damaged.
     """
     folder = path.parent if path.is_file() and path.name == PARQUET_NAME else path
-    if path.is_file() and not (folder / LEDGER_NAME).is_file():
+    if path.is_file() and not is_campaign(folder):
         raise UsageError(
-            f'{path}: a table alone is no evidence: without {FACTS_NAME} and {LEDGER_NAME} beside '
-            'it, program, formula, network and scenes cannot be bound to its rows by hash; name '
+            f'{path}: a table alone is no evidence: without {RECORD_NAME} beside it, '
+            ' program, formula, network and scenes cannot be bound to its rows by hash; name '
             "the campaign's folder"
         )
     recorded = open_campaign(folder)
-    if not (folder / FACTS_NAME).is_file():
-        raise UsageError(f'{folder}: has no {FACTS_NAME}; restore it')
     facts = {**recorded.facts, 'perception_sha256': _network_of(recorded)}
     if lacking := [name for name in _NEEDED if facts.get(name) in (None, {})]:
         raise UsageError(
@@ -204,7 +203,7 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
         folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
         files={
             name: file_sha256(folder / name)
-            for name in (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
+            for name in (RECORD_NAME, CSV_NAME, PARQUET_NAME)
         },
         bags={
             row.run_id: bag_sha256(bag) for row in recorded.rows

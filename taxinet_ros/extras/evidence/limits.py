@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxinet_ros.analysis.odd.coverage import OddCoverage
-from taxinet_ros.campaign.record.facts import EXTENSIONS, LEDGER_NAME, WORLD, recorded_stacks
+from taxinet_ros.campaign.record.facts import EXTENSIONS, WORLD, recorded_stacks
 from taxinet_ros.core.pacing.timing import is_free, timing_words
 from taxinet_ros.core.perception.weights import SHIPPED
 from taxinet_ros.core.provenance import COMMIT, differences
@@ -28,6 +28,7 @@ from taxinet_ros.extras.evidence.inputs import (
     NetworkInput,
     ResultsInput,
 )
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.registry import KMWH
 
 WORDS = (
@@ -194,7 +195,7 @@ def _of_network(system: SystemFacts) -> list[Limit]:
     truth = network.word == TRUTH and not network.sha256
     sources = card.training_data if card is not None else ()
     kinds = {source.kind for source in sources}
-    ledgers = {one.files[LEDGER_NAME] for one in system.inputs}
+    ledgers = {one.files[RECORD_NAME] for one in system.inputs}
     start = card.start_sha256 if card is not None else None
     return _given(system.name, (
         (truth, 'truth', 'There is no network in these runs: the controller is given the truth. '

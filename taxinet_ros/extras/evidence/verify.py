@@ -21,7 +21,7 @@ from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.loop_run import Loop, LoopOptions
-from taxinet_ros.campaign.record.facts import FACTS_NAME, recorded_stacks, recorded_world
+from taxinet_ros.campaign.record.facts import recorded_stacks, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
@@ -37,6 +37,7 @@ from taxinet_ros.extras.evidence.evidence import (
     collect,
 )
 from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 
 Progress = Callable[[str, int, int], None]
@@ -350,7 +351,7 @@ def _drive_again(
             if name not in loops:
                 out.mkdir()
                 # From there the bag gets the program's text, as in the campaign.
-                (out / FACTS_NAME).symlink_to((one.folder / FACTS_NAME).resolve())
+                (out / RECORD_NAME).symlink_to((one.folder / RECORD_NAME).resolve())
                 loops[name] = Loop(_loop_options(one, out, options.networks))
             if difference := run_difference(one, row, loops[name], out):
                 found.different.append(f'{one.folder / row.run_id}: driven again: {difference}')

@@ -15,7 +15,7 @@ from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.rates import Rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.bag.input import readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode, UsageError
@@ -259,7 +259,7 @@ def _campaign_of(bag: Path) -> RecordedCampaign | None:
     """The campaign in whose folder a bag is; it may still be running."""
     whole = bag.resolve()
     run = whole.parent if whole.is_file() else whole
-    return open_campaign(run.parent) if (run.parent / LEDGER_NAME).is_file() else None
+    return open_campaign(run.parent) if is_campaign(run.parent) else None
 
 
 def _final(forecast: Forecast, recording: Recording) -> float | None:

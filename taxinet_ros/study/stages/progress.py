@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
 
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Kind, Stage
@@ -52,8 +52,8 @@ def state_of(stage: Stage, records: Stages, out: Path) -> State:
 def can_resume(folder: Path) -> bool:
     """Whether there is a campaign, an arm of an experiment, or an unfinished training."""
     return any(
-        next(folder.glob(name), None)
-        for name in (LEDGER_NAME, f'*/{LEDGER_NAME}', f'*.part/{REQUEST}')
+        is_campaign(place) or (place / REQUEST).is_file()
+        for place in (folder, *folder.glob('*/'))
     )
 
 

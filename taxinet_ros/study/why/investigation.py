@@ -34,7 +34,7 @@ from taxinet_ros.campaign.past_runs.localisation import (
     make_trial,
 )
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
+from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.campaign.scenes.overrides import overrides_statement
@@ -63,6 +63,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.registry import KMWH
 from taxinet_ros.study.stages.stage import Stage
@@ -535,15 +536,15 @@ def kind_of(path: Path) -> str:
     """
     if path.suffix == '.parquet' and path.is_file():
         return 'table'
-    if (path / LEDGER_NAME).is_file():
+    if is_campaign(path):
         return 'campaign'
-    if (path.parent / LEDGER_NAME).is_file() or (path.is_dir() and holds_bag(path)):
+    if is_campaign(path.parent) or (path.is_dir() and holds_bag(path)):
         return 'run'
     if path.is_dir():
         bags = sorted(one.name for one in path.iterdir() if one.is_dir() and holds_bag(one))
         if bags:
             raise UsageError(
-                f'{path}: bags without the {LEDGER_NAME} of a campaign; name one of the runs, as '
+                f'{path}: bags without the {RECORD_NAME} of a campaign; name one of the runs, as '
                 f'{path / bags[0]}'
             )
     raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')

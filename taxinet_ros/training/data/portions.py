@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.weights import Source
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
 
 SPREAD_M = 0.5
@@ -65,15 +65,15 @@ def counterexample_scenes(
 
 
 def ledger_digest(folder: Path) -> str:
-    """SHA-256 of a campaign's ledger, which contains its runs and results.
+    """SHA-256 of a campaign's record, which contains its runs and results.
 
     Raises:
         UsageError: it cannot be read.
     """
     try:
-        return hashlib.sha256((folder / LEDGER_NAME).read_bytes()).hexdigest()
+        return hashlib.sha256((folder / RECORD_NAME).read_bytes()).hexdigest()
     except OSError as error:
-        raise UsageError(f'{folder / LEDGER_NAME}: {error.strerror}') from error
+        raise UsageError(f'{folder / RECORD_NAME}: {error.strerror}') from error
 
 
 def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
