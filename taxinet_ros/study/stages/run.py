@@ -192,7 +192,7 @@ class StudyRun:
             return f'there is no {stage.needs}, for nothing was found: nothing to do'
         if not stage.needs_failures:
             return ''
-        outcomes = read_table(self._out / stage.needs_failures)['outcome']
+        outcomes = read_table(self._out / stage.needs_failures / PARQUET_NAME)['outcome']
         if (outcomes == 'FAIL').any():
             return ''
         return f'none of the {len(outcomes)} runs of {stage.needs_failures} failed: nothing to do'
