@@ -134,7 +134,7 @@ def test_given_a_stage_that_is_refused_then_the_study_stops_and_goes_on_later(fi
     out = copied(finished, tmp_path, 'analyze-original', 'localize-original')
     (out / 'fail.txt').write_text('analyze-original')
     lines: list[str] = []
-    with pytest.raises(UsageError, match='^analyze-original: out of luck$'):
+    with pytest.raises(UsageError, match=r'^analyze-original: out of luck$'):
         run_study(out, lines=lines)
     assert len(asked(out)) == 1
     assert lines[-1] == 'stopped at analyze-original; once it is mended, --resume goes on'
@@ -306,7 +306,7 @@ def test_f1_given_a_full_disk_at_the_first_file_then_the_error_names_it(tmp_path
         with pytest.raises(OSError, match='No space left'):
             case_study.run_case_study(options)
     monkeypatch.setattr(case_study.StudyRun, 'run', lambda run: 0)
-    with pytest.raises(UsageError, match='--resume: .*: no study of taxinet case-study'):
+    with pytest.raises(UsageError, match=r'--resume: .*: no study of taxinet case-study'):
         case_study.run_case_study(dataclasses.replace(options, resume=True, scale=None))
     assert case_study.run_case_study(
         dataclasses.replace(options, out=tmp_path / 'other')) == 0
