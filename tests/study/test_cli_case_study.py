@@ -72,7 +72,7 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
     ({'resume': True}, r'--resume: name the case study to continue with --out'),
     ({'resume': True, 'out': Path('new')}, r'--resume: new: no study of taxinet case-study'),
     ({'report_only': True}, r'--report-only: name the case study with --out'),
-    ({'report_only': True, 'out': Path('new')}, r'--report-only: new: no study of taxinet case-study'),
+    ({'report_only': True, 'out': Path('new')}, r'--report-only: new: no study of taxinet case-'),
     ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
     ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
     ({'config': Path('gone.yaml')}, r'--config gone.yaml: cannot be read'),

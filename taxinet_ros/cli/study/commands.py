@@ -103,7 +103,7 @@ def case_study(
 ) -> None:
     """Run the paper's case study: falsify, debug, retrain, learn, report.
 
-    Every stage is a taxinet command that you can run yourself. Finished stages whose inputs are
+    Every stage does what a printed taxinet command does. Finished stages whose inputs are
     unchanged are kept; Ctrl-C ends a stage in order, and --resume continues. Exit codes: 0 done,
     130 interrupted, else that of the failed stage.
     """
@@ -170,7 +170,7 @@ def improve(
 ) -> None:
     """Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if better.
 
-    Every stage is a taxinet command that you can run yourself. Exit codes: 0 done, 130 interrupted,
+    Every stage does what a printed taxinet command does. Exit codes: 0 done, 130 interrupted,
     else that of the failed stage.
     """
     from taxinet_ros.cli.study.improve import run_improve
